@@ -189,11 +189,6 @@ DROPPED_EXCESS: Final = 2.0
 but a drop is always beyond."""
 
 
-LOST_TILTS: Final = 2.0
-"""A box that tilts by more than so many thresholds is *lost*: since the largest tilt counts, its world cannot be stable
-any more. A large shift says nothing: a board that tips under one load is level again under the next one."""
-
-
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
 

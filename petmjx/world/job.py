@@ -89,8 +89,9 @@ class Job:
     drive. An engine gets a state of its own; before that it is a ``KeptState``. ``keep_state`` asks for such a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
     window. ``record`` asks for the world's history; it changes nothing else. ``ends_when_lost``: with early stop the
-    world ends when a box is *lost* (``petmjx.verdict.LOST_TILTS``), and not only when one has dropped. Its verdict is
-    known then, and what follows is the dearest part of a simulation.
+    world ends when a box is *lost*, tilted by more than the threshold, and not only when one has dropped. Since the
+    largest tilt counts, its verdict is known then, and what follows is the dearest part of a simulation. A large shift
+    says nothing: a board that tips under one load is level again under the next one.
     """
 
     scene: Scene

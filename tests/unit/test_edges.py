@@ -13,6 +13,7 @@ from support.plans import Box, make_plan, make_scene
 from test_stand_in import Scripted, never, scored
 
 import petmjx
+from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.edges import note_edges
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
@@ -72,6 +73,14 @@ def test_worlds_near_a_threshold_are_checked_at_half_the_timestep(
     assert changed == (["p1"] if checked else [])
     assert ("p1: stable, and unstable at half the timestep" in notes) is checked
     assert [sim.physics.timestep_s for sim in own.sims] == ([0.002, 0.001] if checked else [0.002])
+
+
+def test_a_world_that_ended_on_its_way_down_is_near_nothing() -> None:
+    (check,) = (recipe for recipe in ATTEMPTS if recipe.checks)
+    falling = near(-0.1, verdict=Verdict.UNSTABLE, reason=Reason.TILT)
+    sim = Simulation(check_timestep=True)
+    assert check.is_for(falling, sim)
+    assert not check.is_for(replace(falling, flags=Flag.EARLY_STOP), sim)
 
 
 def test_nothing_is_checked_unless_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

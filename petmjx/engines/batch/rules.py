@@ -22,7 +22,7 @@ from petmjx.engines.batch.worlds import Worlds
 from petmjx.history import CARRIER
 from petmjx.metrics import motion_jax as motion
 from petmjx.options.config import Schedule, Simulation
-from petmjx.verdict import LOST_TILTS, Flag
+from petmjx.verdict import Flag
 from petmjx.world.release import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
 
@@ -224,7 +224,7 @@ class Rules:
             sign_step=jnp.where(signs, state.step, m.sign_step),
             sign_placed=jnp.where(signs & sample, state.placed, m.sign_placed),
         )
-        lost = dropped | (looked & worlds.ends_when_lost[:, None] & (tilt > LOST_TILTS * limits.tilt_deg))
+        lost = dropped | (looked & worlds.ends_when_lost[:, None] & (tilt > limits.tilt_deg))
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
         return state._replace(

@@ -14,7 +14,6 @@ from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
 from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Thresholds
-from petmjx.verdict import LOST_TILTS
 from petmjx.world.give import sinks_m
 from petmjx.world.scene import Scene
 
@@ -62,8 +61,9 @@ class OracleMetrics:
 
     @property
     def any_lost(self) -> bool:
-        """Whether a box is tilted so far that its world need not go on, if it is only asked whether it stands."""
-        return bool((self.max_tilt_deg > LOST_TILTS * self._thresholds.tilt_deg).any())
+        """Whether a box has tilted by more than the threshold: its world need not go on, if it is only asked whether it
+        stands."""
+        return bool((self.max_tilt_deg > self._thresholds.tilt_deg).any())
 
     def add_sample(
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray

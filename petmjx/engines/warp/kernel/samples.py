@@ -9,12 +9,9 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.motion import box_half, middle_of, rotation
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
-from petmjx.verdict import LOST_TILTS
 
 JUST_OVER = wp.constant(1.0000001192092896)
 """The next float32 after 1: the least excess of a box that has dropped."""
-
-LOST = wp.constant(LOST_TILTS)
 
 LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
 HALF = wp.constant(wp.int64(32))
@@ -91,7 +88,7 @@ def measure(
         x = place[0] - state.sway_anchor[world, box, 0]
         y = place[1] - state.sway_anchor[world, box, 1]
         state.max_sway[world, box] = wp.max(state.max_sway[world, box], wp.sqrt(x * x + y * y))
-    return dropped or (worlds.ends_when_lost[world] and tilt > LOST * model.tilt)
+    return dropped or (worlds.ends_when_lost[world] and tilt > model.tilt)
 
 
 @wp.func
