@@ -16,13 +16,14 @@ from support.plans import heap, make_scene
 from support.tiny_worlds import SHORT, SOME_NS, TINY, assert_equal_worlds, engine, tiny_scenes
 from support.worlds import simulate
 
+from petmjx.basics.warp_cpp import with_cpp
 from petmjx.engines.batch.state import NEVER
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import newton
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.few import fleet_for_few, with_few_first
 from petmjx.engines.warp.group import Group
-from petmjx.engines.warp.launch import SIZES, Launch, with_cpp
+from petmjx.engines.warp.launch import SIZES, Launch
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.rollout import Rollout, Slice
 from petmjx.verdict import Outcome

@@ -22,10 +22,10 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 import warp as wp
 from support.fake_stepper import fake_scene
 
+from petmjx.basics.warp_cpp import with_cpp
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.warp import newton, records
 from petmjx.engines.warp.kernel.rules import after_step
-from petmjx.engines.warp.launch import with_cpp
 from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.records import Model, Thread, Workspace, array_types, filled
 

@@ -11,8 +11,9 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 
+from petmjx.basics.warp_cpp import with_cpp
 from petmjx.engines.warp import march
-from petmjx.engines.warp.launch import Launch, with_cpp
+from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import Fleet, March
 from petmjx.engines.warp.streams import own_kernels
 

@@ -15,6 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from petmjx.basics.warp_cpp import with_cpp
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.plans.samples.balance import (
     LEAST_TURN_M2,
@@ -66,11 +67,10 @@ def _kernel() -> Any:
         _fill(tables)
 
     set_up_warp()
-    files = (resources.files(__package__).joinpath(name) for name in ("matrices.cpp", "fill.cpp"))
-    text = "\n".join([names_in_cpp(), *(file.read_text(encoding="utf-8") for file in files)])
-    build = wp.ModuleBuildOptions(extra_cuda_preamble=text, extra_cpu_preamble=text)
-    options = {"extra_build_options": build, "fuse_fp": False}
-    return wp.kernel(fill, enable_backward=False, module="unique", module_options=options)
+    text = names_in_cpp()
+    for name in ("matrices.cpp", "fill.cpp"):
+        text += f'#line 1 "{name}"\n' + resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return with_cpp(fill, text, fuse_fp=False)
 
 
 class Compiled:
