@@ -14,10 +14,11 @@ const double ROUNDING_KG_M = 4e-10;
 
 const double NONE = 1e300;  // cost of what is no candidate
 
+// A box at a candidate: what it would stand on.
 struct Rest {
-    int under = 0;       // boxes below
-    int planes = 0;      // edges of the hull
-    double load[3];      // its own weight
+    int under = 0;   // boxes below it, in t.under
+    int planes = 0;  // edges of their hull, in t.new_planes
+    double load[3];  // its own weight: kg, kg·m, kg·m
 };
 
 template <typename Tables>
@@ -192,7 +193,10 @@ struct Filling {
                 for (int b = 0; b < 3; ++b) moments[9 * i + 3 * a + b] = one[a] * one[b];
             moments[9 * i + 4] += dx * dx / 12;
             moments[9 * i + 8] += dy * dy / 12;
-            for (int j = 0; j < 9; ++j) total[j] += moments[9 * i + j] *= area;
+            for (int j = 0; j < 9; ++j) {
+                moments[9 * i + j] *= area;
+                total[j] += moments[9 * i + j];
+            }
         }
         double inverse[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
         if (rest.under > 1) invert(total, inverse);
@@ -315,6 +319,7 @@ struct Filling {
                 }
     }
 
+    // What all candidates cost. From then on costs change with what is put.
     CUDA_CALLABLE void begin() {
         for (int point = 0; point < points; ++point)
             for (int shape = 0; shape < shapes; ++shape) {
@@ -333,7 +338,8 @@ struct Filling {
         return least < NONE;
     }
 
-    // `own`: what is known of the balance of a box at `point` itself; of WITH_FIRST it is known to keep it.
+    // Place boxes until an end. `how` and `own` are of the first one, which is at `point` unless how is WITH_BEST: whether it
+    // keeps its own balance. If the end is ASKS, `point` and `shape` are the candidate's.
     CUDA_CALLABLE int fill(int& point, int& shape, int how, int own) {
         if (how != WITH_ANSWER) begin();
         bool chosen = how != WITH_BEST;
