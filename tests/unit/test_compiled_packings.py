@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from math import inf
 from typing import Any
@@ -102,3 +103,13 @@ def test_a_search_finds_the_same_without_it(monkeypatch: pytest.MonkeyPatch) -> 
         with monkeypatch.context() as without:
             without.setattr(beam_module, "why_no_warp_on_cpu", lambda: "Warp is not installed")
             assert search(items, EXTENT, 3.0, width=2, branch=3) == found
+
+
+@pytest.mark.parametrize("broken", ["module", "compiler"])
+def test_where_warp_does_not_work_python_fills_up(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is installed, but cannot be imported; or it compiles nothing here."""
+    if broken == "module":
+        monkeypatch.setitem(sys.modules, compiled.__name__, None)
+    else:
+        monkeypatch.setattr(compiled, "_kernel", lambda: 1 / 0)
+    assert beam_module.fills_for(Packing(DRAWN.items, EXTENT, TASTES[0])) is Packing.filled

@@ -96,9 +96,9 @@ def fills_for(start: Packing) -> Fills:
         start: the one without boxes.
     """
     if why_no_warp_on_cpu() is None:
-        from petmjx.plans.samples.compiled import Compiled
+        with suppress(Exception):  # Warp cannot be loaded, or does not compile here
+            from petmjx.plans.samples.compiled import Compiled
 
-        with suppress(Exception):  # a machine for which Warp does not compile
             return Compiled(start)
     return Packing.filled
 
