@@ -20,6 +20,13 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
 
+def stop(pool: ProcessPoolExecutor) -> None:
+    """End a pool's processes at once: ``shutdown`` would wait for the tasks that they have begun. Nobody may wait for
+    these any more."""
+    for process in list((pool._processes or {}).values()):
+        process.terminate()
+
+
 def _begin(gpu: bool, nice: int) -> None:
     if nice and hasattr(os, "nice"):
         os.nice(nice)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -83,3 +84,10 @@ def test_what_tasks_raise_is_raised() -> None:
 def told(number: int) -> tuple[str | None, int, int]:
     """Which GPUs the process may use, how late it comes, and a square."""
     return os.environ.get("CUDA_VISIBLE_DEVICES"), os.nice(0), number**2
+
+
+def test_who_interrupts_a_search_does_not_wait_for_its_tasks() -> None:
+    begin = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), AsTheyCome(time.sleep, [100.0] * 4, 2):
+        raise KeyboardInterrupt
+    assert time.monotonic() - begin < 50

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from itertools import chain, islice
 from typing import Final, Generic, Self, TypeVar
 
-from petmjx.basics.processes import process_pool
+from petmjx.basics.processes import process_pool, stop
 
 ALONE: Final = 256
 """Fewer tasks of milliseconds are done in this process: other processes would take longer to start."""
@@ -121,7 +121,9 @@ class AsTheyCome(Generic[Task, Result]):
             raise
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object = None, *_: object) -> None:
         """End the processes, whatever they do."""
         if self._pool is not None:
+            if kind is not None:
+                stop(self._pool)
             self._pool.shutdown(cancel_futures=True)
