@@ -162,14 +162,14 @@ import numpy as np
 import petmjx
 from petmjx.results.manifest import plan_digest
 from petmjx.world.model import build_spec
-from petmjx.world.scene import build_scene
+from petmjx.world.scene import build_scenes
 boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 200)], mass_kg=[5.0] * 2)
 plan = petmjx.Plan.from_boxes("stack", **boxes, friction=[0.3, None])
 for name in ("plans.json", "plans.csv", "plans.parquet"):
     petmjx.save_plans(plan, name)
     print(petmjx.load_plans(name).plans[0].friction.tolist())
 sim = petmjx.Simulation()
-model = build_spec(build_scene(plan, sim), sim.physics).compile()
+model = build_spec(next(build_scenes([plan], sim)), sim.physics).compile()
 print(model.geom_friction[-2:, 0].tolist(), plan_digest(plan) != plan_digest(petmjx.Plan.from_boxes("stack", **boxes)))
 """
     )
