@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final
 
 import numpy as np
@@ -12,12 +10,10 @@ from numpy.typing import NDArray
 from petmjx.basics.units import FloatArray
 from petmjx.loop.columns import FIRST_COLUMNS, widened
 from petmjx.loop.heights import spans
+from petmjx.loop.threads import on_threads
 
 _AT_ONCE: Final = 512
 """Pallets whose maps are made at a time: they stay in a core's cache."""
-
-_THREADS: Final = 2
-"""As in petmjx/loop/places.py."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
 
@@ -75,12 +71,7 @@ class Maps:
                 np.maximum(loads, (own[:, number] * over_x)[:, None] * over_y, out=loads)
             self.loads[rows[some]] = loads.transpose(2, 0, 1)
 
-        pieces = np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE))
-        if len(pieces) == 1:
-            load(fullest)
-        else:  # NumPy works on arrays without the GIL
-            with ThreadPoolExecutor(_THREADS) as pool:
-                deque(pool.map(load, pieces), maxlen=0)
+        on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
     def _over(self, each: NDArray[np.integer]) -> tuple[Map, Map]:
         """(x, m) and (y, m) 1 where boxes stand over these columns and rows of cells, else 0.

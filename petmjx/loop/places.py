@@ -5,16 +5,15 @@ A box is lowered at a point until it rests, as in ``petmjx.plans.samples.packer`
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.machine import cpu_threads
 from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
 from petmjx.loop.stock import Stock
+from petmjx.loop.threads import MOST_THREADS, on_threads
 from petmjx.plans.samples.balance import SHARE_SLACK, TOUCH_MM
 
 _AT_ONCE: Final = 100_000
@@ -22,10 +21,6 @@ _AT_ONCE: Final = 100_000
 
 _WORTH_A_THREAD: Final = 50_000
 """Fewer pairs take less time than a thread to begin."""
-
-_MOST_THREADS: Final = 2
-"""More wait for Python's lock: on the host of an H200, places for 2,048 pallets took 155 ms with one thread, 118 ms
-with two, 141 ms with eight and 158 ms with sixteen."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
@@ -73,8 +68,7 @@ def free_places(
         of_each = np.full(len(asked), len(grid))
     order = np.argsort(count, kind="stable")  # pallets with few boxes cost little, if they are together
     done = np.cumsum((of_each * (count + 1))[order])
-    threads = min(cpu_threads(), _MOST_THREADS)
-    share = int(done[-1] // (2 * threads)) if len(order) else 0
+    share = int(done[-1] // (2 * MOST_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
     chunks = np.split(order, np.flatnonzero(np.diff(done // at_once)) + 1) if len(order) else []
 
@@ -87,11 +81,7 @@ def free_places(
         box, corner, support, centred = _lowered(at, low, high, size, *limits, hulls=hulls)
         return rows[box], corner, support, centred
 
-    if len(chunks) <= 2:
-        parts = [lowered(rows) for rows in chunks]
-    else:  # NumPy works on arrays without the GIL
-        with ThreadPoolExecutor(threads) as pool:
-            parts = list(pool.map(lowered, chunks[::-1]))  # the longest first
+    parts = on_threads(lowered, chunks[::-1])
     if not parts:
         nothing = np.zeros(0, np.intp)
         return Places(nothing, asked.pallet, np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool) if hulls else None)
