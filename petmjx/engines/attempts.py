@@ -75,7 +75,7 @@ class AttemptRecipe:
     of the time constant boxes sink by less than it resolves."""
 
     few: bool = False
-    """Whether few nominal worlds need it, among many. Of worlds with errors it may be a fifth."""
+    """Whether few worlds need it, among many."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give what the one before did not. More time is not given to a world."""

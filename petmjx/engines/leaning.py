@@ -26,9 +26,9 @@ from petmjx.history import CARRIER
 from petmjx.options.config import Simulation
 from petmjx.options.physics import Physics
 from petmjx.verdict import Outcome
-from petmjx.world.bearing import Bearing, bearings_of, together
+from petmjx.world.bearing import Bearing, bearings_of, find_bearings, together
 from petmjx.world.contact import depth_m, is_stiff
-from petmjx.world.scene import Scene
+from petmjx.world.job import Job
 
 CONTACTS_PER_SIDE: Final = 2
 
@@ -108,11 +108,11 @@ def _passed_on(bearing: Bearing, own: FloatArray) -> tuple[FloatArray, FloatArra
     return np.array(below), np.array(shift)
 
 
-def leaning(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
+def leaning(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[bool]:
     """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
     the plan may have moved beyond it. There is one at least."""
     placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
-    bearing = together(bearings_of(scenes))
+    bearing = together(_bearings(jobs, sim.thresholds.shift_m))
     load = bearing.loads(placed)
     edge = bearing.edges_m(load)
     found, under = leaning_of(bearing, load, edge, sim.physics), _supports(bearing)
@@ -129,6 +129,21 @@ def leaning(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulatio
         return bool(((edges > KNIFE_EDGE_M) & (edges <= safety * losses)).any())
 
     return [leans(outcome, k, k + n) for outcome, k, n in zip(outcomes, first, placed, strict=False)]
+
+
+def _bearings(jobs: Sequence[Job], most_gap_m: float) -> list[Bearing]:
+    """What bears what in each world.
+
+    With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
+    the strip that they share. It does not stand there: it tips, and leans on what is beside the strip. So boxes of such
+    worlds are where they are released, and lie on all that is no further below than they may shift. With the strip
+    alone, 75 of 167 unstable worlds with errors would be simulated again; so, 4 are.
+    """
+    with_errors = [job.scene for job in jobs if job.has_errors]
+    released = [np.c_[scene.start_pos[:, :2], scene.target[:, 2]] for scene in with_errors]
+    of_errors = iter(find_bearings(with_errors, released, most_gap_m))
+    of_plans = iter(bearings_of([job.scene for job in jobs if not job.has_errors]))
+    return [next(of_errors if job.has_errors else of_plans) for job in jobs]
 
 
 def _supports(bearing: Bearing) -> list[list[int]]:

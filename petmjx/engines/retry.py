@@ -189,8 +189,8 @@ class _Chunks(Generic[AnyWorld]):
 
 
 def _is_alone(world: World) -> bool:
-    """Whether a world is a plan as it is, and nothing starts from it."""
-    return world.variant == 0 and world.job.drive is None and not world.job.keep_state
+    """Whether a world has no drive, and none starts from it."""
+    return world.job.drive is None and not world.job.keep_state
 
 
 @dataclass(eq=False)
@@ -223,11 +223,7 @@ class _Besides(Generic[AnyWorld]):
     def begin(self, attempt: AttemptRecipe, pending: _Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
         making = _Making[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
-        traits = {
-            "doubles": attempt.doubles,
-            "soft": making.is_soft(pending[0]),
-            "few": attempt.few and _is_alone(pending[0]),
-        }
+        traits = {"doubles": attempt.doubles, "soft": making.is_soft(pending[0]), "few": attempt.few}
         name = self.engines.beside(pending[0].job, making.sim, **traits)
         if name is not None:
             self._ask(making, pending, name)
@@ -376,8 +372,9 @@ class _Making(Generic[AnyWorld]):
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """Checks the answers of many worlds together: one by one, this took longer than the simulation on a GPU."""
         worlds = [pending[0] for pending, _ in came]
-        scenes = [world.job.scene.all_soft if self.attempt.soft else world.job.scene for world in worlds]
-        outcomes = note_softness([answer for _, answer in came], scenes, self.sim)
+        jobs = [world.job for world in worlds]
+        jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
+        outcomes = note_softness([answer for _, answer in came], jobs, self.sim)
         for outcome in outcomes:
             outcome.attempt, outcome.engine = self.attempt.number, engine
             outcome.solver = self.sim.solver.value

@@ -23,6 +23,7 @@ from petmjx.options.physics import Cone, Physics
 from petmjx.plans.overlap import shared
 from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.contact import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
+from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LEAST_TIME_CONSTANT_STEPS = 4
@@ -166,7 +167,7 @@ ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
 
-def note_softness(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[Outcome]:
+def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
     """The outcomes, with ``Flag.SINKING`` where contacts gave way so far that a verdict may come from it.
 
     A world whose boxes sank has no verdict; one that may have tipped over since contacts are soft keeps it, for the
@@ -174,6 +175,7 @@ def note_softness(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Sim
     """
     found, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     may_lean: list[int] = []
+    scenes = [job.scene for job in jobs]
     did_not = surely_did_not_sink(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
         if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
@@ -183,7 +185,7 @@ def note_softness(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Sim
         elif elliptic and outcome.verdict is Verdict.UNSTABLE:
             may_lean.append(k)
     if may_lean:
-        leans = leaning([outcomes[k] for k in may_lean], [scenes[k] for k in may_lean], sim)
+        leans = leaning([outcomes[k] for k in may_lean], [jobs[k] for k in may_lean], sim)
         for k in compress(may_lean, leans):
             found[k] = _softened(outcomes[k], sim, sank=False)
     return found

@@ -19,7 +19,9 @@ def shared(low: FloatArray, high: FloatArray) -> FloatArray:
     return length
 
 
-def meets(low: FloatArray, high: FloatArray, tolerance: float) -> NDArray[np.bool_]:
-    """(…, n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance."""
-    found: NDArray[np.bool_] = np.abs(high[..., :, None] - low[..., None, :]) <= tolerance
+def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | None = None) -> NDArray[np.bool_]:
+    """(…, n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance; or
+    no further below it than ``most_gap``."""
+    over = high[..., :, None] - low[..., None, :]
+    found: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
     return found

@@ -166,7 +166,7 @@ class SweepPlan(Design):
     def job(self, group: PlacementGroup, scene: Scene) -> Job:
         """What is simulated of a group's placement. One with random errors is asked whether it stands: it ends when a
         box is lost."""
-        return Job(scene, ends_when_lost=group.placement.placement.random)
+        return Job(scene, has_errors=group.placement.placement.random)
 
     # Drives.
 

@@ -256,21 +256,23 @@ def bearings_of(scenes: Sequence[Scene]) -> list[Bearing]:
     return [of_scene[id(scene)] for scene in scenes]
 
 
-def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray]) -> list[Bearing]:
+def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float = TOUCH_M) -> list[Bearing]:
     """``find_bearing`` of each scene with its boxes at (n, 3) places, m: of those that are alike at once."""
     if len(scenes) < 2:
-        return [find_bearing(replace(scene, target=target)) for scene, target in zip(scenes, targets, strict=True)]
+        moved = [replace(scene, target=target) for scene, target in zip(scenes, targets, strict=True)]
+        return [find_bearing(scene, most_gap_m) for scene in moved]
     found: dict[int, Bearing] = {}
     for numbers, plain in groups(scenes):
         some = [scenes[k] for k in numbers]
         if plain and some[0].n_boxes:
-            found.update(zip(numbers, _found_alike(some, np.array([targets[k] for k in numbers])), strict=True))
+            target = np.array([targets[k] for k in numbers])
+            found.update(zip(numbers, _found_alike(some, target, most_gap_m), strict=True))
         else:
-            found.update((k, find_bearing(replace(scenes[k], target=targets[k]))) for k in numbers)
+            found.update((k, find_bearing(replace(scenes[k], target=targets[k]), most_gap_m)) for k in numbers)
     return [found[k] for k in range(len(scenes))]
 
 
-def _found_alike(scenes: Sequence[Scene], target: FloatArray) -> Iterator[Bearing]:
+def _found_alike(scenes: Sequence[Scene], target: FloatArray, most_gap_m: float) -> Iterator[Bearing]:
     """The bearings of plain scenes that are alike, with their boxes at (m, n, 3) places, m."""
     half_size = stacked(scenes, "half_size")
     (m, n), low, high = target.shape[:2], target - half_size, target + half_size
@@ -278,9 +280,9 @@ def _found_alike(scenes: Sequence[Scene], target: FloatArray) -> Iterator[Bearin
     boards = np.array([len(deck_low) for deck_low, _ in decks])
     first_board = np.cumsum(boards) - boards
     deck_low, deck_high = (np.concatenate(corners) for corners in zip(*decks, strict=True))
-    touching = meets(low[..., 2], high[..., 2], TOUCH_M) & (low[..., :, None, 2] < low[..., None, :, 2])
+    touching = meets(low[..., 2], high[..., 2], TOUCH_M, most_gap_m) & (low[..., :, None, 2] < low[..., None, :, 2])
     of_below, below, above = np.nonzero(touching)
-    lies_in, lying = np.nonzero(low[..., 2] <= TOUCH_M)
+    lies_in, lying = np.nonzero(low[..., 2] <= most_gap_m)
     times = boards[lies_in]
     board = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times - first_board[lies_in], times)
     world = np.concatenate([np.repeat(lies_in, times), of_below])
@@ -301,15 +303,18 @@ def _found_alike(scenes: Sequence[Scene], target: FloatArray) -> Iterator[Bearin
         yield Bearing(own, *(values[ends[k] : ends[k + 1]] for values in every))
 
 
-def find_bearing(scene: Scene) -> Bearing:
+def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     """Who bears whom, by the planned places.
 
     A box lies on a board of the carrier's deck if its bottom is not above its top, and on another box that begins lower
     if that one's top is at the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
+
+    Args:
+        most_gap_m: a box lies on what is no further below its bottom than this, too: it leans onto it.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     deck_low, deck_high = _deck(scene.carrier)
-    touching = meets(low[:, 2], high[:, 2], TOUCH_M)
+    touching = meets(low[:, 2], high[:, 2], TOUCH_M, most_gap_m)
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     cut_below, cut_low, cut_high = _cut(scene, low, high)
@@ -317,7 +322,7 @@ def find_bearing(scene: Scene) -> Bearing:
     row, pieces = np.nonzero(below[:, None] == cut_below)
     below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))
-    lying = low[on_deck, 2] <= TOUCH_M
+    lying = low[on_deck, 2] <= most_gap_m
     on_deck, board = on_deck[lying], board[lying]
     upper = np.concatenate([on_deck, above])
     lower = np.concatenate([np.full(len(on_deck), CARRIER), below])

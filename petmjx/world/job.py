@@ -88,10 +88,11 @@ class Job:
     ``start`` is the ``state`` of an earlier outcome: the world then skips soft start and placement, and begins with its
     drive. An engine gets a state of its own; before that it is a ``KeptState``. ``keep_state`` asks for such a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
-    window. ``record`` asks for the world's history; it changes nothing else. ``ends_when_lost``: with early stop the
-    world ends when a box is *lost*, tilted by more than the threshold, and not only when one has dropped. Since the
-    largest tilt counts, its verdict is known then, and what follows is the dearest part of a simulation. A large shift
-    says nothing: a board that tips under one load is level again under the next one.
+    window. ``record`` asks for the world's history; it changes nothing else. ``has_errors``: boxes are not quite where
+    the plan has them, and may stand on a neighbour that is a little higher (``petmjx.engines.leaning``). With early
+    stop such a world ends when a box is *lost*, tilted by more than the threshold, and not only when one has dropped.
+    Since the largest tilt counts, its verdict is known then, and what follows is the dearest part of a simulation. A
+    large shift says nothing: a board that tips under one load is level again under the next one.
     """
 
     scene: Scene
@@ -99,4 +100,4 @@ class Job:
     start: KeptState | EngineState | None = None
     keep_state: bool = False
     record: Record | None = None
-    ends_when_lost: bool = False
+    has_errors: bool = False

@@ -212,13 +212,13 @@ def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
 
 def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
     """With the verdict, the culprit and the first sign that it would have had, and without what follows."""
-    asked, whole = (run_one(Job(falling(), ends_when_lost=asked), Simulation()) for asked in (True, False))
+    asked, whole = (run_one(Job(falling(), has_errors=asked), Simulation()) for asked in (True, False))
     assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
     assert asked.first_sign_s <= asked.sim_time_s < whole.sim_time_s
     assert asked.flags & Flag.EARLY_STOP
     assert asked.boxes.max_tilt_deg.max() > Simulation().thresholds.tilt_deg
     assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
-    on = run_one(Job(falling(), ends_when_lost=True), Simulation(early_stop=False))
+    on = run_one(Job(falling(), has_errors=True), Simulation(early_stop=False))
     assert on.sim_time_s > whole.sim_time_s
 
 
@@ -232,7 +232,7 @@ def test_a_box_that_comes_back_is_not_lost() -> None:
         ((200, 800, 100), (1000, 0, 80), 5.0),
     ]
     scene = make_scene(boxes, sim)
-    outcome = run_one(Job(scene, record=Record(0.1), ends_when_lost=True), sim)
+    outcome = run_one(Job(scene, record=Record(0.1), has_errors=True), sim)
     assert outcome.verdict is Verdict.STABLE
     assert outcome.history is not None
     sunk = scene.target[2, 2] - np.nanmin(outcome.history.pos[:, 2, 2])

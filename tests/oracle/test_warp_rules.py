@@ -63,8 +63,7 @@ def kernel() -> Any:
 def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, State, State]:
     """Worlds of one to four boxes, states after some step, and those at its beginning (poses)."""
     jobs = [
-        Job(fake_scene(*[1.0] * (1 + k % BOXES)), keep_state=k % 3 == 0, ends_when_lost=k % 5 == 0)
-        for k in range(WORLDS)
+        Job(fake_scene(*[1.0] * (1 + k % BOXES)), keep_state=k % 3 == 0, has_errors=k % 5 == 0) for k in range(WORLDS)
     ]
     worlds = upload_worlds(jobs, WORLDS, BOXES, {}, sim)
     aside = rng.normal(0, 0.02, (WORLDS, BOXES, 3)) * (np.arange(WORLDS) % 2)[:, None, None]

@@ -12,7 +12,7 @@ from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, make_world, stack
 
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import WorldResult, score_worlds
+from petmjx.engines.retry import World, WorldResult, score_worlds
 from petmjx.engines.sinking import note_softness, sank, sinking_m, stiffened, surely_did_not_sink
 from petmjx.options.config import Simulation
 from petmjx.options.physics import PHYSICS
@@ -79,6 +79,27 @@ def test_a_box_that_tips_is_unstable_in_stiff_contacts_too() -> None:
     assert (result.outcome.verdict, result.outcome.culprit) == (Verdict.UNSTABLE, 2)
 
 
+@pytest.mark.parametrize(("has_errors", "attempts"), [(True, [1]), (False, [1, 6])])
+def test_a_box_on_the_edge_of_a_higher_neighbour_leans_on_what_is_beside_it(
+    has_errors: bool, attempts: list[int]
+) -> None:
+    """An error has moved the third box over a neighbour that is 3 mm higher: it is released on a strip 3 mm wide. If it
+    stood there, soft contacts might have tipped it over. In truth it leans on the box below it, too, and what falls is
+    beyond an edge of the third box in any contacts."""
+    boxes: tuple[Box, ...] = (
+        ((400, 300, 200), (0, 0, 0), 5.0),
+        ((400, 300, 203), (400, 0, 0), 5.0),
+        ((400, 300, 200), (0, 0, 200), 1.0),
+        ((400, 300, 200), (-220, 0, 400), 30.0),
+    )
+    scene = make_scene(boxes)
+    moved = scene.target + MM * np.array([[0, 0, 0], [0, 0, 0], [3, 0, 3], [0, 0, 3]])
+    job = Job(replace(scene, target=moved, start_pos=moved), has_errors=has_errors)
+    (result,) = score_worlds([World(make_plan(boxes=boxes), 1, job)], Simulation(), MujocoEngine(1))
+    assert (result.outcome.verdict, result.outcome.culprit) == (Verdict.UNSTABLE, 3)
+    assert [each.attempt for each in result.attempts] == attempts
+
+
 def test_contacts_that_still_give_way_leave_no_verdict() -> None:
     """A hundredth of a gram bears half a ton: a ratio of fifty million."""
     result = score(one_on_another(0.00001, 500.0), Simulation())
@@ -141,7 +162,7 @@ def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]
     shift[1, [0, 2]] = np.array(shift_mm) * MM
     there = replace(outcome.boxes, shift_m=shift)
     shifted = replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, boxes=there)
-    (found,) = note_softness([shifted], [scene], Simulation())
+    (found,) = note_softness([shifted], [Job(scene)], Simulation())
     assert (found.reason is Reason.SINKING) == (shift_mm == (0.0, -21.5))
 
 
@@ -152,7 +173,7 @@ def test_an_impact_is_no_sinking() -> None:
     force = outcome.boxes.max_top_force_n
     assert force[0] == pytest.approx(20.0 * 9.81, rel=0.1)
     hit = replace(outcome, boxes=replace(outcome.boxes, max_top_force_n=100 * force))
-    assert note_softness([hit], [scene], Simulation())[0] is hit
+    assert note_softness([hit], [Job(scene)], Simulation())[0] is hit
     np.testing.assert_allclose(
         sinking_m(scene, PHYSICS["pallet"], 100 * force), sinking_m(scene, PHYSICS["pallet"], force), rtol=0.1
     )
@@ -200,5 +221,5 @@ def test_looking_for_it_costs_next_to_nothing() -> None:
     for each in (outcome, shaken):
         begin = time.process_time()
         for _ in range(100):
-            assert note_softness([each], [scene], Simulation())[0] is each
+            assert note_softness([each], [Job(scene)], Simulation())[0] is each
         assert (time.process_time() - begin) / 100 < simulated / 50

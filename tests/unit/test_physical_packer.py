@@ -277,11 +277,11 @@ def test_worlds_are_those_of_a_score() -> None:
     engine = SmallestFirst(takes_more=False)
     petmjx.score([plan], confidence=4, engine=engine)
     worlds = [world.job for world in WorldsOfPlans(4, {"engine": engine}).of(plan, range(5))]
-    assert [job.ends_when_lost for job in worlds] == [False, True, True, True, True]
+    assert [job.has_errors for job in worlds] == [False, True, True, True, True]
     for own, other in zip(worlds, engine.jobs, strict=True):
-        assert own.ends_when_lost == other.ends_when_lost
+        assert own.has_errors == other.has_errors
         np.testing.assert_array_equal(own.scene.start_pos, other.scene.start_pos)
-    assert [job.ends_when_lost for job in (world.job for world in WorldsOfPlans(0, {}).of(plan, [0]))] == [False]
+    assert [job.has_errors for job in (world.job for world in WorldsOfPlans(0, {}).of(plan, [0]))] == [False]
 
 
 # ---------------------------------------------------------------------- the whole

@@ -30,12 +30,11 @@ class Worlds(NamedTuple):
     m³/N, and ``sinks``, how far boxes are meant to come down: petmjx/world/give.py. ``drive_yaw`` is
     (cos, sin); ``drive_steps`` counts from the drive's first step to the world's end. ``driven``: a drive follows;
     ``held``: it holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
-    ``ends_when_lost``: as in ``petmjx.world.job.Job``. ``pauses``: when its boxes rest the world waits for more
-    (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``, which it follows by
-    ``most_followed``, m, is where the plan has it
-    (petmjx/world/release.py). ``appears``: all boxes begin there.
-    Else they begin by ``way_offset`` from there, for a way of ``way_steps``, or 0 if they fall; at its end those that
-    are not let go to fall are set down (petmjx/world/placing.py). ``hand_force``, N, ``hand_speed``, m/s, and
+    ``ends_when_lost``: ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest the world waits for
+    more (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``, which it follows by
+    ``most_followed``, m, is where the plan has it (petmjx/world/release.py). ``appears``: all boxes begin there. Else
+    they begin by ``way_offset`` from there, for a way of ``way_steps``, or 0 if they fall; at its end those that are
+    not let go to fall are set down (petmjx/world/placing.py). ``hand_force``, N, ``hand_speed``, m/s, and
     ``hand_aside``, m, are what a hand may do; ``wrap_press`` and ``wrap_hold``, N, what film does
     (petmjx/world/wrap.py).
     """
@@ -129,7 +128,7 @@ def upload_worlds(
         driven=each(lambda job: job.drive is not None, np.bool_),
         held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
         settles=each(lambda job: job.drive is not None or job.keep_state, np.bool_),
-        ends_when_lost=each(lambda job: job.ends_when_lost, np.bool_),
+        ends_when_lost=each(lambda job: job.has_errors, np.bool_),
         pauses=uploaded(np.zeros(rows, np.bool_)),
     )
 

@@ -219,7 +219,7 @@ class WorldRun:
         if not self._driving and self._explosion.seen(step, placing_at, too_fast):
             self._flags |= Flag.EXPLOSION
             return False
-        stops = self._metrics.any_dropped or (self._job.ends_when_lost and self._metrics.any_lost)
+        stops = self._metrics.any_dropped or (self._job.has_errors and self._metrics.any_lost)
         if self._sim.early_stop and stops and step < self._end:
             self._flags |= Flag.EARLY_STOP
             return False
