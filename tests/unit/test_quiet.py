@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -47,6 +49,12 @@ def quiet_on_c(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     return [rule.look(velocities(pace), sign) for pace in paces]
 
 
+@functools.cache
+def _count_quiet(sim: Simulation) -> Any:
+    """Compiled once for all paces."""
+    return jax.jit(Rules(sim, build_timetable(sim, BOXES), BOXES, driven=False).count_quiet)
+
+
 def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     """The same of the rules that the MJX engines share."""
     worlds = upload_worlds([Job(SCENE)], 1, BOXES, {}, sim)
@@ -55,9 +63,8 @@ def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     state = state._replace(
         status=jnp.array([Status.RUNNING], jnp.int32), metrics=state.metrics._replace(culprit=culprit)
     )
-    rules = Rules(sim, build_timetable(sim, BOXES), BOXES, driven=False)
     found = []
-    count = jax.jit(rules.count_quiet)
+    count = _count_quiet(sim)
     for pace in paces:
         state = state._replace(qvel=jnp.asarray(velocities(pace), jnp.float32)[None])
         state, quiet = count(state, worlds, jnp.array([True]))

@@ -93,25 +93,16 @@ def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: P
     assert again.info["timings"]["wall_s"] > before["timings"]["wall_s"]
 
 
-@pytest.mark.parametrize(("kind", "kills"), [("score", 3), ("search", 2)])
-def test_a_killed_run_goes_on(kind: str, kills: int, tmp_path: Path) -> None:
-    assert f"{kills} kills" in killed(kind, kills, tmp_path)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "kills"), [("score", 16), ("grid", 8), ("search", 8)])
 def test_a_run_that_is_killed_many_times_goes_on(kind: str, kills: int, tmp_path: Path) -> None:
-    assert f"{kills} kills" in killed(kind, kills, tmp_path)
-
-
-def killed(kind: str, kills: int, folder: Path) -> str:
-    """What tests/support/kills.py says; in a process of its own, since it forks."""
+    """In a process of its own, since it forks."""
     script = Path(__file__).parents[1] / "support" / "kills.py"
-    command = [sys.executable, str(script), str(folder), kind, str(kills)]
+    command = [sys.executable, str(script), str(tmp_path), kind, str(kills)]
     environment = {**os.environ, "PYTHONPATH": str(script.parents[2])}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
-    return done.stdout
+    assert f"{kills} kills" in done.stdout
 
 
 def test_what_was_noted_before_stays_noted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
