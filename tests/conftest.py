@@ -28,6 +28,11 @@ if os.environ.get("PETMJX_TEST_GPU") != "1":
     added = [f"{flag}={value}" for flag, value in XLA_CPU_FLAGS.items() if flag not in given]
     os.environ["XLA_FLAGS"] = " ".join([given, *added]).strip()
 
+# Programs of tests that make no engine are kept, too: where petmjx keeps its own, for all processes and later runs.
+CACHE = Path(os.environ.get("PETMJX_CACHE_DIR") or Path.home() / ".cache" / "petmjx")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE / "jax"))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+
 SHAPE_CHECKED = (
     "petmjx.metrics",
     "petmjx.engines.batch",

@@ -62,15 +62,18 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def docstrings_and_comments(path: Path) -> Iterator[tuple[int, str]]:
+@functools.cache
+def docstrings_and_comments(path: Path) -> tuple[tuple[int, str], ...]:
     """(line, text) of every comment, and of every string that stands as a statement (docstrings of fields too)."""
+    found = []
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            yield from ((node.lineno + number - 1, line) for number, line in lines_of(node.value.value))
+            found += [(node.lineno + number - 1, line) for number, line in lines_of(node.value.value)]
     source = path.read_text(encoding="utf-8")
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
-            yield token.start[0], token.string
+            found.append((token.start[0], token.string))
+    return tuple(found)
 
 
 def all_texts() -> Iterator[tuple[str, str]]:
@@ -103,6 +106,7 @@ def test_links_lead_somewhere(document: Path) -> None:
     assert not broken
 
 
+@functools.cache
 def exists(path: str) -> bool:
     """Whether a path, or a pattern of paths, is in the repository."""
     return any(any(REPOSITORY.glob(path.rstrip("/") + end)) for end in ENDS)
@@ -142,6 +146,7 @@ def module_path(parts: list[str]) -> Path | None:
     return next((path for path in candidates if path.is_file()), None)
 
 
+@functools.cache
 def resolves(name: str) -> bool:
     """Whether a dotted name below petmjx is a module, or something in one. Nothing is imported for it.
 

@@ -171,12 +171,18 @@ def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_cache_of_programs_is_where_the_user_has_it() -> None:
-    from petmjx.engines.batch.setup import set_up_jax
+    from petmjx.basics.warp_setup import cache_dir
+    from petmjx.engines.batch.setup import MIN_COMPILE_S, set_up_jax
 
-    before: Any = jax.config.jax_compilation_cache_dir
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    config: Any = jax.config
+    before = {name: getattr(config, name) for name in names}
     try:
-        jax.config.update("jax_compilation_cache_dir", "mine")
-        set_up_jax()
-        assert jax.config.jax_compilation_cache_dir == "mine"
+        for users, expected in (("mine", ("mine", 7.0)), (None, (str(cache_dir() / "jax"), MIN_COMPILE_S))):
+            for name, value in zip(names, (users, 7.0), strict=True):
+                config.update(name, value)
+            set_up_jax()
+            assert tuple(getattr(config, name) for name in names) == expected
     finally:
-        jax.config.update("jax_compilation_cache_dir", before)
+        for name, value in before.items():
+            config.update(name, value)
