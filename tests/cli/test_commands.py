@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 import subprocess
@@ -17,6 +18,7 @@ from support.command_line import (
 )
 
 from petmjx.basics.checked import Checked, CliFlag
+from petmjx.engines.doctor import examine
 from petmjx.options.config import Simulation, Thresholds
 from petmjx.options.run_options import Confidence
 from petmjx.plans.read import load_plans
@@ -76,7 +78,8 @@ def test_export_writes_the_model_of_a_plan(plans: Path, tmp_path: Path, capsys: 
     assert "plan castle is not among the 2 plans read" in only_line(capsys.readouterr().err)
 
 
-def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str]) -> None:
+def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("petmjx.engines.doctor.examine", functools.cache(examine))  # some seconds
     assert run("doctor", "--json") == 0
     report = json.loads(capsys.readouterr().out)
     engines = {engine["name"]: engine for engine in report["engines"]}

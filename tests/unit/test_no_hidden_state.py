@@ -92,8 +92,9 @@ def test_mujoco_has_as_many_threads_as_the_process_may_use(monkeypatch: pytest.M
 
 
 def test_scoring_from_several_threads(capsys: pytest.CaptureFixture[str]) -> None:
-    plans = petmjx.load_plans(bundled_path()).plans
-    parts = [plans[number :: len(plans) // 2] for number in range(THREADS)]
+    plans = sorted(petmjx.load_plans(bundled_path()).plans, key=lambda plan: plan.n_boxes)[7 : 7 + 2 * THREADS]
+    assert (plans[0].n_boxes, plans[-1].n_boxes) == (3, 16)
+    parts = [plans[number::THREADS] for number in range(THREADS)]
 
     def score(number: int) -> tuple[pd.DataFrame, pd.DataFrame]:
         run = petmjx.score(parts[number], engine="mujoco", threads=1)

@@ -35,7 +35,7 @@ from petmjx.world.job import Job
 
 SAMPLE = """
 mode = "sample"
-sample = 4
+sample = 2
 nominal = true
 [axes]
 profile = ["eumos-40509", "tilt"]
@@ -72,7 +72,7 @@ def simulate(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
     return petmjx.sweep(file, options.pop("plans", PLANS[3:6]), batching=Batching(placements=2), **options)
 
 
-@pytest.mark.parametrize(("kind", "after"), [("score", 3), ("grid", 17), ("search", 11), ("sample", 9)])
+@pytest.mark.parametrize(("kind", "after"), [("score", 3), ("grid", 17), ("search", 11), ("sample", 6)])
 def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: Path) -> None:
     whole = Counting()
     expected = tables(simulate(kind, tmp_path / "whole", engine=whole))
