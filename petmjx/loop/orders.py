@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.basics.arguments import list_of, path_of
+from petmjx.basics.arrow_files import parquet_table
 from petmjx.basics.checked import got, reason
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import printable
@@ -125,7 +126,7 @@ def _of_file(path: Path, articles: Articles | None) -> list[Boxes]:
         if kind == ".xlsx":
             return _of_sheet(pd.read_excel(path, sheet_name=0), name)
         if kind in (".csv", ".parquet"):
-            return _of_table(pd.read_csv(path) if kind == ".csv" else pd.read_parquet(path), name)
+            return _of_table(pd.read_csv(path) if kind == ".csv" else parquet_table(path).to_pandas(), name)
     except OSError as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
     except (ValueError, KeyError, ImportError) as error:

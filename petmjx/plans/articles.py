@@ -19,9 +19,8 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from petmjx.basics.bounded import open_regular
+from petmjx.basics.arrow_files import parquet_table
 from petmjx.basics.checked import read_toml, reason
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import number_in, printable, shown
@@ -265,9 +264,7 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], del
 
 
 def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    with open_regular(file) as stream:
-        rows = pq.read_table(stream).to_pylist()
-    for number, row in enumerate(rows):
+    for number, row in enumerate(parquet_table(file).to_pylist()):
         yield (
             f"row {number}",
             {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in row.items()},

@@ -13,7 +13,8 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from petmjx.basics.bounded import open_regular, size
+from petmjx.basics.arrow_files import open_for_arrow
+from petmjx.basics.bounded import size
 from petmjx.basics.checked import reason
 from petmjx.basics.text import counted
 from petmjx.plans.columns import as_column
@@ -171,7 +172,7 @@ def read_parquet(path: Path) -> Table:
         TableError: it lacks a column, is damaged or too large. The text does not name the file.
         OSError: it cannot be read.
     """
-    with open_regular(path) as stream:
+    with open_for_arrow(path) as stream:
         try:
             with pq.ParquetFile(stream) as file:
                 n_bytes = sum(_row_group_bytes(file.metadata))

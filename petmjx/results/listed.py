@@ -12,6 +12,7 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from petmjx.basics.arrow_files import open_for_arrow
 from petmjx.basics.bounded import open_regular
 from petmjx.basics.errors import InputError
 from petmjx.results.files import MOST_AT_ONCE, OF_WORLDS, digest_of, part_name, part_number
@@ -171,10 +172,8 @@ def opened(file: Path) -> Iterator[pq.ParquetFile]:
     Raises:
         InputError: missing, or not a whole Parquet file.
     """
-    # Python opens the file: Arrow waits for FIFOs, reads "s3:" as a scheme, "a=1" in a folder's name as a column, and
-    # knows no names that are not UTF-8
     try:
-        with open_regular(file) as stream, pq.ParquetFile(stream) as parquet:
+        with open_for_arrow(file) as stream, pq.ParquetFile(stream) as parquet:
             yield parquet
     except FileNotFoundError:
         raise InputError(f"{file}: missing, though the worlds of this part are there") from None
