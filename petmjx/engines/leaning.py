@@ -89,6 +89,7 @@ def leaning_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: 
         return turned
 
     own = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
+    own[edge_m < -KNIFE_EDGE_M] = 0.0  # it tips over in any contacts
     below, shift = _passed_on(bearing, own)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return Leaning(loss + below * height, below + own, shift)
