@@ -81,8 +81,8 @@ def test_a_box_that_tips_is_unstable_in_stiff_contacts_too() -> None:
 
 @pytest.mark.parametrize(("has_errors", "attempts"), [(True, [1]), (False, [1, 6])])
 def test_with_errors_a_box_leans_on_what_is_beside_a_higher_strip(has_errors: bool, attempts: list[int]) -> None:
-    """A light box with a load stands on a wall 3 mm wide and 3 mm higher than the boxes at both sides of it. On the wall
-    alone it would lean by degrees, because the wall's edges give way. Another box falls in any contacts."""
+    """A light box with a load stands on a wall 3 mm wide and 3 mm higher than the boxes at both sides of it. On the
+    wall alone it would lean by degrees, because the wall's edges give way. Another box falls in any contacts."""
     boxes: tuple[Box, ...] = (
         ((190, 300, 200), (0, 0, 0), 5.0),
         ((3, 300, 203), (199, 0, 0), 5.0),
