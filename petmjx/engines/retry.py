@@ -24,7 +24,7 @@ from petmjx.engines.sinking import note_softness
 from petmjx.options.config import Simulation, Solver
 from petmjx.options.physics import Cone
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Attempt, Flag, Outcome, margin_of
+from petmjx.verdict import Attempt, Flag, Outcome, Verdict, margin_of
 from petmjx.world.job import Job, KeptState
 
 DEFAULT_CHUNK_WORLDS = 32_768
@@ -223,8 +223,11 @@ class _Besides(Generic[AnyWorld]):
     def begin(self, attempt: AttemptRecipe, pending: _Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
         making = _Making[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
-        traits = {"doubles": attempt.doubles, "soft": making.is_soft(pending[0]), "few": attempt.few}
-        name = self.engines.beside(pending[0].job, making.sim, **traits)
+        world, before, _ = pending
+        # where one world of a plan has sunk, those with errors have, too
+        few = attempt.few and (world.variant == 0 or (before is not None and before.verdict is not Verdict.INVALID))
+        traits = {"doubles": attempt.doubles, "soft": making.is_soft(world), "few": few}
+        name = self.engines.beside(world.job, making.sim, **traits)
         if name is not None:
             self._ask(making, pending, name)
         return name is not None

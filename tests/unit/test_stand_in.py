@@ -131,8 +131,10 @@ def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypat
     assert "worlds were simulated again on mjx-warp-cpu, in stiffer contacts" in notes
 
 
-def test_worlds_with_errors_and_drives_keep_to_the_gpu_in_stiffer_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of these a fifth may need them."""
+def test_worlds_with_errors_that_sank_and_drives_keep_to_the_gpu_in_stiffer_contacts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where boxes of a plan sink, they do in all its worlds with errors."""
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
     monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
     monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
@@ -146,6 +148,20 @@ def test_worlds_with_errors_and_drives_keep_to_the_gpu_in_stiffer_contacts(monke
     own = Scripted("mjx-warp", never, Reason.SINKING)
     for result in score_worlds(worlds, Simulation(), own, attempts=ATTEMPTS[:6]):
         assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp")]
+
+
+def test_a_world_with_errors_that_leans_is_simulated_beside_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Leaning(Scripted):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            for outcome in super().run(jobs, sim, progress):
+                yield replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.TILT, flags=Flag.SINKING)
+
+    engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
+    monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
+    monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
+    worlds = [replace(make_world(make_plan("p", stack(1))), variant=1)]
+    (result,) = score_worlds(worlds, Simulation(), Leaning("mjx-warp", never), attempts=ATTEMPTS[:6])
+    assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, "mjx-warp-cpu")]
 
 
 def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,7 +179,9 @@ def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypat
     assert len(kernel.sims) == 1
 
 
-def test_of_a_score_with_errors_the_plan_alone_is_simulated_beside_the_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_plan_that_sinks_worlds_with_errors_are_not_simulated_beside_the_gpu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
     monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
     monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
