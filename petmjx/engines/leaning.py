@@ -138,7 +138,7 @@ def _bearings(jobs: Sequence[Job], most_gap_m: float) -> list[Bearing]:
     With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
     the strip that they share. It does not stand there: it tips, and leans on what is beside the strip. So boxes of such
     worlds are where they are released, and lie on all that is no further below than they may shift. With the strip
-    alone, 75 of 167 unstable worlds with errors would be simulated again; so, 4 are.
+    alone, 75 of 167 unstable worlds with errors would be simulated again; so, few are.
     """
     with_errors = [job.scene for job in jobs if job.has_errors]
     released = [np.c_[scene.start_pos[:, :2], scene.target[:, 2]] for scene in with_errors]
