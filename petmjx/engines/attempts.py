@@ -189,7 +189,7 @@ class Engines:
         maker = self.for_job(job, sim, doubles=doubles, soft=soft)
         if maker is not self.own:
             return maker.name
-        if not few or job.drive is not None or job.keep_state:
+        if not few or job.settles:
             return None
         name = BESIDE[self.own.name]
         self.note(f"worlds were simulated again on {name}, in stiffer contacts")

@@ -207,7 +207,7 @@ class Costs:
         rest = [seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s) if job.drive else 0 for job in jobs]
         shaken = [len(job.drive.excitation.samples) if job.drive else 0 for job in jobs]
         drive_steps = np.array(rest, dtype=float) + shaken
-        placing = Work(sim, boxes, drives=int(any(job.keep_state or job.drive for job in jobs)))
+        placing = Work(sim, boxes, drives=int(any(job.settles for job in jobs)))
         return np.asarray(placed * self.mujoco.placing_s(placing) + self.mujoco.driving_s(boxes, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:

@@ -188,11 +188,6 @@ class _Chunks(Generic[AnyWorld]):
         self._maker.shutdown()
 
 
-def _is_alone(world: World) -> bool:
-    """Whether a world has no drive, and none starts from it."""
-    return world.job.drive is None and not world.job.keep_state
-
-
 @dataclass(eq=False)
 class _Besides(Generic[AnyWorld]):
     """Further attempts at single worlds that are made beside the engine of the run."""
@@ -214,7 +209,7 @@ class _Besides(Generic[AnyWorld]):
         name = BESIDE.get(self.engines.own.name)
         if name is None or len(worlds) < LARGE or self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
             return
-        scene = next((each.job.scene for each in worlds if _is_alone(each)), None)
+        scene = next((each.job.scene for each in worlds if not each.job.settles), None)
         for attempt in retries if self.sim.solver is not Solver.CG else ():
             if attempt.few and scene is not None:
                 job, sim = Job(scene.first(1)), attempt.apply_to_sim(self.sim)

@@ -101,3 +101,8 @@ class Job:
     keep_state: bool = False
     record: Record | None = None
     has_errors: bool = False
+
+    @property
+    def settles(self) -> bool:
+        """Whether the placement ends in a settled state, for a drive or to keep."""
+        return self.drive is not None or self.keep_state

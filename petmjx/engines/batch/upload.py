@@ -82,7 +82,7 @@ def tables(
     ends = np.full(rows, NEVER, np.int32)
     if sim.schedule is Schedule.FIXED:
         for row, job in enumerate(jobs):
-            if job.drive is None and not job.keep_state:
+            if not job.settles:
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = fresh_state(worlds, all_placed=static, ends=uploaded(ends), rest_steps=timetable.rest_steps)
     return worlds, started_states(jobs, fresh)

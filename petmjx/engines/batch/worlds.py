@@ -127,7 +127,7 @@ def upload_worlds(
         drive_steps=each(drive_steps, np.int32),
         driven=each(lambda job: job.drive is not None, np.bool_),
         held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
-        settles=each(lambda job: job.drive is not None or job.keep_state, np.bool_),
+        settles=each(lambda job: job.settles, np.bool_),
         ends_when_lost=each(lambda job: job.has_errors, np.bool_),
         pauses=uploaded(np.zeros(rows, np.bool_)),
     )

@@ -174,7 +174,7 @@ class WorldRun:
     @property
     def _settles(self) -> bool:
         """Whether the world settles after the placement, for a drive or to keep the settled state."""
-        return self._job.drive is not None or self._job.keep_state
+        return self._job.settles
 
     def _next_event(self) -> int:
         step = self._step
