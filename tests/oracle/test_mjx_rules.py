@@ -47,7 +47,8 @@ def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
         polled = step % sim.quiet.poll_steps == 0
         if polled:
             quiet = 0 if any(trembles) else quiet + sim.quiet.poll_steps
-        due = time_s - last_s >= limit_s
+        in_vain = adaptive and moving and len(placed_at) < n
+        due = time_s - last_s >= (sim.interval_s if in_vain else limit_s)
         if adaptive:
             due = due or (polled and quiet >= sim.quiet.steps and step - last >= sim.quiet.min_steps)
         if end is None and due:

@@ -298,7 +298,8 @@ class Rules:
     def _deadline(
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
-        """The latest step for the event that is waited for. A sign of failure ends patience, counted from it."""
+        """The latest step for the event that is waited for. A sign of failure ends patience, counted from it; so does a
+        wait before a box that was in vain."""
         sim, table = self.sim, self.timetable
         no_sign = state.metrics.culprit < 0
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
@@ -312,7 +313,8 @@ class Rules:
         if not self._adaptive:
             settled = jnp.asarray(table.settled_nominally)[worlds.n_boxes]
         due = jnp.where(~more & worlds.settles, settled, due)
-        return jnp.where(patient & no_sign, self._longest_wait(state, worlds), due)
+        restless = more & ((state.flags & int(Flag.MOVING)) != 0)
+        return jnp.where(patient & no_sign & ~restless, self._longest_wait(state, worlds), due)
 
     def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
         """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""

@@ -46,14 +46,16 @@ class Waits:
         """Whether this is a static check without a drive, whose length is an option of its own."""
         return self._static and not self.settles
 
-    def begin(self, step: int, n_boxes: int, all_placed: bool) -> None:
+    def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
         """Begin to wait.
 
         Args:
             n_boxes: of the plan; ``all_placed``: whether they are.
+            restless: an earlier wait was in vain. Then only the last one is long.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
+        self._patient = self._patient and (all_placed or not restless)
         self._latest_if_failed = NEVER
         self._latest = self.longest if self._patient else self._latest_after(step)
 

@@ -280,7 +280,8 @@ class WorldRun:
         """Begin to wait for the next event."""
         self._waiting = True
         self._quiet.restart()
-        self._waits.begin(self._step, self._scene.n_boxes, self._live.n_placed == self._scene.n_boxes)
+        all_placed = self._live.n_placed == self._scene.n_boxes
+        self._waits.begin(self._step, self._scene.n_boxes, all_placed, Flag.MOVING in self._flags)
 
     @property
     def _sign(self) -> int | None:

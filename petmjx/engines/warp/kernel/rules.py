@@ -95,11 +95,13 @@ def _deadline(
     failed: bool,
     sign_step: int,
 ) -> int:
-    """The latest step for the event that is waited for. A sign of failure ends patience, counted from it."""
+    """The latest step for the event that is waited for. A sign of failure ends patience, counted from it; so does a wait
+    before a box that was in vain."""
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
-    if patient and not failed:
+    restless = more and (state.flags[world] & MOVING) != 0
+    if patient and not failed and not restless:
         return _longest_wait(model, worlds, state, world, driven)
     since = state.waits_since[world]
     if patient:
