@@ -105,7 +105,7 @@ class QuietTable(TypedDict, total=False):
     slow_m_s: float
     slowing: float
     steps: int
-    min_steps: int
+    landing_steps: int
     poll_steps: int
     still_m_s: float
     still_steps: int

@@ -73,7 +73,6 @@ class _Run:
     def _wait(self, longest_s: float, to_rest: bool) -> bool:
         """Step until the boxes are quiet, and before the end until they rest. Returns whether they still move."""
         begin_s, failed_s = self._time_s, None
-        least_s = self._sim.quiet.min_steps * self._sim.physics.timestep_s
         self._quiet.restart()
         while self._goes_on and self._time_s - begin_s < longest_s:
             quiet = self._look()
@@ -81,7 +80,7 @@ class _Run:
                 failed_s = self._time_s if failed_s is None else failed_s
                 if self._time_s - failed_s >= self._sim.interval_s:
                     return True
-            if not quiet or self._time_s - begin_s < least_s:
+            if not quiet:
                 continue
             if not to_rest or self._rests():
                 return False

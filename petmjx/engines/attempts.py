@@ -46,7 +46,7 @@ CAREFUL_TOLERANCE = 1e-10
 NEAR = 0.5
 """Worlds whose margin is smaller are checked at half the timestep. ``Outcome.margin`` of invalid ones is NaN."""
 
-_COUNTED_IN_STEPS = ("steps", "min_steps", "poll_steps", "still_steps")
+_COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps")
 """Fields of ``Quiet``."""
 
 

@@ -108,10 +108,10 @@ class Quiet(Checked):
         0.5, ge=0, description="a box that is not slow creeps unless it slows to this share of its speed"
     )
     steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        25, ge=1, description="steps for which all boxes must have been quiet"
+        15, ge=1, description="steps for which all boxes must have been quiet; no wait is shorter"
     )
-    min_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50, ge=1, description="steps after a placement before which no pallet is quiet"
+    landing_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
+        50, ge=1, description="steps after a placement in which no acceleration is taken for an explosion"
     )
     poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(5, ge=1, description="steps between two checks")
     still_m_s: Annotated[float, within(0, 100)] = Field(

@@ -38,7 +38,7 @@ def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
     placed_at = [0] * n if static else []
     fixed_end = int((sim.duration_s if static else (n + 1) * sim.interval_s) / DT)
     limit_s = sim.duration_s if static else sim.longest_wait_s if adaptive else sim.interval_s
-    step, time_s, last_s, last, quiet, end, moving = 0, 0.0, 0.0, 0, 0, None, False
+    step, time_s, last_s, quiet, end, moving = 0, 0.0, 0.0, 0, None, False
     while True:
         step, time_s = step + 1, time_s + DT
         trembles = [step - at < mass for at, mass in zip(placed_at, masses, strict=False)]
@@ -50,12 +50,12 @@ def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
         in_vain = adaptive and moving and len(placed_at) < n
         due = time_s - last_s >= (sim.interval_s if in_vain else limit_s)
         if adaptive:
-            due = due or (polled and quiet >= sim.quiet.steps and step - last >= sim.quiet.min_steps)
+            due = due or (polled and quiet >= sim.quiet.steps)
         if end is None and due:
             if len(placed_at) < n:
                 moving = moving or quiet < sim.quiet.steps
                 placed_at.append(step)
-                last, last_s, quiet = step, time_s, 0
+                last_s, quiet = time_s, 0
             elif adaptive:
                 end = step + rest_steps
         if (step == fixed_end and not adaptive) or step == end:

@@ -145,7 +145,7 @@ def test_outcomes_follow_from_frames(engine: str, kind: str) -> None:
 def test_boxes_are_placed_on_quiet_pallets(engine: str) -> None:
     for name, seen in ON[engine]("pushed").items():
         for before, step in zip([0, *seen.placed], seen.placed, strict=False):
-            assert step - before >= seen.sim.quiet.min_steps, name
+            assert step - before >= seen.sim.quiet.steps, name
             patient = not seen.outcome.flags & Flag.MOVING and not 0 < seen.trace.sign[0] < step
             if before and patient:
                 assert seen.looks[step] >= seen.sim.quiet.steps, name

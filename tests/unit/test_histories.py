@@ -162,7 +162,7 @@ def test_a_history_is_of_the_attempt_that_counts() -> None:
     history = history_of(result.outcome)
     np.testing.assert_array_equal(history.pos[-1], result.outcome.boxes.pos)
     half = Simulation(solver=Solver.NEWTON).changed(
-        physics={"timestep_s": 0.001}, quiet={"steps": 50, "min_steps": 100, "poll_steps": 10}
+        physics={"timestep_s": 0.001}, quiet={"steps": 30, "landing_steps": 100, "poll_steps": 10}
     )
     assert_equal(history, history_of(simulate(world.job.scene, half, world.job.record)))
 

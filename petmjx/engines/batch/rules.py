@@ -198,7 +198,7 @@ class Rules:
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
         # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
         # placement do not count, and a violent one is an explosion only if those that follow say the same.
-        landing = self.sim.quiet.min_steps
+        landing = self.sim.quiet.landing_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
         if self.carries:
             counts &= ~hand.carried(state)
@@ -270,9 +270,8 @@ class Rules:
         poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
         state, still = self.count_quiet(state, worlds, poll)
         adapts = self._adaptive | (state.waits_since > state.last_placed_at)
-        rested = state.step - state.waits_since >= quiet.min_steps
         no_sign = state.metrics.culprit < 0
-        go = waits & ((state.step >= self._deadline(state, worlds, more, adapts)) | (still & adapts & rested))
+        go = waits & ((state.step >= self._deadline(state, worlds, more, adapts)) | (still & adapts))
         # with a drive to come, and no look whether the pallet rests
         settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~more & ~settles

@@ -13,7 +13,7 @@ from petmjx.world.scene import Scene
 class QuietRule:
     """Counts the looks at a pallet and says whether it is quiet. Its numbers: ``petmjx.options.config.Quiet``.
 
-    The caller looks every ``poll_steps``, and makes sure that ``min_steps`` have passed since it began to wait.
+    The caller looks every ``poll_steps``.
     """
 
     def __init__(self, sim: Simulation, scene: Scene) -> None:

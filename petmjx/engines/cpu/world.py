@@ -59,7 +59,7 @@ class WorldRun:
         self._step = self._first_step = 0
         self._waits = Waits(sim, self._clock, self._settles)
         self._quiet = QuietRule(sim, job.scene)
-        self._explosion = Explosion(sim.quiet.min_steps)
+        self._explosion = Explosion(sim.quiet.landing_steps)
         self._sign_step = self._n_at_sign = 0
         self._waiting = True
         self._pauses = self.paused = False
@@ -235,8 +235,7 @@ class WorldRun:
 
     def _wait_or_go_on(self) -> None:
         quiet = self._look_for_quiet() and self._waits.adapts
-        rested = self._step - self._waits.since >= self._sim.quiet.min_steps
-        if self._step >= self._waits.deadline(self._sign) or (quiet and rested):
+        if quiet or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes
             if not self.paused:
                 self._proceed()

@@ -83,7 +83,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "slowing": quiet.slowing,
         "still_speed": quiet.still_m_s,
         "quiet_steps": quiet.steps,
-        "min_steps": quiet.min_steps,
+        "landing_steps": quiet.landing_steps,
         "poll_steps": quiet.poll_steps,
         "hand_rate": rate_1_s(physics.timestep_s),
         "lowering_rate": lowering_rate_1_s(physics.timestep_s),

@@ -110,7 +110,7 @@ class Model:
     slowing: float
     still_speed: float
     quiet_steps: int
-    min_steps: int
+    landing_steps: int
     poll_steps: int
     hand_rate: float  # of the hand's spring, 1/s
     lowering_rate: float  # of the damper by which it sets boxes down, 1/s

@@ -267,12 +267,12 @@ def after_step(
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
         # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
         # placement do not count, and a violent one is an explosion only if those that follow say the same.
-        if sample and step - landed >= model.min_steps and at.carried == 0:
+        if sample and step - landed >= model.landing_steps and at.carried == 0:
             since = NEVER
             if violent and culprit < 0:
                 since = wp.min(violent_since, step)
             violent_since = since
-            exploded = since != NEVER and step - since >= model.min_steps and not driven
+            exploded = since != NEVER and step - since >= model.landing_steps and not driven
     stopped = lost and model.early_stop != 0 and not last
     finished = stopped or exploded or nonfinite
     if signs:
@@ -287,7 +287,7 @@ def after_step(
         if step % model.poll_steps == 0 and waited > 0:
             quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, state)
         goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
-        if quiet and adapts and waited >= model.min_steps:
+        if quiet and adapts:
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
     # with a drive to come, and no look whether the pallet rests
