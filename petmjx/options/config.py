@@ -105,13 +105,13 @@ class Quiet(Checked):
         0.001, ge=0, description="speed of a box's fastest point below which it is slow, m/s"
     )
     slowing: Annotated[float, within(0, 1000)] = Field(
-        0.5, ge=0, description="a box that is not slow creeps unless it slows to this share of its speed"
+        0.7, ge=0, description="a box that is not slow creeps unless it slows to this share of its speed"
     )
     steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        15, ge=1, description="steps for which all boxes must have been quiet; no wait is shorter"
+        15, ge=1, description="steps for which all boxes must have been quiet"
     )
     landing_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        50, ge=1, description="steps after a placement in which no acceleration is taken for an explosion"
+        50, ge=1, description="steps in which a box lands: no rest window, and no explosion, begins before"
     )
     poll_steps: Annotated[int, within(1, MOST_STEPS)] = Field(5, ge=1, description="steps between two checks")
     still_m_s: Annotated[float, within(0, 100)] = Field(

@@ -38,7 +38,7 @@ def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
     placed_at = [0] * n if static else []
     fixed_end = int((sim.duration_s if static else (n + 1) * sim.interval_s) / DT)
     limit_s = sim.duration_s if static else sim.longest_wait_s if adaptive else sim.interval_s
-    step, time_s, last_s, quiet, end, moving = 0, 0.0, 0.0, 0, None, False
+    step, time_s, last_s, last, quiet, end, moving = 0, 0.0, 0.0, 0, 0, None, False
     while True:
         step, time_s = step + 1, time_s + DT
         trembles = [step - at < mass for at, mass in zip(placed_at, masses, strict=False)]
@@ -55,9 +55,9 @@ def plainly(masses: Sequence[float], sim: Simulation) -> Plain:
             if len(placed_at) < n:
                 moving = moving or quiet < sim.quiet.steps
                 placed_at.append(step)
-                last_s, quiet = time_s, 0
+                last, last_s, quiet = step, time_s, 0
             elif adaptive:
-                end = step + rest_steps
+                end = max(step, last + sim.quiet.landing_steps) + rest_steps
         if (step == fixed_end and not adaptive) or step == end:
             return Plain(placed_at, step, moving)
 

@@ -33,6 +33,10 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 SIM = Simulation()
 NAMES = ("hand-one-box", "hand-bridge", "hand-falls-off", "brickwork", "falls 60 mm flat", "corner overhang of 70 %")
+LAST_DIGIT = 2**-23
+"""Of single precision: what is measured of the last pose comes from a program for tables of one size, which may round
+differently from that for another."""
+
 FLOAT64 = 1e-12
 """m. On C MuJoCo the boxes that wait for their turn are in a world's model, and with it in the solver's tolerance."""
 
@@ -67,7 +71,7 @@ def test_a_world_that_pauses_ends_as_one_that_does_not_to_the_last_bit(engine: M
     worlds.go_on()
     for drive in (None, push(), None):  # what is asked changes nothing
         for found, expected in zip(everything(worlds, drive), run(engine, drive), strict=True):
-            assert_same(found, expected)
+            assert_same(found, expected, LAST_DIGIT)
             assert (found.flags, found.n_at_sign) == (expected.flags, expected.n_at_sign)
 
 
@@ -84,7 +88,7 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
         assert (found.verdict, found.reason, found.culprit) == (expected.verdict, expected.reason, expected.culprit)
         if not reading.ended:
             if isinstance(engine, MjxWarpEngine):
-                assert_same(found, expected)
+                assert_same(found, expected, LAST_DIGIT)
             np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=FLOAT64)
         assert reading.ended == (found.verdict is Verdict.UNSTABLE and found.sim_time_s == reading.time_s)
 

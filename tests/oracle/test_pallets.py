@@ -27,8 +27,8 @@ from support.worlds import boxes_by_plan, make_plan
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 NAMES = ("hand-one-box", "hand-bridge", "hand-falls-off", "hand-overhang-55", "stack of 4")
-SLOW = 1e-6
-"""m, °: a pallet that has paused still creeps for the 0.2 s that a score waits on."""
+SLOW = 5e-6
+"""m, °: a pallet that has paused still gives way for the 0.3 s that a score waits on."""
 
 
 @pytest.fixture(scope="module")

@@ -99,18 +99,18 @@ ONE_CREEPS = np.where(np.arange(BOXES) == 1, 0.3, FADING)
 @pytest.mark.parametrize(
     ("paces", "sim", "sign", "first_quiet"),
     [
-        # Five polls of five steps make the 25 that all must be slow.
-        (AT_REST, ADAPTIVE, False, 4),
-        (STEADY, ANY_PACE, False, 4),
+        # Three polls of five steps make the 15 that all must be slow.
+        (AT_REST, ADAPTIVE, False, 2),
+        (STEADY, ANY_PACE, False, 2),
         (STEADY, ADAPTIVE, False, None),
-        (STEADY, ADAPTIVE, True, 4),
+        (STEADY, ADAPTIVE, True, 2),
         # slower than what is slow, but not slowing: a box that begins to topple
         (FASTER, ADAPTIVE, False, None),
-        (FASTER, ADAPTIVE, True, 4),
-        # exp(−0.8) = 0.45 over four polls is slower than half.
-        (FADING, ADAPTIVE, False, 4),
+        (FASTER, ADAPTIVE, True, 2),
+        # exp(−0.4) = 0.67 over two polls is slower than 0.7
+        (FADING, ADAPTIVE, False, 2),
         (ONE_CREEPS, ADAPTIVE, False, None),
-        (ONE_CREEPS, ANY_PACE, False, 4),
+        (ONE_CREEPS, ANY_PACE, False, 2),
         (np.full((POLLS, BOXES), 1.1), ANY_PACE, False, None),
         (np.full((POLLS, BOXES), 1.1), ADAPTIVE, True, None),
     ],
@@ -125,15 +125,15 @@ def test_what_creeps_is_waited_for_until_a_box_crosses_a_threshold(
 @pytest.mark.parametrize("find", [quiet_on_c, quiet_on_mjx])
 def test_pyramidal_cones_creep_by_themselves(find: Finder) -> None:
     found = find(STEADY, Simulation(physics="reference"), False)
-    assert found.index(True) == 4
+    assert found.index(True) == 2
 
 
 def test_a_placement_begins_the_count_anew() -> None:
     rule = QuietRule(Simulation(), SCENE)
     still = np.zeros((BOXES, 6))
-    assert [rule.look(still, False) for _ in range(4)] == [False] * 4
+    assert [rule.look(still, False) for _ in range(2)] == [False] * 2
     rule.restart()
-    assert [rule.look(still, False) for _ in range(5)] == [False] * 4 + [True]
+    assert [rule.look(still, False) for _ in range(3)] == [False] * 2 + [True]
 
 
 def test_a_box_that_begins_to_topple_is_waited_for() -> None:

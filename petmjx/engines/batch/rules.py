@@ -271,19 +271,25 @@ class Rules:
         state, still = self.count_quiet(state, worlds, poll)
         adapts = self._adaptive | (state.waits_since > state.last_placed_at)
         no_sign = state.metrics.culprit < 0
-        go = waits & ((state.step >= self._deadline(state, worlds, more, adapts)) | (still & adapts))
+        enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
+        go = waits & ((state.step >= self._deadline(state, worlds, more, adapts)) | (still & adapts & enough))
         # with a drive to come, and no look whether the pallet rests
         settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~more & ~settles
         moves = (settles | (go & more)) & no_sign & (state.quiet_steps < quiet.steps)
+        rest_from = self.rest_from(state)
         state = state._replace(
-            rest_from=jnp.where(rests, state.step, state.rest_from),
-            end=jnp.where(rests, state.step + table.rest_steps, state.end),
+            rest_from=jnp.where(rests, rest_from, state.rest_from),
+            end=jnp.where(rests, rest_from + table.rest_steps, state.end),
             driven_from=jnp.where(settles, state.step, state.driven_from),
             flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0),
             status=jnp.where(settles, Status.SETTLED, state.status),
         )
         return self.place_next(state, worlds, go & more)
+
+    def rest_from(self, state: State) -> Int[Array, " world"]:
+        """The step after which the rest window of a world begins that is quiet now: its last box has landed by then."""
+        return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
 
     @property
     def _adaptive(self) -> bool:

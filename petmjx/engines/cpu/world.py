@@ -235,7 +235,8 @@ class WorldRun:
 
     def _wait_or_go_on(self) -> None:
         quiet = self._look_for_quiet() and self._waits.adapts
-        if quiet or self._step >= self._waits.deadline(self._sign):
+        enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
+        if (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes
             if not self.paused:
                 self._proceed()
@@ -259,7 +260,8 @@ class WorldRun:
         else:
             self._waiting = False
             if self._end == NEVER:
-                self._set_end(self._step + self._rest_steps)
+                landed = self._waits.last_placement + self._sim.quiet.landing_steps
+                self._set_end(max(self._step, landed) + self._rest_steps)
 
     def _carry_on(self, hand: Hand) -> None:
         """After a step in which a box was carried: carry it on, or let it go."""

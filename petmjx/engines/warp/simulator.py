@@ -120,9 +120,10 @@ class Simulator:
         settles = goes & worlds.settles & (not self._sim.waits_for_rest)
         rests = goes & ~settles
         state = self._noting_motion(state, settles)
+        rest_from = self._placing.rest_from(state)
         return state._replace(
-            rest_from=jnp.where(rests, state.step, state.rest_from),
-            end=jnp.where(rests, state.step + self._timetable.rest_steps, state.end),
+            rest_from=jnp.where(rests, rest_from, state.rest_from),
+            end=jnp.where(rests, rest_from + self._timetable.rest_steps, state.end),
             driven_from=jnp.where(settles, state.step, state.driven_from),
             status=jnp.where(settles, Status.SETTLED, jnp.where(rests, Status.RUNNING, state.status)),
         )

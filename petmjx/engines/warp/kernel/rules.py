@@ -95,8 +95,8 @@ def _deadline(
     failed: bool,
     sign_step: int,
 ) -> int:
-    """The latest step for the event that is waited for. A sign of failure ends patience, counted from it; so does a wait
-    before a box that was in vain."""
+    """The latest step for the event that is waited for. A sign of failure ends patience, counted from it; so does a
+    wait before a box that was in vain."""
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
@@ -287,15 +287,15 @@ def after_step(
         if step % model.poll_steps == 0 and waited > 0:
             quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, state)
         goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
-        if quiet and adapts:
+        if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
     # with a drive to come, and no look whether the pallet rests
     settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:
-        rest_from = step
-        end = step + model.rest_steps
+        rest_from = wp.max(step, landed + model.landing_steps)
+        end = rest_from + model.rest_steps
 
     still_from = end - model.still_steps
     if end != NEVER:
