@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import count, islice, takewhile
+from itertools import count
 from typing import Final, Generic, TypeVar
 
 from petmjx.basics.errors import InputError, PetmjxError
@@ -27,9 +27,9 @@ from petmjx.plans.plan import Plan
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict, margin_of
 from petmjx.world.job import Job, KeptState
 
-DEFAULT_CHUNK_WORLDS = 32_768
-"""Worlds given to an engine at once. With 43 boxes each their scenes take 160 MB, for any number of plans, and the next
-ones as much. With smaller chunks the MJX engines would choose (and compile) their shapes more often."""
+DEFAULT_CHUNK_WORLDS, CHUNK_BOXES = 131_072, 1 << 21
+"""Most worlds given to an engine at once, and boxes to which no more are added: scenes of 250 MB, and as much for the
+next ones. At the end of a chunk a device has few worlds left, and MJX engines choose (and compile) shapes for each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def score_worlds(
 
 @dataclass(eq=False)
 class _Chunks(Generic[AnyWorld]):
-    """Worlds by the chunk. While an engine has a full one, a thread makes the next one: a GPU would wait for it."""
+    """Worlds by the chunk. While an engine has one, a thread makes the next one: a GPU would wait for it."""
 
     source: Iterator[AnyWorld]
     most: int
@@ -174,13 +174,18 @@ class _Chunks(Generic[AnyWorld]):
     def take(self) -> list[AnyWorld]:
         """The next worlds; an empty list at the end."""
         chunk = self._made() if self._next is None else self._next.result()
-        self._next = None
-        if len(chunk) == self.most:
-            self._next = self._maker.submit(self._made)
+        self._next = self._maker.submit(self._made) if chunk else None
         return chunk
 
     def _made(self) -> list[AnyWorld]:
-        return list(takewhile(lambda _: not self._closed, islice(self.source, self.most)))
+        chunk: list[AnyWorld] = []
+        boxes = 0
+        while len(chunk) < self.most and boxes < CHUNK_BOXES and not self._closed:
+            if (world := next(self.source, None)) is None:
+                break
+            chunk.append(world)
+            boxes += world.job.scene.n_boxes
+        return chunk
 
     def close(self) -> None:
         """Make no more worlds; one that is being made is waited for."""

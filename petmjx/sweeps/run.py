@@ -41,8 +41,7 @@ class Batching:
     """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
 
     Attributes:
-        undriven: most worlds without a drive in one call of the engine; their states are not kept. With 43 boxes each,
-            their scenes take 160 MB. With fewer, the MJX engines would choose (and compile) their shapes more often.
+        undriven: most worlds without a drive in one call of the engine; their states are not kept.
         placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
         worlds: most variants into which these states are forked (a single placement may have more).
         drives: most forked worlds in one call of the engine; in a search the first tests of all its items.

@@ -34,6 +34,7 @@ from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.handover import Left
 from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
@@ -103,6 +104,32 @@ def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, cr
 @pytest.mark.slow
 def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
     assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """49 worlds in two groups, of which the first one may leave two."""
+    going_on: list[int] = []
+    put_into = Left.put_into
+
+    def watched(self: Left, table: Any, first_row: int) -> Any:
+        found = put_into(self, table, first_row)
+        assert found is not table
+        going_on.extend(self.numbers)
+        steps = np.asarray(found.step)
+        assert steps[first_row] > steps[0]  # which has not begun
+        return found
+
+    monkeypatch.setattr(Left, "put_into", watched)
+    scenes = tiny_scenes()
+    again = 50 // len(scenes)
+    found = run_all(engine(group_size=32, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * again, SHORT)
+    for first in range(0, len(found), len(scenes)):
+        assert_equal_worlds(dict(zip(scenes, found[first : first + len(scenes)], strict=True)), crowd)
+    assert 1 <= len(going_on) <= 2
+    assert max(going_on) < len(found) / 2 + 1
 
 
 @pytest.mark.slow

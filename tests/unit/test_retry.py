@@ -198,6 +198,16 @@ def test_worlds_are_drawn_a_chunk_at_a_time_while_the_one_before_is_simulated() 
     assert [len(jobs) for _, jobs in engine.calls] == [4, 4, 2]
 
 
+def test_chunks_of_larger_worlds_have_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A chunk is full with the world that has its last box."""
+    monkeypatch.setattr(retry_module, "CHUNK_BOXES", 6)
+    worlds = [make_world(make_plan("p", stack(n))) for n in (1, 2, 1, 3, 4, 2, 5, 1, 1, 1, 1)]
+    source = retry_module._Chunks(iter(worlds), 4)
+    taken = [[world.job.scene.n_boxes for world in source.take()] for _ in range(6)]
+    source.close()
+    assert taken == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]
+
+
 def test_a_run_that_is_cut_off_does_not_wait_for_the_rest_of_a_chunk() -> None:
     """With Ctrl-C, for example. The second chunk would take 50 s."""
 

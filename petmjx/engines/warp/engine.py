@@ -10,7 +10,7 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.errors import EngineUnavailable, InputError
+from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import why_no_warp
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, RunLock
@@ -23,11 +23,12 @@ from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.few import fleet_for_few
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
-from petmjx.engines.warp.launch import FEW_BOXES, Launch, size_for
+from petmjx.engines.warp.handover import Handover, Left
+from petmjx.engines.warp.launch import FEW_BOXES, Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
+from petmjx.engines.warp.needs import gives, is_wrapped, size_of, wants_hands, widths_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
-from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.options.config import Simulation
 from petmjx.options.physics import Cone
@@ -43,6 +44,9 @@ the others."""
 MORE_AT_ONCE = 64
 """Jobs that are put into a table at the same time. XLA compiles a program for each number."""
 
+LEFT_SHARE = 16
+"""A group that another one follows ends when a world in so many is left, which goes on there."""
+
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
 
@@ -54,50 +58,10 @@ def _none_waiting(most: int) -> Sequence[Job]:
     return ()
 
 
-def _wants_hands(job: Job) -> bool:
-    """Whether a job's boxes do not just appear at their places."""
-    return not job.scene.placing.appears
-
-
-def _gives(job: Job) -> bool:
-    """Whether a job has boxes that give."""
-    return job.scene.stiffness is not None
-
-
-def _is_wrapped(job: Job) -> bool:
-    """Whether a job's boxes are shaken with film around them."""
-    return job.drive is not None and job.scene.wrap.holds
-
-
-def _size(job: Job) -> int:
-    """The size of a job's world: the most boxes of one that its thread block may have."""
-    return size_for(job.scene.n_boxes).most_boxes
-
-
 def _most_room(size: int) -> int:
     """Boxes for which a world of a size may have contacts and pairs at most: the same in all runs, so that which
     worlds are given up does not depend on the largest plan of a run."""
     return MAX_GROWTH * (size + MORE_BOXES)
-
-
-def _sizes(run: Run) -> list[int]:
-    """The sizes of a run's worlds, the largest first."""
-    return sorted(run.widths, reverse=True)
-
-
-def _widths(jobs: Sequence[Job], granule: int) -> dict[int, int]:
-    """``Run.widths`` for some jobs."""
-    largest = max(job.scene.n_boxes for job in jobs)
-    if largest > MAX_BOXES:
-        raise InputError(
-            f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
-            "choose the engine mujoco"
-        )
-    widest: dict[int, int] = {}
-    for job in jobs:
-        size = _size(job)
-        widest[size] = max(widest.get(size, 0), round_up(job.scene.n_boxes, granule))
-    return widest
 
 
 def _halved(fleet: Fleet) -> Fleet:
@@ -172,13 +136,15 @@ class MjxWarpEngine(Engine):
             while first < len(jobs):  # more may have been appended
                 rest = jobs[first:]
                 timetable = build_timetable(sim, round_up(max(job.scene.n_boxes for job in rest), self.granule))
-                traits = (any(map(trait, rest)) for trait in (_wants_hands, _gives, _is_wrapped))
-                run = Run(sim, timetable, _widths(rest, self.granule), progress, jobs, *traits)
-                size = math.ceil(len(rest) / math.ceil(len(rest) / self.group_size))
+                traits = (any(map(trait, rest)) for trait in (wants_hands, gives, is_wrapped))
+                handover = Handover(0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE)
+                run = Run(sim, timetable, widths_of(rest, self.granule), progress, handover, jobs, *traits)
+                most = self.group_size - (handover.most if len(rest) > self.group_size else 0)
+                size = math.ceil(len(rest) / math.ceil(len(rest) / most))
                 end = len(jobs)
                 while first < end:
                     group = list(jobs[first : min(first + size, end)])
-                    yield from self._run_group(run, group, first)
+                    yield from self._run_group(run, group, first, hands_over=first + len(group) < end)
                     first += len(group)  # a group may have taken more
 
     def _load_group(self, run: Run, jobs: list[Job], most: int = 0) -> Group:
@@ -187,8 +153,17 @@ class MjxWarpEngine(Engine):
         batch = load(jobs, rows, max(run.widths.values()), run.sim, run.timetable)
         return Group(**vars(batch), run=run)
 
-    def _run_group(self, run: Run, jobs: list[Job], first_job: int) -> Iterator[Outcome]:
-        """Outcomes of a group of jobs, which may take more of the run's jobs behind them; these are appended to it."""
+    def _run_group(self, run: Run, own: list[Job], first_job: int, *, hands_over: bool) -> Iterator[Outcome]:
+        """Outcomes of a group of jobs, and of those that the group before has left. A group may take more of the run's
+        jobs behind its own; these are appended to it.
+
+        Args:
+            hands_over: leave the last ones to the next group.
+        """
+        left = run.handover.take()
+        jobs, numbers = own, list(range(first_job, first_job + len(own)))
+        if left is not None:
+            jobs, numbers = own + left.jobs, numbers + left.numbers
 
         def waiting(most: int) -> Sequence[Job]:
             if not isinstance(run.jobs, GrowingJobs):
@@ -197,32 +172,43 @@ class MjxWarpEngine(Engine):
             more = run.jobs[begin : begin + most]
 
             def is_known(job: Job) -> bool:
-                wrapped = run.wraps or not _is_wrapped(job)
-                return wrapped and (run.hands or not _wants_hands(job)) and (run.gives or not _gives(job))
+                wrapped = run.wraps or not is_wrapped(job)
+                return wrapped and (run.hands or not wants_hands(job)) and (run.gives or not gives(job))
 
             return list(takewhile(is_known, more))
 
-        for outcome in self._run_worlds(run, jobs, waiting):
-            outcome.job += first_job
+        for outcome in self._run_worlds(run, jobs, waiting, left, hands_over=hands_over):
+            row = outcome.job
+            outcome.job = numbers[row] if row < len(numbers) else first_job + row
             yield outcome
+        run.handover.number(numbers)
 
-    def _run_worlds(self, run: Run, jobs: list[Job], waiting: Waiting) -> Iterator[Outcome]:
-        """Worlds of all sizes; outcomes count them from 0."""
+    def _run_worlds(
+        self, run: Run, jobs: list[Job], waiting: Waiting, left: Left | None = None, *, hands_over: bool = False
+    ) -> Iterator[Outcome]:
+        """Worlds of all sizes; outcomes count them from 0.
+
+        Args:
+            left: those at the end have these states.
+            hands_over: leave the last ones to the next group.
+        """
         answered: set[int] = set()
         try:
-            for outcome in self._march(run, jobs, waiting):
+            for outcome in self._march(run, jobs, waiting, left, hands_over=hands_over):
                 answered.add(outcome.job)
                 yield outcome
         except Exception as error:
             if not is_out_of_memory(error):
                 raise
             self._drop()
+        if run.handover.left is not None:  # they are not lost
+            return
         # if memory ran out, the states of all worlds are lost with it: the others again, one size or half of them at a
         # time
-        left = np.array([row for row in range(len(jobs)) if row not in answered], int)
-        sizes = np.array([_size(jobs[row]) for row in left.tolist()])
-        apart = [left[sizes == size] for size in np.unique(sizes)]
-        for part in apart if len(apart) > 1 else np.array_split(left, 2):
+        lost = np.array([row for row in range(len(jobs)) if row not in answered], int)
+        sizes = np.array([size_of(jobs[row]) for row in lost.tolist()])
+        apart = [lost[sizes == size] for size in np.unique(sizes)]
+        for part in apart if len(apart) > 1 else np.array_split(lost, 2):
             if len(jobs) == len(part) == 1:
                 yield from self._march(run, jobs, _none_waiting, simulate=False)
             elif len(part):
@@ -231,17 +217,30 @@ class MjxWarpEngine(Engine):
                     outcome.job = int(part[outcome.job])
                     yield outcome
 
-    def _march(self, run: Run, jobs: list[Job], waiting: Waiting, *, simulate: bool = True) -> Iterator[Outcome]:
+    def _march(
+        self,
+        run: Run,
+        jobs: list[Job],
+        waiting: Waiting,
+        left: Left | None = None,
+        *,
+        hands_over: bool = False,
+        simulate: bool = True,
+    ) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
         worlds that ended in the one before, and from these more jobs may follow. Where none can, and no world is
         recorded, the next slice is under way already, so that the device does not wait for the host. With ``simulate``
-        off all worlds are given up, since memory has run out."""
+        off all worlds are given up, since memory has run out. Other arguments: as of ``_run_worlds``."""
         rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
         rows = rows if isinstance(run.jobs, GrowingJobs) else 0
-        run = replace(run, widths={size: run.widths[size] for size in {_size(job) for job in jobs}})
+        run = replace(run, widths={size: run.widths[size] for size in {size_of(job) for job in jobs}})
         group = self._load_group(run, jobs, rows)
-        queues = Queues(_sizes(run), _size, len(group.table.status))
-        queues.add(jobs, 0, run.sim)
+        queues = Queues(run.sizes, size_of, len(group.table.status))
+        own = len(jobs) - (len(left.jobs) if left else 0)
+        if left:
+            group.table = left.put_into(group.table, own)
+            queues.add(left.jobs, own, run.sim)  # first: they may go on for long
+        queues.add(jobs[:own], 0, run.sim)
         emitted = np.zeros(len(group.table.status), bool)
         rollout = self._rollout(group) if simulate else None
         at_once = 2 if group.recorder.idle and not isinstance(run.jobs, GrowingJobs) else 1
@@ -277,6 +276,11 @@ class MjxWarpEngine(Engine):
                     yield outcome
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
                     rollout.keep_under_way(at_once, group, queues.order)
+                rest = np.flatnonzero(~emitted[: len(jobs)])
+                if hands_over and rollout is not None and group.recorder.idle and 0 < len(rest) <= run.handover.most:
+                    rollout.finish(group)
+                    run.handover.left = Left.of(rest, jobs, group.table, run.handover.most)
+                    return
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
@@ -286,7 +290,7 @@ class MjxWarpEngine(Engine):
 
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            has_blocks = job.scene.n_boxes <= group.run.widths.get(_size(job), 0)
+            has_blocks = job.scene.n_boxes <= group.run.widths.get(size_of(job), 0)
             has_blocks &= len(job.scene.carrier.half_size) <= group.boards
             has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
             return known and has_blocks and has_times and job.record is None and group.recorder.idle
@@ -306,7 +310,7 @@ class MjxWarpEngine(Engine):
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
         """Larger buffers for worlds that are stopped since they need them; at ``_most_room`` they are given up."""
         cone = group.run.sim.physics.cone
-        sizes = np.array([_size(group.jobs[row]) for row in rows.tolist()])
+        sizes = np.array([size_of(group.jobs[row]) for row in rows.tolist()])
         for size in np.unique(sizes).tolist():
             some = rows[sizes == size]
             growth = self._room.get((cone, size), 1)
@@ -326,8 +330,8 @@ class MjxWarpEngine(Engine):
         """The programs for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. What
         says that memory is short is raised if these are blocks of two sizes."""
         run = group.run
-        fleets = tuple(self._fleet(run, size, group.boards) for size in _sizes(run))
-        smallest = _sizes(run)[-1]
+        fleets = tuple(self._fleet(run, size, group.boards) for size in run.sizes)
+        smallest = run.sizes[-1]
         usual = self._room.get((run.sim.physics.cone, smallest), 1) == 1
         # not with larger buffers of all lanes, and not in stiff contacts: there a step takes five times as many
         # iterations, in some worlds many more, for which the others of their block would wait

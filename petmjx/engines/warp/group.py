@@ -15,6 +15,7 @@ from petmjx.engines.batch.state import State, Status, put_rows
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.upload import Batch
 from petmjx.engines.batch.worlds import Worlds, uploaded
+from petmjx.engines.warp.handover import Handover
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
@@ -42,10 +43,16 @@ class Run:
     timetable: Timetable
     widths: dict[int, int]
     progress: Progress
+    handover: Handover
     jobs: Sequence[Job] = ()
     hands: bool = False
     gives: bool = False
     wraps: bool = False
+
+    @property
+    def sizes(self) -> list[int]:
+        """The sizes of the run's worlds, the largest first."""
+        return sorted(self.widths, reverse=True)
 
 
 @dataclass
