@@ -63,7 +63,7 @@ class Work:
         boxes: of each plan.
         placements, drives: of each plan.
         carried: placements in which boxes are carried to their places.
-        drive_steps: of one drive, with the time to come to rest; mean over profiles.
+        drive_steps: most of one drive, with all the time to come to rest; mean over profiles.
     """
 
     sim: Simulation

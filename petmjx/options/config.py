@@ -171,7 +171,9 @@ class Simulation(Checked):
         description="pause between the last placement and a profile, s; adaptive: only for pallets that have failed",
     )
     rest_s: Annotated[float, within(0, LONGEST_S), CliFlag("--rest", "S")] = Field(
-        1.0, ge=0, description="time to come to rest after a profile's last sample, s"
+        1.0,
+        ge=0,
+        description="time to come to rest after a profile's last sample, s; adaptive: less where it is quiet sooner",
     )
     total_time_factor: Annotated[float | None, within(1, 10)] = Field(
         None,

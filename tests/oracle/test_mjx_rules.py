@@ -180,6 +180,34 @@ def test_a_drive_starts_when_the_pallet_is_quiet_and_lasts_as_long_as_its_profil
         np.testing.assert_allclose(outcome.boxes.max_sway_m, sway_of(drive, sum(m) + CARRIER_KG), rtol=0.01)
 
 
+def plain_drive_end(masses: Sequence[float], drive: Drive, sim: Simulation) -> int:
+    """The last step of a world of the fake stepper's boxes that is shaken, step by step."""
+    placed, window = plainly(masses, sim), int(sim.rest_window_s / DT)
+    since = placed.end + len(drive.excitation.samples)
+    quiet, last = 0, since + int(drive.rest_s / DT)
+    for step in range(since + 1, last - 2 * window + 1):
+        if step % sim.quiet.poll_steps == 0:
+            trembles = any(step - at < mass for at, mass in zip(placed.placed_at, masses, strict=True))
+            quiet = 0 if trembles else quiet + sim.quiet.poll_steps
+            if sim.schedule is Schedule.ADAPTIVE and quiet >= sim.quiet.steps:
+                return step + window
+    return last
+
+
+def test_a_drive_ends_when_the_pallet_is_quiet_but_never_later_than_its_time(engine: FakeEngine) -> None:
+    """Boxes still tremble when the drive begins, since the longest wait is over before they are quiet."""
+    last_masses, shaken, rest_s = (1.0, 460.0, 500.0, 620.0, 660.0, 800.0), 30, (0.2, 0.4, 0.5, 1.0)
+    cases = [((1.0, mass), pushes("force", shaken, 0.01, rest)) for mass in last_masses for rest in rest_s]
+    outcomes = run_all(engine, [Job(fake_scene(*masses), drive) for masses, drive in cases], SHORT)
+    saved = []
+    for (masses, drive), outcome in zip(cases, outcomes, strict=True):
+        assert outcome.n_steps == plain_drive_end(masses, drive, SHORT)
+        latest = plainly(masses, SHORT).end + shaken + int(drive.rest_s / DT)
+        saved.append(latest - outcome.n_steps)
+    assert min(saved) == 0
+    assert len(set(saved)) > 4
+
+
 @pytest.mark.parametrize("kind", ["force", "acceleration"])
 def test_forks_share_one_settled_state_and_equal_whole_runs(engine: FakeEngine, kind: str) -> None:
     level = 0.01 if kind == "force" else 5.0

@@ -42,16 +42,16 @@ samples or at steps that are known beforehand, so float32 changes a step only wh
 of a threshold at a look."""
 
 
-def push(kind: str, level: float) -> Drive:
-    return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (60, 1))), yaw_rad=0.5, rest_s=0.1)
+def push(kind: str, level: float, rest_s: float) -> Drive:
+    return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (60, 1))), yaw_rad=0.5, rest_s=rest_s)
 
 
 KINDS: dict[str, tuple[dict[str, Any], Drive | None]] = {
     "one by one": ({}, None),
     "static": ({"check": Check.STATIC}, None),
     "fixed": ({"schedule": Schedule.FIXED, "interval_s": 0.15}, None),
-    "pushed": ({}, push(FORCE, 0.5)),
-    "braked": ({}, push(ACCELERATION, 3.0)),
+    "pushed": ({}, push(FORCE, 0.5, rest_s=0.1)),
+    "braked": ({}, push(ACCELERATION, 3.0, rest_s=0.5)),
 }
 """Kind of worlds → options and drive."""
 
@@ -159,3 +159,5 @@ def test_the_worlds_show_what_the_rules_are_about() -> None:
     flags = [each.outcome.flags for each in seen]
     assert all(any(flag & each for each in flags) for flag in (Flag.EARLY_STOP, Flag.MOVING))
     assert sum(each.trace.driven[0] > 0 for each in seen) >= 20
+    rests = [each.trace.end - each.trace.driven[1] for each in on_c("braked").values() if each.trace.driven[0] > 0]
+    assert {65, 250} <= {*rests}  # as soon as they may rest, and when they must

@@ -67,7 +67,8 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     ]
     worlds = upload_worlds(jobs, WORLDS, BOXES, {}, sim)
     aside = rng.normal(0, 0.02, (WORLDS, BOXES, 3)) * (np.arange(WORLDS) % 2)[:, None, None]
-    worlds = worlds._replace(middle=jnp.asarray(aside, jnp.float32))
+    drive_steps = rng.choice([20, 21, 300], WORLDS).astype(np.int32)
+    worlds = worlds._replace(middle=jnp.asarray(aside, jnp.float32), drive_steps=jnp.asarray(drive_steps))
     table = fresh_state(worlds, all_placed=False, ends=jnp.full(WORLDS, NEVER, jnp.int32), rest_steps=1)
 
     def some(share: float, shape: Any = WORLDS) -> Any:
@@ -97,6 +98,8 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     went = np.where(some(0.5, (WORLDS, 1, 1)), 1e-7, 1e-4)
     placed = np.where(some(0.5) | driven, n_boxes, rng.integers(0, n_boxes + 1))
     end = np.where(some(0.3), step + pick(0, 1, 2, 30), NEVER)
+    two_windows = 2 * build_timetable(sim, BOXES).rest_steps
+    end = np.where(driven & some(0.4), step + pick(0, two_windows - 1, two_windows, 300), end)
     end = np.where((placed < n_boxes) & (end <= step), step + 30, end)  # no world ends before all boxes are placed
     after = table._replace(
         qpos=poses[0],
@@ -185,6 +188,11 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     assert set(np.unique(found["status"]).tolist()) == {Status.RUNNING, Status.SETTLED, Status.FINISHED}
     assert (found["placed"] > np.asarray(after.placed)).any()
     assert (found["rest_from"] != np.asarray(after.rest_from)).any()
+    # In drives some worlds rest before their time, and some that did are found to move.
+    was, now = np.asarray(after.end), found["end"]
+    adapts = sim.schedule is Schedule.ADAPTIVE and sim.waits_for_rest
+    assert ((now < was) & (was != NEVER)).any() == adapts
+    assert ((now > was) & (now != NEVER)).any() == sim.waits_for_rest
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):
         assert (found["flags"] & int(flag)).any(), flag
     stopped, dropped = found["flags"] & int(Flag.EARLY_STOP) != 0, (found["drop_step"] >= 0).any(axis=1)

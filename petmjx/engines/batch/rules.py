@@ -126,6 +126,8 @@ class Rules:
             end=jnp.where(begins, end, state.end),
             rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
             still_qpos=jnp.where(begins[:, None, None], state.qpos, state.still_qpos),
+            waits_since=jnp.where(begins, state.driven_from + worlds.profile_steps, state.waits_since),
+            quiet_steps=jnp.where(begins, 0, state.quiet_steps),
             metrics=metrics._replace(sway_anchor=anchor),
         )
 
@@ -264,7 +266,8 @@ class Rules:
         """Place the next box, let the world settle, or let it come to rest."""
         quiet, table = self.sim.quiet, self.timetable
         more = (state.placed < worlds.n_boxes) & (not self.driven)
-        waits = state.running & (state.step > 0) & (more | (state.end == NEVER))
+        in_drive = self._rests_in_drive(state)
+        waits = state.running & (state.step > 0) & (more | (state.end == NEVER) | in_drive)
         if self.carries:
             waits &= ~hand.carried(state)
         poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
@@ -272,7 +275,8 @@ class Rules:
         adapts = self._adaptive | (state.waits_since > state.last_placed_at)
         no_sign = state.metrics.culprit < 0
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
-        go = waits & ((state.step >= self._deadline(state, worlds, more, adapts)) | (still & adapts & enough))
+        late = ~in_drive & (state.step >= self._deadline(state, worlds, more, adapts))
+        go = waits & (late | (still & adapts & enough))
         # with a drive to come, and no look whether the pallet rests
         settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~more & ~settles
@@ -299,6 +303,12 @@ class Rules:
     def _rests_first(self) -> bool:
         """Whether a rest window, and a look at its end, come before a drive."""
         return self._adaptive and self.sim.waits_for_rest
+
+    def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
+        """Whether quiet brings the end of a drive forward: if a rest window from here on is over when the last one
+        begins."""
+        early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
+        return early & (self.driven and self._rests_first)
 
     def _deadline(
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
@@ -328,29 +338,34 @@ class Rules:
         return jnp.asarray(self.timetable.longest)[state.last_placed_at]
 
     def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
-        """At the last step: a world that moves and has not failed is waited for. One that rests may begin its drive."""
+        """At the last step: a world that moves is waited for, if it has not failed or its drive may go on. One that
+        rests may begin its drive."""
         sim, table = self.sim, self.timetable
         ends = state.running & (state.step > 0) & (state.step >= state.end)
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
         still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
         seconds = (state.step - still_from) * sim.physics.timestep_s
         moves = (self.standing(state) & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)
-        moves = ends & moves & ~self._is_over(state, worlds)
+        last_end = jnp.full_like(state.end, NEVER)
+        if self.driven:
+            drive_end = state.driven_from + worlds.drive_steps
+            last_end = jnp.where(state.step < drive_end, drive_end, NEVER)
+        moves, over = ends & moves, self._is_over(state, worlds)
         limit = self._longest_wait(state, worlds)
         if sim.check == "static" and not self.driven:
             limit = jnp.where(worlds.settles, limit, table.static_end)
         may_wait = sim.waits_for_rest and sim.total_time_factor is None
-        again = moves & (state.step < limit) & may_wait
+        again = moves & ((last_end != NEVER) | ~over) & (state.step < limit) & may_wait
         settles = ends & ~again & worlds.settles & (not self.driven)
         finished = ends & ~again & ~settles
-        never = jnp.full_like(state.end, NEVER)
+        last_window = jnp.where(last_end == NEVER, NEVER, last_end - table.rest_steps)
         return state._replace(
-            end=jnp.where(again, never, state.end),
-            rest_from=jnp.where(again, never, state.rest_from),
+            end=jnp.where(again, last_end, state.end),
+            rest_from=jnp.where(again, last_window, state.rest_from),
             waits_since=jnp.where(again, state.step, state.waits_since),
             quiet_steps=jnp.where(again, 0, state.quiet_steps),
             driven_from=jnp.where(settles, state.step, state.driven_from),
-            flags=state.flags | jnp.where(moves & ~again, int(Flag.MOVING), 0),
+            flags=state.flags | jnp.where(moves & ~over & ~again, int(Flag.MOVING), 0),
             status=jnp.where(settles, Status.SETTLED, jnp.where(finished, Status.FINISHED, state.status)),
             metrics=state.metrics.without_rest(again),
         )

@@ -28,7 +28,8 @@ class Worlds(NamedTuple):
     in their frames; ``inertia_box`` is as in ``petmjx.world.body.Body``. ``floor_friction`` and ``friction``: sliding,
     torsional and rolling coefficients; ``shape_surface`` and ``pair_friction``: petmjx/world/pairs.py; ``shape_give``,
     m³/N, and ``sinks``, how far boxes are meant to come down: petmjx/world/give.py. ``drive_yaw`` is
-    (cos, sin); ``drive_steps`` counts from the drive's first step to the world's end. ``driven``: a drive follows;
+    (cos, sin); ``profile_steps`` counts the drive's samples, and ``drive_steps`` goes on to the world's end, if it does
+    not rest before. ``driven``: a drive follows;
     ``held``: it holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
     ``ends_when_lost``: ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest the world waits for
     more (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``, which it follows by
@@ -63,6 +64,7 @@ class Worlds(NamedTuple):
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]
     drive_yaw: Float[Array, "world 2"]
+    profile_steps: Int[Array, " world"]
     drive_steps: Int[Array, " world"]
     driven: Bool[Array, " world"]
     held: Bool[Array, " world"]
@@ -114,16 +116,19 @@ def upload_worlds(
         values = np.array([value(job) for job in jobs], dtype)
         return uploaded(np.concatenate([values, np.repeat(values[:1], spare, axis=0)]))
 
+    def profile_steps(job: Job) -> int:
+        return len(job.drive.excitation.samples) if job.drive is not None else 0
+
     def drive_steps(job: Job) -> int:
-        if job.drive is None:
-            return 0
-        return len(job.drive.excitation.samples) + seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s)
+        rest_s = job.drive.rest_s if job.drive is not None else 0.0
+        return profile_steps(job) + seconds_to_steps(rest_s, sim.physics.timestep_s)
 
     return Worlds(
         **{name: uploaded(values) for name, values in of_scenes.items()},
         profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
         drive_scale=each(_drive_factor, np.float32),
         drive_yaw=each(lambda job: _direction(job), np.float32),
+        profile_steps=each(profile_steps, np.int32),
         drive_steps=each(drive_steps, np.int32),
         driven=each(lambda job: job.drive is not None, np.bool_),
         held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),

@@ -15,9 +15,9 @@ class Waits:
 
     Attributes:
         settles: a drive follows the placement, or its settled state is kept.
-        since: the step after which the wait began.
+        since: the step after which the wait began, or will.
         last_placement: the step after which the last box was placed.
-        drive_end: the last step of the drive; None before it begins.
+        drive_end: the last step of the drive, if the world does not rest before; None before it begins.
     """
 
     def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
@@ -66,6 +66,8 @@ class Waits:
         Args:
             sign_step: of the first sign; None: there was none.
         """
+        if self.in_drive:
+            return NEVER
         if sign_step is None or not self._patient:
             return self._latest
         if self._latest_if_failed == NEVER:
@@ -86,6 +88,15 @@ class Waits:
         if self._is_plain_static:
             return self.static_end
         return self._later(since, sim.interval_s)
+
+    @property
+    def in_drive(self) -> bool:
+        """Whether it is the wait for quiet after a profile's last sample: the world then rests before ``drive_end``."""
+        return self.drive_end is not None and self.since < self.drive_end
+
+    def last_end(self, step: int) -> int:
+        """The last step of a world that does not rest after this step, if there is one: else ``NEVER``."""
+        return self.drive_end if self.drive_end is not None and step < self.drive_end else NEVER
 
     @property
     def longest(self) -> int:

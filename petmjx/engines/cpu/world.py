@@ -96,7 +96,7 @@ class WorldRun:
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
         begun = self._soft_start()
         self._set_end(self._waits.end_of_fixed(self._scene.n_boxes))
-        self._wait()
+        self._wait(self._step)
         return begun
 
     def _soft_start(self) -> bool:
@@ -182,8 +182,8 @@ class WorldRun:
             return step + 1
         target = min(self._end, step + self._sample_steps - step % self._sample_steps)
         if self._waiting:
-            poll = self._sim.quiet.poll_steps
-            target = min(target, max(self._waits.deadline(self._sign), step + 1), step + poll - step % poll)
+            poll, begin = self._sim.quiet.poll_steps, max(step, self._waits.since)
+            target = min(target, max(self._waits.deadline(self._sign), step + 1), begin + poll - begin % poll)
         if self._drive is not None:
             target = min(target, self._drive.next_change(step))
         if step < self._still_from:
@@ -236,7 +236,9 @@ class WorldRun:
     def _wait_or_go_on(self) -> None:
         quiet = self._look_for_quiet() and self._waits.adapts
         enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
-        if (quiet and enough) or self._step >= self._waits.deadline(self._sign):
+        if self._waits.in_drive and self._step > self._end - 2 * self._rest_steps:
+            self._waiting = False  # a rest window from here on would not be over when the last one begins
+        elif (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes
             if not self.paused:
                 self._proceed()
@@ -259,8 +261,8 @@ class WorldRun:
             self._settle()
         else:
             self._waiting = False
-            if self._end == NEVER:
-                landed = self._waits.last_placement + self._sim.quiet.landing_steps
+            if self._end == NEVER or self._driving:
+                landed = 0 if self._driving else self._waits.last_placement + self._sim.quiet.landing_steps
                 self._set_end(max(self._step, landed) + self._rest_steps)
 
     def _carry_on(self, hand: Hand) -> None:
@@ -275,14 +277,14 @@ class WorldRun:
         live = self._live
         self._still_pose[live.n_placed - 1] = live.pose[live.n_placed - 1]
         self._waits.last_placement = self._step
-        self._wait()
+        self._wait(self._step)
 
-    def _wait(self) -> None:
-        """Begin to wait for the next event."""
+    def _wait(self, since: int) -> None:
+        """Wait for the next event, from this step on."""
         self._waiting = True
         self._quiet.restart()
         all_placed = self._live.n_placed == self._scene.n_boxes
-        self._waits.begin(self._step, self._scene.n_boxes, all_placed, Flag.MOVING in self._flags)
+        self._waits.begin(since, self._scene.n_boxes, all_placed, Flag.MOVING in self._flags)
 
     @property
     def _sign(self) -> int | None:
@@ -301,7 +303,8 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: a world that moves and has not failed is waited for. One that rests may begin its drive."""
+        """At the last step: a world that moves is waited for, if it has not failed or its drive may go on. One that
+        rests may begin its drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
             return
@@ -310,11 +313,12 @@ class WorldRun:
         if self._step % self._sample_steps:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
         moves = not self._quiet.is_still(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
-        if moves and not self._metrics.is_over(pose[:, :3], pose[:, 3:]):
+        last_end = self._waits.last_end(self._step)
+        if moves and (last_end != NEVER or not self._metrics.is_over(pose[:, :3], pose[:, 3:])):
             if self._waits.may_go_on(self._step):
-                self._set_end(NEVER)
+                self._set_end(last_end)
                 self._metrics.restart_rest()
-                self._wait()
+                self._wait(self._step)
                 return
             self._flags |= Flag.MOVING
         if self._settles and self._waits.rests_first and not self._driving:
@@ -322,7 +326,7 @@ class WorldRun:
 
     def _look_for_quiet(self) -> bool:
         """Look at the pallet, if it is time; whether it is quiet at this look."""
-        if self._step % self._sim.quiet.poll_steps or self._step == self._waits.since:
+        if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         velocity = self._live.velocity[: self._live.n_placed]
         return self._quiet.look(velocity, sign_seen=self._metrics.culprit >= 0)
@@ -343,9 +347,12 @@ class WorldRun:
 
     def _begin_drive(self, drive: Drive) -> None:
         self._waiting = False
+        last_sample = self._step + len(drive.excitation.samples)
         rest_steps = seconds_to_steps(drive.rest_s, self._dt)
-        self._waits.drive_end = self._step + len(drive.excitation.samples) + rest_steps
+        self._waits.drive_end = last_sample + rest_steps
         self._set_end(self._waits.drive_end)
+        if self._waits.rests_first and rest_steps > 2 * self._rest_steps:
+            self._wait(last_sample)
         self._drive = ActingDrive(drive, self._step, self._scene.total_mass, self._down)
         self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
         if self._drive.holds_carrier:

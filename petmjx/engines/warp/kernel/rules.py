@@ -280,13 +280,16 @@ def after_step(
     more = at.placed < n_boxes and not driven
     adapts = model.fixed == 0 or state.waits_since[world] > landed
     rests_first = model.fixed == 0 and model.waits_for_rest != 0
+    # quiet brings the end of a drive forward: if a rest window from here on is over when the last one begins
+    in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
-    if not finished and step > 0 and at.carried == 0 and (more or end == NEVER):
+    if not finished and step > 0 and at.carried == 0 and (more or end == NEVER or in_drive):
         waited = step - state.waits_since[world]
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
             quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, state)
-        goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
+        if not in_drive:
+            goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
@@ -301,6 +304,8 @@ def after_step(
     if end != NEVER:
         still_from = wp.max(still_from, wp.where(driven, state.driven_from[world], 0))
     again = bool(False)
+    last_end = NEVER
+    last_window = NEVER
     moving = (settles or (goes and more)) and culprit < 0 and quiet_steps < model.quiet_steps
     if last and not finished:
         seconds = float(step - still_from) * model.timestep
@@ -308,7 +313,10 @@ def after_step(
         limit = _longest_wait(model, worlds, state, world, driven)
         if model.static_end != NEVER and not driven and not worlds.settles[world]:
             limit = model.static_end
-        again = moves and not failed and model.extends != 0 and step < limit
+        if driven and step < state.driven_from[world] + worlds.drive_steps[world]:
+            last_end = state.driven_from[world] + worlds.drive_steps[world]
+            last_window = last_end - model.rest_steps
+        again = moves and (last_end != NEVER or not failed) and model.extends != 0 and step < limit
         moving = moves and not failed and not again
         settles = worlds.settles[world] and not driven and not again
         finished = not again and not settles
@@ -330,8 +338,8 @@ def after_step(
         state.rest_samples[world] = wp.where(again, 0, state.rest_samples[world] + wp.where(resting, 1, 0))
         state.violent_since[world] = violent_since
         state.quiet_steps[world] = wp.where(again, 0, quiet_steps)
-        state.rest_from[world] = wp.where(again, NEVER, rest_from)
-        state.end[world] = wp.where(again, NEVER, end)
+        state.rest_from[world] = wp.where(again, last_window, rest_from)
+        state.end[world] = wp.where(again, last_end, end)
         if again:
             state.waits_since[world] = step
         if signs:
