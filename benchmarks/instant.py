@@ -1,4 +1,4 @@
-"""An engine that answers at once, for measuring what the host does with worlds."""
+"""An engine that answers at once, here or in workers, for measuring what the host does with worlds."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Progress
+from petmjx.engines.resolve import Lent
+from petmjx.engines.workers.actor import Worker
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
@@ -21,9 +23,16 @@ INVALID_EVERY = 500
 
 
 class Instant:
-    """Simulates nothing: most worlds stand where they were placed. As engines do, it begins with the largest."""
+    """Simulates nothing: most worlds stand where they were placed. As engines do, it begins with the largest.
+
+    Args:
+        repeats: whether some worlds are invalid at the first attempt.
+    """
 
     name = "instant"
+
+    def __init__(self, *, repeats: bool = True) -> None:
+        self._repeats = repeats
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         again, rng = sim.solver_tolerance is not None, np.random.default_rng(len(jobs))
@@ -31,13 +40,22 @@ class Instant:
         for k in np.argsort(-sizes, kind="stable").tolist():
             pos = jobs[k].scene.target
             moved = 1e-4 * rng.standard_normal(pos.shape)
-            if k % INVALID_EVERY == 1 and not again:
+            if k % INVALID_EVERY == 1 and self._repeats and not again:
                 yield _outcome(k, pos, moved, Verdict.INVALID, Reason.EXPLOSION, Flag.EXPLOSION)
             elif k % FALL_EVERY == 3:
                 moved[-1, 0] = 0.05
                 yield _outcome(k, pos, moved, Verdict.UNSTABLE, Reason.SHIFT, Flag.EARLY_STOP)
             else:
                 yield _outcome(k, pos, moved, Verdict.STABLE, Reason.NONE, Flag.NONE)
+
+
+class InstantWorker(Worker):
+    """A worker whose engine is started as any, and then answers at once. C MuJoCo would make further attempts."""
+
+    def hello(self) -> bytes:
+        said = super().hello()
+        self._engine = Lent(Instant(repeats=False), None)
+        return said
 
 
 def _outcome(job: int, pos: FloatArray, moved: FloatArray, verdict: Verdict, reason: Reason, flags: Flag) -> Outcome:

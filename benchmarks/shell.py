@@ -1,7 +1,8 @@
 """Where the time of ``petmjx score`` goes from shell to shell: when each stage of a run in a process of its own ended.
 
 ``python -m benchmarks.shell plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and what is
-left is the host's. Stages are looked at from outside: the command itself is the one that users run.
+left is the host's. ``--workers N`` asks for workers; then ``instant`` answers in them. Stages are looked at from
+outside: the command itself is the one that users run.
 """
 
 from __future__ import annotations
@@ -51,8 +52,11 @@ class Stages:
 
 
 def score(at: float) -> None:
-    """The command, in this process, with its stages noted. Its arguments: begin, log, plans, engine, folder."""
-    begin, log, plans, engine, folder = sys.argv[1:]
+    """The command, in this process, with its stages noted.
+
+    Its arguments: begin, log, plans, engine, workers (may be empty), folder.
+    """
+    begin, log, plans, engine, workers, folder = sys.argv[1:]
     stages = Stages(float(begin))
     stages.end("interpreter", at)
     from petmjx.cli.main import main
@@ -63,7 +67,9 @@ def score(at: float) -> None:
     from petmjx.results.writer import RunWriter
 
     stages.end("modules")
-    if engine == "instant":
+    if workers:
+        _note_workers(stages, engine)
+    elif engine == "instant":
         from benchmarks.instant import Instant
 
         vars(resolve)["make_engine"] = lambda *some, **more: resolve.Lent(Instant(), None)
@@ -76,8 +82,11 @@ def score(at: float) -> None:
     stages.around(RunWriter, "put_in_order", before="last world final", after="in order")
     stages.around(RunWriter, "__exit__", after="written")
     stages.around(api, "simulate", after="read again")
-    name = "mjx-warp" if engine == "instant" else engine
-    sys.argv[1:] = ["score", plans, "--engine", name, "--out", folder]
+    name = engine
+    if engine == "instant":
+        name = "mjx-warp-cpu" if workers else "mjx-warp"
+    of_workers = ["--workers", workers] if workers else []
+    sys.argv[1:] = ["score", plans, "--engine", name, *of_workers, "--out", folder]
     import petmjx.__main__ as command
 
     def shown() -> int:
@@ -88,6 +97,23 @@ def score(at: float) -> None:
 
     vars(command)["main"] = shown
     command.command()
+
+
+def _note_workers(stages: Stages, engine: str) -> None:
+    """Note how workers start and end, and when they have their first jobs."""
+    from petmjx.engines.workers import cluster, pool
+
+    if engine == "instant":
+        from benchmarks.instant import InstantWorker
+
+        vars(pool)["Worker"] = InstantWorker
+    stages.around(cluster, "import_ray", before="Ray asked for")
+    stages.around(cluster._Ours, "wait_until_started", after="Ray there")
+    stages.around(pool.WorkerPool, "_greet", after="first worker ready")
+    stages.around(pool.WorkerPool, "_hand_out", before="jobs made", after="first jobs sent")
+    stages.around(pool.WorkerPool, "_take", before="first outcome")
+    stages.around(pool.WorkerPool, "retire", before="workers not needed")
+    stages.around(pool.WorkerPool, "close", before="end of workers waited for", after="workers ended")
 
 
 def _note_slices(stages: Stages) -> None:
@@ -120,7 +146,7 @@ def _has_gpu() -> bool:
     return bool(cuda_devices())
 
 
-def measured(plans: str, engine: str) -> dict[str, Any]:
+def measured(plans: str, engine: str, workers: str = "") -> dict[str, Any]:
     """One run, from shell to shell: stage → s since its start, and the CPU time of the process until then.
 
     If the run fails, this process ends with its line and its exit code.
@@ -128,7 +154,7 @@ def measured(plans: str, engine: str) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as made:
         log = Path(made) / "stages.json"
         begin = time.time()
-        given = [repr(begin), str(log), plans, engine, str(Path(made) / "out")]
+        given = [repr(begin), str(log), plans, engine, workers, str(Path(made) / "out")]
         done = subprocess.run([sys.executable, "-c", _CHILD, *given], capture_output=True, text=True)
         shell_s = time.time() - begin
         if done.returncode:
@@ -142,6 +168,7 @@ def measured(plans: str, engine: str) -> dict[str, Any]:
         "case": "shell",
         "group": "shell",
         "engine": engine,
+        **({"workers": workers} if workers else {}),
         "plans": info["counts"]["worlds"],
         "shell_s": shell_s,
         "engine_wall_s": info["timings"]["wall_s"],
@@ -157,12 +184,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("plans")
     parser.add_argument("--engine", default="instant")
+    parser.add_argument("--workers", default="")
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--note", default="")
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
     for _ in range(asked.repeats):
-        line = measured(asked.plans, asked.engine)
+        line = measured(asked.plans, asked.engine, asked.workers)
         for name, at in line["ended_s"].items():
             print(f"{at:8.2f} s  {name:20} {line['cpu_s'][name]:8.2f} s of CPU time")
         print(f"{line['shell_s']:8.2f} s  shell; the engine's wall {line['engine_wall_s']:.2f} s", flush=True)

@@ -89,7 +89,7 @@ def simulate(
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    with starting(options, plans):
+    with starting(options, plans) as ahead:
         found = usable_plans(plans, sim, options)
         study = ask(found.plans, options)
         orders = None
@@ -101,7 +101,7 @@ def simulate(
         notes = [*found.notes, *about]
         found = replace(found, skipped=[*found.skipped, *late], notes=notes)
         records = records_of(study.everything, found.numbers)
-    with engine_for(options, study.work) as (engine, choice):
+    with engine_for(options, study.work, ahead) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, found, records, orders, engine, choice, recording, intervals)
         return run.results(watcher, {} if are_files(plans) else {each.plan_id: each for each in study.everything})
@@ -192,6 +192,7 @@ class _Run:
                 self._write(writer, world)
                 if watcher is not None:
                     watcher.world_done(world)
+            self.engine.retire()  # while rows are put in order: workers take a second or two to end
             writer.timings.update(study.timings(), compile_s=self.progress.compile_s)
             if options.force_intervals:
                 writer.timings["intervals_s"] = round(self.intervals_s, 3)

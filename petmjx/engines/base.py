@@ -114,6 +114,10 @@ class Engine(Simulates, Protocol):
         """
         raise InputError(f"engine {self.name} has no worlds that stay open; mujoco, mjx-warp and mjx-warp-cpu have")
 
-    def close(self) -> None:
-        """Free what is held between runs, such as workers. Nothing is run after it."""
+    def retire(self) -> None:
+        """Nothing is run any more: begin to free what is held between runs, such as workers. Returns at once."""
         return None
+
+    def close(self) -> None:
+        """The same, and wait until it is free."""
+        return self.retire()

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import importlib
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from os import PathLike
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from petmjx.basics.checked import got
 from petmjx.basics.errors import InputError
 from petmjx.basics.machine import cpu_threads, cuda_devices, device_name
-from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import Engine, Progress, Simulates
 from petmjx.engines.choose import Choice, choose, make_engine, options_of
 from petmjx.engines.cost import MEASURED, Costs, Work
+from petmjx.engines.start import start_gpu
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
+
+if TYPE_CHECKING:
+    from petmjx.engines.workers.resolve import WorkersAhead
 
 WORTH_A_GPU: Final = 4 << 20
 """Bytes of plan files for which ``auto`` will take a GPU that is there: of some 400 plans."""
@@ -46,27 +48,38 @@ class Lent(Engine):
 
 
 @contextmanager
-def starting(options: RunOptions, plans: object) -> Iterator[None]:
-    """While plans are read, start JAX and Warp on the GPU, where ``mjx-warp`` will be the engine of this process: that
-    takes a second or two, in which Python mostly waits."""
+def starting(options: RunOptions, plans: object) -> Iterator[WorkersAhead | None]:
+    """While plans are read, start what the run will need and what Python mostly waits for: JAX and Warp on the GPU,
+    where ``mjx-warp`` will be the engine of this process, or workers, which are for ``resolve_engine``."""
+    if options.asked_workers is not None and isinstance(options.engine, str):
+        from petmjx.engines.workers.resolve import WorkersAhead  # most runs have none
+
+        ahead = WorkersAhead(options, worth_gpus=_bytes_of(plans) >= WORTH_A_GPU)
+        try:
+            yield ahead
+        except BaseException:
+            ahead.give_up()
+            raise
+        return
     thread = threading.Thread(target=_start_if_gpu, name="petmjx-start") if _may_be_gpu(options, plans) else None
     if thread is not None:
         thread.start()
-    yield  # what is wrong with plans is told at once: then the thread is waited for where the process ends, if at all
+    # what is wrong with plans is told at once: then the thread is waited for where the process ends, if at all
+    yield None
     if thread is not None:
         thread.join()
 
 
 def _may_be_gpu(options: RunOptions, plans: object) -> bool:
-    """Whether the engine will be ``mjx-warp`` if there is a GPU."""
-    if options.asked_workers is not None or options.engine not in (AUTO, "mjx-warp"):
+    """Whether the engine of this process will be ``mjx-warp`` if there is a GPU."""
+    if options.engine not in (AUTO, "mjx-warp"):
         return False
     return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
 
 
 def _start_if_gpu() -> None:
     if cuda_devices():  # to ask takes the driver its time, too
-        _start_gpu()
+        start_gpu()
 
 
 def _bytes_of(plans: object) -> int:
@@ -78,29 +91,24 @@ def _bytes_of(plans: object) -> int:
     return 0
 
 
-def _start_gpu() -> None:
-    with suppress(Exception):  # whoever needs it says what is wrong
-        importlib.import_module("petmjx.engines.batch.setup").set_up_jax()
-        set_up_warp()
-        importlib.import_module("petmjx.engines.warp.engine")
-        importlib.import_module("warp").init()
-        jax = importlib.import_module("jax")
-        jax.jit(lambda x: x + 1).lower(0.0).compile()  # loads what the first program needs to be lowered and compiled
-
-
 @contextmanager
-def engine_for(options: RunOptions, work: Work) -> Iterator[tuple[Engine, Choice]]:
+def engine_for(options: RunOptions, work: Work, ahead: WorkersAhead | None = None) -> Iterator[tuple[Engine, Choice]]:
     """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
-    engine, choice = resolve_engine(options, work)
+    engine, choice = resolve_engine(options, work, ahead=ahead)
     try:
         yield engine, choice
     finally:
         engine.close()
 
 
-def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> tuple[Engine, Choice]:
+def resolve_engine(
+    options: RunOptions, work: Work, costs: Costs = MEASURED, ahead: WorkersAhead | None = None
+) -> tuple[Engine, Choice]:
     """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
     engine does not have.
+
+    Args:
+        ahead: workers that have been started already for these options (``starting``).
 
     Raises:
         InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
@@ -115,7 +123,7 @@ def resolve_engine(options: RunOptions, work: Work, costs: Costs = MEASURED) -> 
     if options.asked_workers is not None:
         from petmjx.engines.workers.resolve import resolve_workers  # most runs have none
 
-        return resolve_workers(options, work, costs)
+        return resolve_workers(options, work, costs, ahead)
     threads = options.threads or cpu_threads()
     seconds = costs.seconds(work, threads)
     name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")

@@ -1,15 +1,22 @@
-"""A GPU starts while plans are read, where one will be used, and whatever goes wrong there is told by who needs it."""
+"""A GPU or workers start while plans are read, where they will be used, and whatever goes wrong there is told by who
+needs it."""
 
 from __future__ import annotations
 
+import queue
 import threading
 from pathlib import Path
 
 import pytest
 
 from petmjx.basics.errors import InputError
-from petmjx.engines import resolve
+from petmjx.engines import resolve, start
+from petmjx.engines.cost import MEASURED, Work
 from petmjx.engines.resolve import starting
+from petmjx.engines.workers import resolve as of_workers
+from petmjx.engines.workers.actor import Recipe
+from petmjx.engines.workers.places import Node
+from petmjx.options.config import Simulation
 from petmjx.options.run_options import RunOptions
 
 
@@ -18,7 +25,7 @@ def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     """Is set where a GPU is started."""
     event = threading.Event()
     monkeypatch.setattr(resolve, "cuda_devices", lambda: ("a GPU",))
-    monkeypatch.setattr(resolve, "_start_gpu", event.set)
+    monkeypatch.setattr(resolve, "start_gpu", event.set)
     return event
 
 
@@ -28,7 +35,6 @@ def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
         ({"engine": "mjx-warp"}, True),
         ({"engine": "auto"}, True),
         ({"engine": "mujoco"}, False),
-        ({"engine": "mjx-warp", "workers": 2}, False),
     ],
 )
 def test_it_starts_where_it_will_be_the_engine(
@@ -58,7 +64,7 @@ def test_auto_starts_none_for_few_plans_or_without_one(
 def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
     released = threading.Event()
     monkeypatch.setattr(resolve, "cuda_devices", lambda: ("a GPU",))
-    monkeypatch.setattr(resolve, "_start_gpu", released.wait)
+    monkeypatch.setattr(resolve, "start_gpu", released.wait)
     with pytest.raises(InputError, match="no such"), starting(RunOptions(engine="mjx-warp"), None):
         raise InputError("no such file")
     released.set()
@@ -66,6 +72,92 @@ def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch
 
 def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resolve, "cuda_devices", lambda: ("a GPU",))
-    monkeypatch.setattr(resolve.importlib, "import_module", lambda name: 1 / 0)
+    monkeypatch.setattr(start.importlib, "import_module", lambda name: 1 / 0)
     with starting(RunOptions(engine="mjx-warp"), None):
         pass
+
+
+class _Cluster:
+    """Two CPUs and two GPUs. What is done with it, and with pools on it, is noted."""
+
+    nodes = (Node(2, 2),)
+
+    def __init__(self, said: queue.SimpleQueue[str]) -> None:
+        self.said = said
+        said.put("cluster")
+
+    def close(self) -> None:
+        self.said.put("closed")
+
+
+class _Pool:
+    size = 2
+
+    def __init__(self, recipe: Recipe, places: object, cluster: _Cluster) -> None:
+        self.name, self._cluster = recipe.name, cluster
+        cluster.said.put(recipe.name)
+
+    def wait_for_first(self) -> None:
+        self._cluster.said.put("ready")
+
+    def dismiss(self) -> None:
+        self._cluster.said.put("dismissed")
+
+    def close(self) -> None:
+        self._cluster.close()
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> queue.SimpleQueue[str]:
+    """What is done with clusters and pools."""
+    notes: queue.SimpleQueue[str] = queue.SimpleQueue()
+    monkeypatch.setattr(of_workers, "Cluster", lambda address: _Cluster(notes))
+    monkeypatch.setattr(of_workers, "WorkerPool", _Pool)
+    return notes
+
+
+def _heard(said: queue.SimpleQueue[str], most: int) -> list[str]:
+    return [said.get(timeout=5.0) for _ in range(most)]
+
+
+@pytest.mark.parametrize(
+    ("engine", "size", "steps", "early", "later"),
+    [
+        ("mujoco", 0, 9, ["cluster", "mujoco"], ["ready"]),
+        ("auto", resolve.WORTH_A_GPU, 10_000_000, ["cluster", "mjx-warp"], ["ready"]),
+        ("auto", resolve.WORTH_A_GPU, 9, ["cluster", "mjx-warp"], ["dismissed", "mujoco", "ready"]),
+        ("auto", 0, 9, ["cluster"], ["mujoco", "ready"]),
+    ],
+)
+def test_workers_start_before_plans_are_read(
+    engine: str, size: int, steps: int, early: list[str], later: list[str], said: queue.SimpleQueue[str], tmp_path: Path
+) -> None:
+    (tmp_path / "plans.json").write_bytes(b" " * size)
+    options, work = RunOptions(engine=engine, workers=2), Work(Simulation(), [50] * max(steps // 1000, 1))
+    with starting(options, tmp_path) as ahead:
+        assert _heard(said, len(early)) == early
+    pool, choice = of_workers.resolve_workers(options, work, MEASURED, ahead)
+    assert _heard(said, len(later)) == later
+    assert said.empty()
+    assert pool.name == choice.name
+    assert choice.reason.endswith("in 2 workers")
+
+
+def test_workers_of_a_run_whose_plans_are_wrong_are_ended(said: queue.SimpleQueue[str]) -> None:
+    with pytest.raises(InputError, match="no such"), starting(RunOptions(engine="mujoco", workers=2), None):
+        raise InputError("no such file")
+    heard = [""]
+    while heard[-1] != "closed":
+        heard += _heard(said, 1)
+    assert heard[1] == "cluster"
+
+
+def test_what_workers_cannot_do_is_told_when_they_are_needed(said: queue.SimpleQueue[str]) -> None:
+    for options, line in (({"workers": 1, "lanes": 3}, "lanes belong to"), ({"workers": 3}, "no room for 3 workers")):
+        asked = RunOptions(engine="mujoco", **options)
+        with starting(asked, None) as ahead:
+            pass
+        with pytest.raises(InputError, match=line):
+            of_workers.resolve_workers(asked, Work(Simulation(), [9]), MEASURED, ahead)
+    assert _heard(said, 2) == ["cluster", "closed"]  # options are looked at before
+    assert said.empty()

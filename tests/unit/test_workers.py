@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -25,6 +26,7 @@ from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.workers import actor
 from petmjx.engines.workers import cluster as cluster_module
 from petmjx.engines.workers import pool as pool_module
 from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
@@ -205,6 +207,14 @@ def test_a_ray_of_this_machine_that_has_died_is_not_waited_for(
         list(outcomes)
 
 
+def _ready(recipe: Recipe) -> None:
+    pool = WorkerPool(recipe, [Place(1)], Cluster())
+    try:
+        pool.wait_for_first()
+    finally:
+        pool.close()
+
+
 class _Unreadable:
     def __reduce__(self) -> Any:
         return int, ("no number",)
@@ -215,10 +225,10 @@ def test_errors_in_workers_are_raised_here(pool: WorkerPool, monkeypatch: pytest
         list(pool.run([Job(fake_scene(1.0), start=_Unreadable())], SHORT))
     pool.close()
     with pytest.raises(InputError, match="unknown engine 'none'"):
-        WorkerPool(Recipe("none"), [Place(1)], Cluster())
+        _ready(Recipe("none"))
     monkeypatch.setattr(pool_module, "package_versions", lambda: {"mujoco": "0.1"})
     with pytest.raises(EngineUnavailable, match=r"the worker on .* has mujoco .*, this process 0.1"):
-        WorkerPool(MUJOCO, [Place(1)], Cluster())
+        _ready(MUJOCO)
 
 
 class _Broken:
@@ -343,3 +353,47 @@ def test_a_signal_ends_a_command_with_workers_and_it_goes_on_without(
     assert 0 < done < 150
     whole = petmjx.score(plans, out=tmp_path / "o", engine="mujoco", resume=True)
     assert len(whole.worlds) == 150
+
+
+def test_a_signal_while_ray_starts_leaves_nothing(tmp_path: Path) -> None:
+    plans = write(tmp_path / "plans.json", {"p": TOWER})
+    command = [sys.executable, "-m", "petmjx", "score", str(plans), "--engine", "mujoco", "--out", str(tmp_path / "o")]
+    with tempfile.TemporaryDirectory(prefix="t", dir="/tmp") as short:
+        own = {**os.environ, "TMPDIR": short}
+        with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True, env=own) as child:
+            until = time.monotonic() + 30.0
+            while not any(Path(short).iterdir()) and time.monotonic() < until:
+                time.sleep(0.01)
+            time.sleep(0.5)
+            child.send_signal(signal.SIGTERM)
+            _, stderr = child.communicate()
+        assert child.returncode == 143
+        assert stderr == "petmjx: interrupted: before the first plan was finished; nothing was written\n"
+        assert not any(Path(short).iterdir())
+        assert not [each for each in Path("/proc").glob("[0-9]*/cmdline") if short in _text(each)]
+
+
+def _text(path: Path) -> str:
+    """A file's text; empty if it is gone."""
+    try:
+        return path.read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+def test_a_worker_starts_what_a_gpu_needs_while_jobs_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, may_end = threading.Event(), threading.Event()
+
+    def start() -> None:
+        begun.set()
+        assert may_end.wait(20.0)
+
+    monkeypatch.setattr(actor, "start_gpu", start)
+    monkeypatch.setattr(actor, "make_engine", lambda name: MujocoEngine(1))
+    worker = Worker(Recipe("mjx-warp"), None, 1)
+    assert pickle.loads(worker.hello()).error is None
+    assert begun.wait(20.0)
+    reports = worker.simulate(pickle.dumps(([Job(fake_scene(1.0))], SHORT)))
+    threading.Timer(0.1, may_end.set).start()
+    assert sum(len(pickle.loads(report).outcomes) for report in reports) == 1
+    assert may_end.is_set()

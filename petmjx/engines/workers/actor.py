@@ -16,6 +16,7 @@ from petmjx.basics.machine import device_name, package_versions
 from petmjx.basics.text import one_line
 from petmjx.engines.base import Progress
 from petmjx.engines.choose import make_engine
+from petmjx.engines.start import start_gpu
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
@@ -63,9 +64,10 @@ class Worker:
         if cache_dir is not None:
             os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
         self._recipe, self._threads = recipe, threads
+        self._starting = threading.Thread(target=start_gpu, daemon=True) if recipe.name == "mjx-warp" else None
 
     def hello(self) -> bytes:
-        """Build the engine."""
+        """Build the engine. What a GPU needs beside it starts in a thread, while the first jobs are made and sent."""
         error: BaseException | None = None
         device = ""
         try:
@@ -73,11 +75,15 @@ class Worker:
             device = device_name(self._recipe.name, self._threads)
         except Exception as problem:
             error = _sendable(problem)
+        if error is None and self._starting is not None:
+            self._starting.start()
         return pickle.dumps(Hello(os.getpid(), platform.node(), device, package_versions(), error))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
         """Run a pickled (jobs, sim); yield pickled reports, whose outcomes count jobs from 0."""
         jobs, sim = pickle.loads(chunk)
+        if self._starting is not None:
+            self._starting.join()
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
         progress = Progress()
         ended: list[BaseException] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import importlib
 import logging
 import os
@@ -13,9 +15,8 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,10 @@ LONGEST_TEMPORARY = 24
 REACH_S = 10.0
 """Longest time to reach the head of a cluster, s."""
 
+END_S = 5.0
+"""Longest time that the end of this process waits for Ray's, s. That takes a minute if a signal has ended Ray's
+processes while they started."""
+
 _OF_RAY = ("RAY_", "PYTHONBREAKPOINT")
 """Environment variables that Ray sets while it starts."""
 
@@ -39,6 +44,9 @@ _HTTP2_SETTINGS = b"\x00\x00\x00\x04"
 
 _HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
 """What a client says first, with an empty frame of settings."""
+
+_SIGACTION_BYTES = 1024
+"""More than C's ``struct sigaction`` has on any system."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
 """Ray's variable for lines that it does not print; it is read when the package is imported."""
@@ -77,48 +85,106 @@ def _left_as_it_was() -> Iterator[None]:
         logger.setLevel(level)
 
 
-@dataclass
-class _Ours:
-    """A Ray that this process has started or joined.
+@contextmanager
+def _same_sigterm() -> Iterator[None]:
+    """Puts back what the process does at SIGTERM: Ray's native code ends it with a list of addresses. Python itself can
+    do it in the main thread alone, which may be reading plans."""
+    libc, kept = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
+    libc.sigaction(int(signal.SIGTERM), None, kept)
+    try:
+        yield
+    finally:
+        libc.sigaction(int(signal.SIGTERM), kept, None)
 
-    Attributes:
-        thread: starts and ends it. In the main thread Ray would take over SIGTERM, and turn what a handler of signals
-            raises into a bare KeyboardInterrupt. The thread lives as long as Ray: with it Ray's processes die.
-        folder: its temporary files, if it runs on this machine alone.
+
+class _Ours:
+    """A Ray that this process starts or joins, and the thread that starts and ends it.
+
+    In the main thread Ray would take over SIGTERM, and turn what a handler of signals raises into a bare
+    KeyboardInterrupt. The thread lives as long as Ray: with it Ray's processes die.
+
+    Args:
+        address: of a cluster's head; None: on this machine alone.
     """
 
-    ray: Any
-    address: str | None
-    thread: ThreadPoolExecutor
-    folder: Path | None = None
-    users: int = 0
+    def __init__(self, ray: Any, address: str | None) -> None:
+        self.address, self.users = address, 0
+        self._ray = ray
+        self._folder: Path | None = None
+        """Its temporary files, if it runs on this machine alone."""
+        self._started: Future[None] = Future()
+        self._enough = threading.Event()
+        self._thread = threading.Thread(target=self._live, name="petmjx-ray", daemon=True)
+        self._thread.start()
 
-    def start(self) -> None:
-        """Start Ray or join the cluster; in the thread.
+    def wait_until_started(self) -> None:
+        """Wait for it. If that is interrupted, it ends when it has started.
 
         Raises:
             InputError: there is no cluster.
             EngineUnavailable: Ray does not start.
         """
+        try:
+            self._started.result()
+        except BaseException:
+            self.end()
+            raise
+
+    def end(self) -> None:
+        """Stop Ray or leave the cluster, when it has started. Returns at once."""
+        self._enough.set()
+
+    def wait_until_ended(self) -> None:
+        """Wait for it."""
+        self._thread.join()
+
+    def _live(self) -> None:
+        # a process that ends meanwhile waits; Ray's own function for its end was registered before, so it comes later
+        atexit.register(self._end_with_process)
+        try:
+            self._start()
+        except BaseException as error:
+            self._started.set_exception(error)
+        else:
+            self._started.set_result(None)
+            self._enough.wait()
+            with _left_as_it_was():
+                _end_monitor()
+                self._ray.shutdown()
+        self._remove_folder()
+        atexit.unregister(self._end_with_process)
+
+    def _remove_folder(self) -> None:
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _end_with_process(self) -> None:
+        self.end()
+        with suppress(KeyboardInterrupt):
+            self._thread.join(END_S)
+        if self._thread.is_alive():  # its processes die with this one
+            atexit.unregister(self._ray.shutdown)  # would wait, too
+            self._remove_folder()
+
+    def _start(self) -> None:
         how: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
         if self.address is None:
             temporary = tempfile.gettempdir()
             short = len(os.fsencode(temporary)) <= LONGEST_TEMPORARY
-            self.folder = Path(tempfile.mkdtemp(prefix="petmjx-ray-", dir=temporary if short else "/tmp"))
+            self._folder = Path(tempfile.mkdtemp(prefix="petmjx-ray-", dir=temporary if short else "/tmp"))
             how |= {"address": "local", "num_cpus": cpu_threads(), "num_gpus": len(cuda_devices())}
-            how |= {"include_dashboard": False, "_temp_dir": str(self.folder)}
+            how |= {"include_dashboard": False, "_temp_dir": str(self._folder)}
         else:
             _check_reachable(self.address)
             how |= {"address": self.address}
-        with _left_as_it_was(), warnings.catch_warnings():
+        with _left_as_it_was(), _same_sigterm(), warnings.catch_warnings():
             # JAX warns of every fork once it has started; Ray's are followed by an exec
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
             logging.getLogger("ray").setLevel(logging.CRITICAL)
             try:
-                self.ray.init(**how)
+                self._ray.init(**how)
             except Exception as error:
-                self._remove_folder()
                 if isinstance(error, ConnectionError) and self.address == AUTO:
                     raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error
                 if isinstance(error, ConnectionError) and self.address is not None:
@@ -126,15 +192,12 @@ class _Ours:
                     raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error
                 raise EngineUnavailable(f"workers cannot run here: Ray does not start: {one_line(error)}") from error
 
-    def end(self) -> None:
-        """Stop Ray or leave the cluster; in the thread."""
-        with _left_as_it_was():
-            self.ray.shutdown()
-        self._remove_folder()
 
-    def _remove_folder(self) -> None:
-        if self.folder is not None:
-            shutil.rmtree(self.folder, ignore_errors=True)
+def _end_monitor() -> None:
+    """Kill what adds machines to a cluster, if this process has started it. Ray would ask it to end, which it does not
+    hear, and wait for a second."""
+    with suppress(Exception):  # not of Ray's documented interface: then it takes the second
+        importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 
 
 def _check_reachable(address: str) -> None:
@@ -172,19 +235,24 @@ class Cluster:
     """
 
     _lock = threading.Lock()
-    _ours: _Ours | None = None
+    _latest: _Ours | None = None
+    """What this process has started or joined last. Without users it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         self.ray = import_ray()
         cls = Cluster
         with cls._lock:
+            if cls._latest is not None and not cls._latest.users:
+                cls._latest.wait_until_ended()
+                cls._latest = None
             if not self.ray.is_initialized():
-                cls._ours = _started(self.ray, address)
+                cls._latest = _Ours(self.ray, address)
+                cls._latest.wait_until_started()
             elif address not in (None, AUTO, self.ray.get_runtime_context().gcs_address):
                 raise InputError(f"ray: this process is in another cluster already, {address} cannot be joined")
-            self._used = cls._ours
-            if self._used is not None:
-                self._used.users += 1
+            self._ours, self._uses = cls._latest, True
+            if self._ours is not None:
+                self._ours.users += 1
 
     @property
     def nodes(self) -> list[Node]:
@@ -195,44 +263,22 @@ class Cluster:
     def check(self) -> None:
         """Raises PetmjxError if the Ray that this process has started is dead: nothing starts it again. The machines of
         a cluster may come back."""
-        if self._used is not None and self._used.address is None and not self.nodes:
+        if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(
                 "Ray died on this machine (out of memory?); finished work is kept, continue with --resume"
             )
 
-    def close(self) -> None:
-        """This user needs it no more."""
-        used, self._used = self._used, None
-        if used is None:
-            return
+    def leave(self) -> None:
+        """This user needs it no more. Returns at once, though the last user's cluster takes a second or two to end."""
         with Cluster._lock:
-            used.users -= 1
-            if used.users == 0:
-                Cluster._ours = None
-                used.thread.submit(used.end).result()
-                used.thread.shutdown()
+            uses, self._uses = self._uses, False
+            if uses and self._ours is not None:
+                self._ours.users -= 1
+                if not self._ours.users:
+                    self._ours.end()
 
-
-def _started(ray: Any, address: str | None) -> _Ours:
-    ours = _Ours(ray, address, ThreadPoolExecutor(1, thread_name_prefix="petmjx-ray"))
-    starting = ours.thread.submit(ours.start)
-    try:
-        starting.result()
-    except BaseException:
-        if not starting.done():  # interrupted; the thread goes on
-            ours.thread.submit(ours.end)
-        ours.thread.shutdown(wait=False)
-        raise
-    finally:
-        _take_back_sigterm()
-    return ours
-
-
-def _take_back_sigterm() -> None:
-    """Put Python's own handler back: Ray's native code has one that ends the process with a list of addresses.
-
-    Only the main thread can do it. A program that starts runs in other threads keeps Ray's.
-    """
-    handler = signal.getsignal(signal.SIGTERM)
-    if handler is not None and threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, handler)
+    def close(self) -> None:
+        """The same, and wait until it has ended, if it ends."""
+        self.leave()
+        if self._ours is not None and not self._ours.users:
+            self._ours.wait_until_ended()

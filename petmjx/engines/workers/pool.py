@@ -88,11 +88,8 @@ class WorkerPool(Engine):
     :meth:`close`.
 
     Args:
-        places: of the workers, one each.
+        places: of the workers, one each. They begin to start at once.
         cluster: used until :meth:`close`, which closes it.
-
-    Raises:
-        EngineUnavailable: the engine cannot run in a worker.
     """
 
     def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster) -> None:
@@ -106,34 +103,53 @@ class WorkerPool(Engine):
         self._false_starts = self._deaths = 0
         self._deadly: dict[int, Scene] = {}
         self._places = list(places)
-        try:
-            self._hands = [self._start(place) for place in places]
-            first = time.monotonic() + START_S
-            while not any(hand.ready for hand in self._hands) and time.monotonic() < first:
-                for hand, ref in self._news():
-                    self._greet(hand, ref)
-        except BaseException:
-            self.close()
-            raise
+        self._hands += (self._start(place) for place in places)
+
+    def wait_for_first(self) -> None:
+        """Wait until a worker is ready, but no longer than ``START_S``.
+
+        Raises:
+            EngineUnavailable: the engine cannot run in a worker.
+        """
+        first = time.monotonic() + START_S
+        while not any(hand.ready for hand in self._hands) and time.monotonic() < first:
+            for hand, ref in self._news():
+                self._greet(hand, ref)
+
+    @property
+    def size(self) -> int:
+        """The number of workers."""
+        return len(self._places)
 
     @property
     def device(self) -> str:
         """The number of workers and the names of the devices that they have said they have."""
-        return ": ".join(filter(None, (counted(len(self._places), "worker"), ", ".join(self._devices))))
+        return ": ".join(filter(None, (counted(self.size, "worker"), ", ".join(self._devices))))
 
     @property
     def pids(self) -> list[int]:
         """Processes of the workers that are ready, on their machines."""
         return [hand.pid for hand in self._hands if hand.ready]
 
+    def dismiss(self) -> None:
+        """End the workers, and leave the cluster to its other users."""
+        hands, self._hands = self._hands, []
+        for hand in hands:
+            self._kill(hand)
+
+    def retire(self) -> None:
+        """Begin to end the workers, and the cluster if it was started for them."""
+        try:
+            self.dismiss()
+        finally:
+            self._thread.shutdown()  # after an interruption it may still ask for news, which would hang where Ray ends
+            self._cluster.leave()
+
     def close(self) -> None:
         """End the workers, and the cluster if it was started for them."""
-        hands, self._hands = self._hands, []
         try:
-            for hand in hands:
-                self._kill(hand)
+            self.retire()
         finally:
-            self._thread.shutdown()
             self._cluster.close()
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
