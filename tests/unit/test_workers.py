@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import os
 import pickle
@@ -48,7 +49,10 @@ MUJOCO = Recipe("mujoco", {"threads": 1})
 
 def process_state() -> tuple[Any, ...]:
     ours = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
-    return ours, signal.getsignal(signal.SIGTERM), sys.excepthook, logging.getLogger("ray").level
+    at_sigterm = ctypes.create_string_buffer(1024)
+    ctypes.CDLL(None).sigaction(int(signal.SIGTERM), None, at_sigterm)
+    handler = at_sigterm.raw[: ctypes.sizeof(ctypes.c_void_p)]
+    return ours, handler, signal.getsignal(signal.SIGTERM), sys.excepthook, logging.getLogger("ray").level
 
 
 @pytest.fixture(scope="module", autouse=True)

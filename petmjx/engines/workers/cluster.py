@@ -87,8 +87,8 @@ def _left_as_it_was() -> Iterator[None]:
 
 @contextmanager
 def _same_sigterm() -> Iterator[None]:
-    """Puts back what the process does at SIGTERM: Ray's native code ends it with a list of addresses. Python itself can
-    do it in the main thread alone, which may be reading plans."""
+    """Puts back what the process does at SIGTERM: Ray's native code ends it with a list of addresses, or, once Ray has
+    ended, without a word. Python itself can do it in the main thread alone, which may be reading plans."""
     libc, kept = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
     libc.sigaction(int(signal.SIGTERM), None, kept)
     try:
@@ -148,7 +148,7 @@ class _Ours:
         else:
             self._started.set_result(None)
             self._enough.wait()
-            with _left_as_it_was():
+            with _left_as_it_was(), _same_sigterm():
                 _end_monitor()
                 self._ray.shutdown()
         self._remove_folder()
