@@ -29,7 +29,7 @@ SHORT = Simulation(interval_s=0.1, rest_window_s=0.1, settle_s=0.3)
 
 LONG_NS = 10**15
 """A time slice in which all worlds of a test end."""
-SOME_NS, STEP_NS = 300_000, 0
+SOME_NS, STEP_NS = 100_000, 0
 """One of which they take dozens, since a step takes some 20 µs on a CPU; and one in which each block takes a step."""
 
 devices = pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=pytest.mark.gpu)])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import jax
@@ -37,17 +37,18 @@ class Run:
         jobs: all of the run, to which more may be appended: ``GrowingJobs``.
         hands: whether its kernels let a hand carry boxes, or drop them.
         gives, wraps: whether its kernels know boxes that give, and film that holds them.
+        handover: from each group to the next one.
     """
 
     sim: Simulation
     timetable: Timetable
     widths: dict[int, int]
     progress: Progress
-    handover: Handover
     jobs: Sequence[Job] = ()
     hands: bool = False
     gives: bool = False
     wraps: bool = False
+    handover: Handover = field(default_factory=Handover)
 
     @property
     def sizes(self) -> list[int]:

@@ -57,11 +57,11 @@ class Handover:
     """What a group leaves to the next one of a run.
 
     Attributes:
-        most: worlds that it may leave: more than the device has lanes.
+        most: worlds that it may leave: more than the device has lanes. None by default.
         left: what the last one has left.
     """
 
-    most: int
+    most: int = 0
     left: Left | None = None
 
     def take(self) -> Left | None:
