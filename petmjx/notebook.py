@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from petmjx.basics.text import counted, three_digits, time_left
+from petmjx.basics.pace import Pace
 from petmjx.simulate import RunStart
 from petmjx.study import FinishedWorld
 
@@ -27,11 +27,12 @@ class NotebookBar:
         self._display, self._clock = display, clock
         self._update: Callable[[str], None] | None = None
         self._start: RunStart | None = None
-        self._begin = self._last = clock()
+        self._last = clock()
         self._done = 0
 
     def begin(self, start: RunStart) -> None:
-        self._start, self._begin, self._done = start, self._clock(), 0
+        self._start, self._done = start, 0
+        self._pace = Pace(self._left, start.what, self._clock)
         self._update = self._display(self._as_html())
 
     def world_done(self, world: FinishedWorld) -> None:
@@ -49,13 +50,10 @@ class NotebookBar:
         return None if start is None or start.total is None else start.total - start.recorded
 
     def _as_html(self) -> str:
-        start, left, seconds = self._start, self._left, self._clock() - self._begin
+        start, left = self._start, self._left
         assert start is not None  # the run begins before it shows anything
-        parts = [counted(self._done, start.what) if left is None else f"{self._done:,} of {counted(left, start.what)}"]
-        if self._done and seconds > 0:
-            parts.append(f"{three_digits(self._done / seconds)} {start.what}s/s")
-            if left is not None and self._done < left:
-                parts.append(f"{time_left(seconds / self._done * (left - self._done))} left")
+        self._pace.update(self._done)
+        parts = self._pace.words
         if self._done != left and start.progress.message:
             parts.append(start.progress.message)
         value = "" if left is None else f' value="{self._done}" max="{max(left, 1)}"'

@@ -12,11 +12,12 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, suppre
 from typing import Final, Protocol
 
 from rich.console import Console, RenderableType
-from rich.progress import BarColumn, ProgressColumn, Task, TimeRemainingColumn
+from rich.progress import BarColumn, ProgressColumn, Task
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from petmjx.basics.text import counted, printable, three_digits, time_left
+from petmjx.basics.pace import Pace
+from petmjx.basics.text import counted, printable
 from petmjx.simulate import RunStart
 from petmjx.study import FinishedWorld
 
@@ -70,68 +71,52 @@ class ProgressLines:
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._total, self._what, self._write, self._clock = total, what, write, clock
-        self._begin = self._last = clock()
+        self._pace, self._write, self._clock = Pace(total, what, clock), write, clock
+        self._last = clock()
         self._done = 0
 
     def update(self, done: int, message: str = "") -> None:
         self._done = done
+        self._pace.update(done)
         now = self._clock()
         if now - self._last >= LINE_S:
             self._last = now
-            self._print(now, message)
+            self._print(message)
 
     def end(self) -> None:
         if self._done:
-            self._print(self._clock())
+            self._print()
 
-    def _print(self, now: float, message: str = "") -> None:
-        seconds = now - self._begin
-        parts = [_count(self._done, self._total, self._what)]
-        if self._done and seconds > 0:
-            parts.append(_rate(self._done, seconds, self._what))
-            if self._total is not None and self._done < self._total:
-                parts.append(f"{time_left(seconds / self._done * (self._total - self._done))} left")
-        parts += [printable(message)] if message else []
+    def _print(self, message: str = "") -> None:
+        parts = self._pace.words + ([printable(message)] if message else [])
         with suppress(OSError):
             self._write(", ".join(parts) + "\n")
 
 
-def _count(done: int, total: int | None, what: str) -> str:
-    return counted(done, what) if total is None else f"{done:,} of {counted(total, what)}"
-
-
-def _rate(done: float, seconds: float, what: str) -> str:
-    """Finished worlds per second, over the whole run so far."""
-    return f"{three_digits(done / seconds)} {what}s/s"
-
-
 class _Words(ProgressColumn):
-    """A column with a text about the task."""
+    """A column with a text."""
 
-    def __init__(self, words: Callable[[Task], str]) -> None:
+    def __init__(self, words: Callable[[], str]) -> None:
         super().__init__()
         self._words = words
 
     def render(self, task: Task) -> Text:
-        return Text(self._words(task))
+        return Text(self._words())
 
 
 class _Bar(RichProgress):
     """A bar, with its message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        def rate(task: Task) -> str:
-            seconds = task.finished_time if task.finished else task.elapsed
-            return _rate(task.completed, seconds, what) if seconds and task.completed else f"- {what}s/s"
-
         self._message = ""  # read as soon as the bar is there
-        count = _Words(lambda task: _count(int(task.completed), total, what))
-        super().__init__(count, BarColumn(), _Words(rate), TimeRemainingColumn(), console=console)
+        pace = self._pace = Pace(total, what)
+        count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
+        super().__init__(count, BarColumn(), rate, left, console=console)
         self._task = self.add_task("", total=total)
 
     def update(self, done: int, message: str = "") -> None:  # type: ignore[override]  # its only task
         self._message = printable(message)
+        self._pace.update(done)
         super().update(self._task, completed=done)
 
     def get_renderables(self) -> Iterator[RenderableType]:

@@ -15,6 +15,7 @@ from rich.console import Console, RenderableType
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.stories import standing_story
 
+from petmjx.basics.pace import Pace
 from petmjx.basics.text import counted, printable, three_digits, time_left
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.compare import compare_runs
@@ -333,6 +334,23 @@ def test_what_is_no_terminal_gets_lines() -> None:
         "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
         "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
     ]
+
+
+def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> None:
+    now, left = 0.0, []
+    pace = Pace(1000, "world", lambda: now)
+    for now, done in (  # noqa: B007  # the clock reads it
+        (1.0, 0), (10.0, 500), (20.0, 996), (23.0, 998), (24.0, 998), (40.0, 998), (40.5, 999),
+    ):  # fmt: skip
+        pace.update(done)
+        left.append(pace.left)
+    # with two left, the last two of the 998 took from 20.0 s on; at the rate of all they would take 0 s
+    assert left == ["", "10 s left", "10 s left", "3 s left", "4 s left", "20 s left", "18 s left"]
+    assert pace.words == ["999 of 1,000 worlds", "24.7 worlds/s", "18 s left"]
+    pace.update(1000)
+    now = 60.0
+    assert pace.words == ["1,000 of 1,000 worlds", "24.7 worlds/s"]
+    assert not Pace(None, "world").left
 
 
 def test_lines_of_an_unknown_total() -> None:
