@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any, Final
 
@@ -31,9 +31,10 @@ def cases() -> Iterator[tuple[str, str, Simulation, Ask]]:
     usual, static = Simulation(), Simulation(check="static")
     for name in ("stack", "tiny", "small", "middle", "large", "given"):
         yield "score", name, usual, partial(Nominal, usual)
-    for name in ("tiny", "small", "few", "first given"):
-        sure = confidence_sweep(4, None, {})
-        yield "confidence 4", name, sure.simulation, partial(SweepStudy, sure, confidence=4)
+    for what, chosen in (("confidence 4", {}), ("confidence 4 exact", {"placing": "exact"})):
+        sure = confidence_sweep(4, None, chosen)
+        for name in ("tiny", "small", "few", "first given"):
+            yield what, name, sure.simulation, partial(SweepStudy, sure, confidence=4)
     for name in ("middle", "given"):
         yield "static", name, static, partial(Nominal, static)
     for sweep_name, name in SWEEPS:
@@ -81,15 +82,18 @@ def cut(plan: Plan, n: int) -> Plan:
     )
 
 
-def compared(engine: str, threads: int, given: Sequence[Plan] = ()) -> Iterator[dict[str, Any]]:
+def compared(
+    engine: str, threads: int, given: Sequence[Plan] = (), only: Collection[str] = ()
+) -> Iterator[dict[str, Any]]:
     """A line of results for each case: what was estimated, and what it took, compilation apart.
 
     Args:
         given: further plans, which are scored.
+        only: what is asked; everything if it is empty.
     """
     plans = sizes(given)
     for what, name, sim, ask in cases():
-        if not (some := plans.get(name)):
+        if not (some := plans.get(name)) or (only and what not in only):
             continue
         options = RunOptions(engine=engine, threads=threads)
         study: Study = ask(some, options)
@@ -121,6 +125,7 @@ def described(work: Work) -> dict[str, Any]:
         "schedule": work.sim.schedule.value,
         "boxes": list(work.boxes),
         "placements": work.placements,
+        "displaced": work.displaced,
         "carried": work.carried,
         "drives": work.drives,
         "drive_steps": work.drive_steps,

@@ -122,16 +122,18 @@ def estimates(
     ] = None,
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mjx-warp-cpu",
     threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
+    only: Annotated[list[str] | None, typer.Option(metavar="WHAT", help="Only runs of this kind; repeatable.")] = None,
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
     """What petmjx estimates for runs of many kinds and sizes, and what they take."""
-    from benchmarks.estimates import compared
+    from benchmarks.estimates import cases, compared
     from benchmarks.record import append_line
     from petmjx.options.run_options import RunOptions
 
     given = usable(plans, RunOptions(**options)) if plans else ()
-    for line in compared(engine, threads, given):
+    kinds = known(only or [], dict.fromkeys(what for what, *_ in cases()), "kind of run")
+    for line in compared(engine, threads, given, kinds):
         append_line(out, line)
         ratio = line["estimate_s"] / line["cpu_s"]
         print(

@@ -17,41 +17,73 @@ from petmjx.basics.units import FloatArray, seconds_to_steps
 from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.world.job import Job
 
-STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.16}
-"""Steps of a schedule as a share of the fixed schedule's, physics ``pallet``: 0.15 to 0.17 of generated plans of 8 to
-80 boxes and third-party ones of 98 to 204; physics ``reference`` takes twice as many."""
+STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
+"""Steps of a schedule as a share of the fixed schedule's, physics ``pallet``: the mean of 2,000 generated plans and of
+63 third-party ones of 16 to 241 boxes; physics ``reference`` takes three to four times as many."""
 
-STATIC_STEPS = 220
-"""Steps of a static check with the schedule adaptive: the mean of 12 generated and 9 third-party plans (150 to 700)."""
+SOFT_STARTS = 2 * SOFT_START_STEPS
+"""Steps before the first box of a placement, which are not among the schedule's."""
 
-COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.4}
-"""The cost of a schedule on a device as a share of the fixed schedule's. The remaining steps are the expensive ones, in
-which boxes move and pallets collapse."""
+QUIET_STEPS = 220
+"""Steps until a pallet is quiet with the schedule adaptive, where it need not be placed box by box: in a static check
+(150 to 890 with 45 to 241 boxes), and after a profile (216 after EUMOS's, of pallets that stand)."""
+
+COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
+"""The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with it fixed in
+21 s. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes, over whole runs: of plans with
 more boxes more steps are at rest. While boxes come one by one, on ``mjx-warp`` it is the mean of k to this power over
 k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in the model from the beginning."""
 
-SHAKEN_FACTOR = 1.3
-"""Cost of a step of a drive on a device, relative to a step of the same pallet at rest."""
-
-CARRIED_STEPS = 3.0
-"""Steps of a placement by hand, relative to one in which boxes appear: 2.4 to 4.5 with 5 to 98 boxes."""
-
-CARRIED_ON_DEVICE = 3.8
-"""Its cost on a device, relative to one in which boxes appear."""
+SHAKEN_FACTOR = 2.5
+"""Cost of a step of a drive on a device, relative to one of the same pallet with the schedule fixed: 6,400 of EUMOS's
+drives at 735 to 786 a second on an H200, when they still went on after the pallet was quiet."""
 
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the standing boxes."""
 
-STATIC_LANDINGS = 22
+STATIC_LANDINGS = 45
 """What it costs beyond rest that all boxes of a static check land at once, in landings of one box on the full pallet:
-12 to 24 with 38 to 241 boxes."""
+fitted to checks of 16 to 241 boxes with both schedules."""
 
 SHAKEN_STEPS = 700
-"""Steps of a drive in which boxes slide or fall, at most: all of EUMOS's profile. Of the 10,715 steps of the pushes of
-``radial-force`` most are at rest."""
+"""Steps of a drive in which boxes slide or fall, at most: all of EUMOS's profile. Of the 2,970 steps of a tilt most
+are at rest. Shakes of many seconds in which a pallet does not rest take up to ten times as long as expected."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What placements with errors cost, or their steps, relative to one as planned.
+
+    Attributes:
+        displaced: a placement in which boxes appear at places with errors: they slip into each other's gaps.
+        carried: one in which boxes are carried to their places.
+    """
+
+    displaced: float
+    carried: float
+
+    def of(self, job: Job) -> float:
+        """A job's placement, relative to one as planned."""
+        if job.scene.placing.carries:
+            return self.carried
+        return self.displaced if job.has_errors else 1.0
+
+
+ERROR_STEPS = Errors(displaced=2.1, carried=4.0)
+"""Their steps: shares of 0.154 and 0.285 of the fixed schedule's, for 0.072; by hand 0.45 with few boxes, 0.24 with
+many."""
+
+ON_DEVICE = Errors(displaced=2.8, carried=4.5)
+"""Their cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s."""
+
+
+def rest_steps(sim: Simulation, rest_s: float) -> int:
+    """Expected steps after a profile, until the pallet is quiet. rest_s: the time that it has, s."""
+    most = seconds_to_steps(rest_s, sim.physics.timestep_s)
+    return min(most, QUIET_STEPS) if sim.schedule is Schedule.ADAPTIVE else most
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +94,15 @@ class Work:
         sim: its check and schedule decide how many steps a placement has.
         boxes: of each plan.
         placements, drives: of each plan.
+        displaced: placements in which boxes appear at places with errors, or with other sizes.
         carried: placements in which boxes are carried to their places.
-        drive_steps: most of one drive, with all the time to come to rest; mean over profiles.
+        drive_steps: of one drive, with ``rest_steps``; mean over profiles.
     """
 
     sim: Simulation
     boxes: Sequence[int]
     placements: int = 1
+    displaced: int = 0
     carried: int = 0
     drives: int = 0
     drive_steps: float = 0.0
@@ -87,24 +121,20 @@ class Work:
     @property
     def steps(self) -> FloatArray:
         """(n,) expected steps of each plan, with soft starts."""
-        placements = self.placements + (CARRIED_STEPS - 1) * self.carried
-        return placements * self._placing_steps + self.drives * self.drive_steps
+        placing = self.as_planned(ERROR_STEPS) * self._placing_steps
+        return self.placements * SOFT_STARTS + placing + self.drives * self.drive_steps
 
-    def appearing(self, carried_cost: float) -> float:
-        """As many placements of each plan in which boxes appear as cost as much as all of them.
-
-        Args:
-            carried_cost: of a placement by hand, relative to one in which boxes appear.
-        """
-        return self.placements + (carried_cost - 1) * self.carried
+    def as_planned(self, errors: Errors) -> float:
+        """As many placements of each plan without errors as have the cost, or the steps, of all of them."""
+        displaced, carried = (errors.displaced - 1) * self.displaced, (errors.carried - 1) * self.carried
+        return self.placements + displaced + carried
 
     @property
     def _placing_steps(self) -> FloatArray:
-        """(n,) expected steps of one placement, with its soft start."""
-        steps = STEP_SHARE[self.sim.schedule] * self.fixed_steps
+        """(n,) expected steps of one placement without errors, after its soft start."""
         if self.sim.check is Check.STATIC and self.sim.schedule is Schedule.ADAPTIVE:
-            steps = np.minimum(self.fixed_steps, STATIC_STEPS)
-        return 2 * SOFT_START_STEPS + steps
+            return np.minimum(self.fixed_steps, QUIET_STEPS)
+        return STEP_SHARE[self.sim.schedule] * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
         """(n,) box^power × steps of one placement, on a device; ``grows``: boxes that are to come cost nothing."""
@@ -125,20 +155,20 @@ class ThreadCosts:
         overhead_s: time that any step takes in addition, s.
         landing_s: time that it takes in addition until a box has landed, s per box² of those that stand then.
         shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
-        carried: cost of a placement by hand, relative to one in which boxes appear.
+        errors: what placements with errors cost.
     """
 
     rest_s: float
     overhead_s: float
     landing_s: float
     shaken_s: float
-    carried: float
+    errors: Errors
 
     def seconds(self, work: Work, threads: int) -> float:
         """Expected time, s, with the worlds shared out over threads: at least that of the longest one."""
         placing_s, driving_s = self.placing_s(work), self.driving_s(work.boxes, work.drive_steps)
-        thread_s = float((work.appearing(self.carried) * placing_s + work.drives * driving_s).sum())
-        each_s = (self.carried if work.carried else 1.0) * placing_s
+        thread_s = float((work.as_planned(self.errors) * placing_s + work.drives * driving_s).sum())
+        each_s = (self.errors.carried if work.carried else self.errors.displaced if work.displaced else 1.0) * placing_s
         longest_s = float((each_s + (driving_s if work.drives else 0.0)).max())
         return max(thread_s / threads, longest_s)
 
@@ -149,7 +179,7 @@ class ThreadCosts:
         # sums over the boxes that stand, 1…n, where they come one by one
         at_rest = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
         landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
-        return (at_rest + self.overhead_s) * work._placing_steps + self.landing_s * landings
+        return (at_rest + self.overhead_s) * (SOFT_STARTS + work._placing_steps) + self.landing_s * landings
 
     def driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
         """(n,) time of a drive of each plan, s. steps: of the drive."""
@@ -173,11 +203,11 @@ class Costs:
         gpu_start_s: time to start the device engine, with compilation, s.
     """
 
-    mujoco: ThreadCosts = ThreadCosts(1.5e-6, 3.6e-5, 8.3e-6, 4.5e-7, 8.6)
-    kernel: ThreadCosts = ThreadCosts(4.2e-7, 6e-6, 2.3e-6, 5e-8, 4.9)
+    mujoco: ThreadCosts = ThreadCosts(1.3e-6, 2.2e-5, 1.9e-6, 6.5e-7, Errors(8.0, 9.5))
+    kernel: ThreadCosts = ThreadCosts(4e-7, 6e-6, 9e-7, 6e-8, Errors(5.5, 5.5))
     kernel_start_s: float = 10.0
     jax_step_s: float = 1.1e-5
-    gpu_step_s: float = 3.6e-6
+    gpu_step_s: float = 3.3e-6
     full_worlds: int = 264
     tail_worlds: int = 900
     gpu_start_s: float = 17.0
@@ -188,7 +218,7 @@ class Costs:
         if not n_plans:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
             return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
-        placements = work.appearing(CARRIED_ON_DEVICE)
+        placements = work.as_planned(ON_DEVICE)
         jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER)
         return {
             "mujoco": self.mujoco.seconds(work, threads),
@@ -203,8 +233,8 @@ class Costs:
         """(n,) expected time of each job on one CPU thread, s. On a device only its order counts."""
         boxes = [job.scene.n_boxes for job in jobs]
         placed = np.array([job.start is None for job in jobs], dtype=float)
-        placed *= [self.mujoco.carried if job.scene.placing.carries else 1.0 for job in jobs]
-        rest = [seconds_to_steps(job.drive.rest_s, sim.physics.timestep_s) if job.drive else 0 for job in jobs]
+        placed *= [self.mujoco.errors.of(job) for job in jobs]
+        rest = [rest_steps(sim, job.drive.rest_s) if job.drive else 0 for job in jobs]
         shaken = [len(job.drive.excitation.samples) if job.drive else 0 for job in jobs]
         drive_steps = np.array(rest, dtype=float) + shaken
         placing = Work(sim, boxes, drives=int(any(job.settles for job in jobs)))
@@ -221,12 +251,11 @@ benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, with which tests compare it
 tests/unit/test_choose.py.
 
 CPU threads: one thread of two virtual EPYC cores, physics ``pallet``: scores of generated plans of 5 to 80 boxes and
-third-party ones of 98 to 204, static checks, scores with confidence, EUMOS's drives and search, tilts, placement
-errors; and on a slower one third-party plans of 16 to 241 boxes, both schedules, which took 1.5 times as long. Plans
-that fall early take less. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are
-simulated again with finer steps are not estimated.
+third-party ones of 16 to 241, static checks, both schedules, scores with confidence, placed exactly and by hand,
+EUMOS's drives and search, tilts, placement errors. Plans that fall early take less, large ones that collapse up to
+five times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated
+again with finer steps are not estimated.
 
-Devices: one H200, adaptive if nothing else is said: 500, 2,000 and 10,003 generated plans, 2,000 with the schedule
-fixed, 63 and 630 plans of 156 boxes on average, 1,000 plans with confidence 16, 100,000 worlds of 10 to 25 boxes with
-errors, 6,400 drives of EUMOS's profile. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier
-run)."""
+Devices: one H100 without start and compilation, adaptive if nothing else is said: 10,003 generated plans, 4,000 with
+the schedule fixed, 500 and 250 plans with confidence 16, placed exactly and by hand, 128,000 worlds of 12 boxes with
+errors. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier run)."""

@@ -10,7 +10,7 @@ from typing import Final
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, shown
 from petmjx.basics.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
-from petmjx.engines.cost import Work
+from petmjx.engines.cost import Work, rest_steps
 from petmjx.options.config import Check, Schedule
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
@@ -228,10 +228,9 @@ class SweepPlan(Design):
     def work(self) -> Work:
         """The amount of work of all worlds, for estimates of time."""
         sim, profiles = self.sweep.simulation, list(self.sweep.profiles.values())
-        rest_steps = seconds_to_steps(sim.rest_s, sim.physics.timestep_s)
         drives = [
             profile.n_steps(sim.physics.timestep_s) * (_TILTED if profile.strength is Strength.ANGLE else 1)
-            + rest_steps
+            + rest_steps(sim, sim.rest_s)
             for profile in profiles
         ]
         nominal = int(self.sweep.nominal)
@@ -239,6 +238,7 @@ class SweepPlan(Design):
             sim=sim,
             boxes=[plan.n_boxes for plan in self.plans],
             placements=self._all_placements,
+            displaced=self._displaced,
             carried=self._carried,
             drives=self.n_variants - nominal if profiles else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
@@ -259,13 +259,23 @@ class SweepPlan(Design):
         return any(_ERRORS & {*AXIS_KINDS[name].changes} for name in self.sweep.axes)
 
     @property
+    def _displaced(self) -> int:
+        """Placements per plan in which boxes appear at places with errors, and are waited for."""
+        sim = self.sweep.simulation
+        waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
+        return self._with_errors if waits and not sim.may_carry else 0
+
+    @property
     def _carried(self) -> int:
         """Placements per plan in which boxes are carried to their places."""
         sim = self.sweep.simulation
         if not sim.may_carry:
             return 0
-        if sim.placing.carries:
-            return self._all_placements
+        return self._all_placements if sim.placing.carries else self._with_errors
+
+    @property
+    def _with_errors(self) -> int:
+        """Placements per plan in which places or sizes have random errors."""
         return self.n_random_placements if self.has_errors else 0
 
     @property

@@ -16,6 +16,7 @@ from petmjx.basics.errors import InputError
 from petmjx.options.config import Simulation
 from petmjx.options.placing import Placing, Way
 from petmjx.plans.write import save_plans
+from petmjx.sweeps.confidence import confidence_sweep
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.world.apply import apply
@@ -45,6 +46,21 @@ def test_worlds_with_errors_are_placed_by_hand_unless_told_otherwise(error: str)
 def test_nobody_is_carried_where_nobody_waits(options: dict[str, Any]) -> None:
     sim = Simulation(**options)
     assert course_of(varied(sim, x_mm=SD_2), sim) is None
+
+
+@pytest.mark.parametrize(
+    ("options", "displaced", "carried"),
+    [
+        ({}, 0, 3),
+        ({"placing": "exact"}, 3, 0),
+        ({"placing": "hand"}, 0, 4),
+        ({"placing": "exact", "schedule": "fixed"}, 0, 0),
+        ({"check": "static"}, 0, 0),
+    ],
+)
+def test_estimates_know_which_placements_have_errors(options: dict[str, Any], displaced: int, carried: int) -> None:
+    work = SweepPlan(confidence_sweep(3, None, options), (make_plan("two", BOXES),)).work()
+    assert (work.placements, work.displaced, work.carried) == (4, displaced, carried)
 
 
 def test_a_name_stands_for_a_table_and_numbers_change_it() -> None:
