@@ -173,7 +173,8 @@ class OpenWorlds(ABC):
 
     A world goes on by the rules of the placement (docs/rules.md): each of its boxes is placed when those before it
     rest, and when the last one rests it pauses. Then more boxes can be put into it. What a world does depends on its
-    scene alone: neither on other worlds, nor on how many calls its boxes came in.
+    scene alone: neither on other worlds, nor on how many calls its boxes came in. So once a wait has been in vain a
+    world pauses when a short one is over, since more boxes may come; without more, ``finish`` waits on.
 
     Here is what all engines refuse; each says how it does the rest.
 

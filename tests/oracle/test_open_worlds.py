@@ -12,8 +12,8 @@ import pytest
 from petmjx.basics.errors import InputError
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.open import OpenWorlds
-from petmjx.options.config import Schedule, Simulation
-from petmjx.verdict import Outcome, Verdict
+from petmjx.options.config import Quiet, Schedule, Simulation
+from petmjx.verdict import Flag, Outcome, Verdict
 from petmjx.world.job import FORCE, Drive, Excitation, Job
 from petmjx.world.scene import Scene, build_scene
 
@@ -91,6 +91,24 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
                 assert_same(found, expected, LAST_DIGIT)
             np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=FLOAT64)
         assert reading.ended == (found.verdict is Verdict.UNSTABLE and found.sim_time_s == reading.time_s)
+
+
+def test_pallets_that_tremble_end_as_a_run_of_all_their_boxes_does(engine: MujocoEngine | MjxWarpEngine) -> None:
+    """The first wait takes the longest time, in vain; others are short, but for the last one."""
+    sim = SIM.changed(interval_s=0.1, longest_wait_s=0.5, quiet=Quiet(quiet_m_s=1e-30))
+    scene = build_scene(make_plan("bridge", boxes_by_plan()["hand-bridge"]), sim)
+    worlds = engine.open([scene.first(1)], sim)
+    times = []
+    for count in range(1, 4):
+        if count > 1:
+            worlds.put([0], [scene.first(count)])
+        worlds.go_on()
+        times.append(worlds.read([0])[0].time_s)
+    np.testing.assert_allclose(np.diff(times, prepend=0.03), [0.5, 0.1, 0.1], atol=0.003)
+    found, (expected,) = worlds.finish([0])[0], engine.run([Job(scene)], sim)
+    assert found.n_steps == expected.n_steps
+    assert found.flags == expected.flags == Flag.MOVING
+    assert found.n_steps * sim.physics.timestep_s > times[-1] + 0.4
 
 
 def test_forks_go_their_own_ways(engine: MujocoEngine | MjxWarpEngine) -> None:

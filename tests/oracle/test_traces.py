@@ -19,7 +19,7 @@ from support.worlds import boxes_by_plan
 
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.options.config import Check, Quiet, Schedule, Simulation
 from petmjx.verdict import Flag, Reason
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
@@ -52,6 +52,11 @@ KINDS: dict[str, tuple[dict[str, Any], Drive | None]] = {
     "fixed": ({"schedule": Schedule.FIXED, "interval_s": 0.15}, None),
     "pushed": ({}, push(FORCE, 0.5, rest_s=0.1)),
     "braked": ({}, push(ACCELERATION, 3.0, rest_s=0.5)),
+    "waited for in vain": ({"longest_wait_s": 0.02}, None),
+    "shaken while boxes land": (
+        {"schedule": Schedule.FIXED, "settle_s": 0.1, "quiet": Quiet(landing_steps=400)},
+        push(FORCE, 0.5, rest_s=0.1),
+    ),
 }
 """Kind of worlds → options and drive."""
 

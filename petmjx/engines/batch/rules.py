@@ -292,7 +292,10 @@ class Rules:
         return self.place_next(state, worlds, go & more)
 
     def rest_from(self, state: State) -> Int[Array, " world"]:
-        """The step after which the rest window of a world begins that is quiet now: its last box has landed by then."""
+        """The step after which the rest window of a world begins that is quiet now: its last box has landed by then, as
+        it has when a drive begins."""
+        if self.driven:
+            return state.step
         return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
 
     @property

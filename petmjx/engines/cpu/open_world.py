@@ -92,9 +92,17 @@ class OpenWorld(WorldRun):
         self._index, self._pauses = index, False
         self._job = replace(self._job, drive=drive)
         self._waits.settles = self._settles
-        if not self.ended:
+        if self.paused and self._lingers():
+            self.paused = False
+            self._waits.begin(self._waits.since, self._scene.n_boxes, all_placed=True, restless=False)
+        elif not self.ended:
             self._leave_pause()
         return self._outcome(came_to_end=not self.ended and self._loop())
+
+    def _lingers(self) -> bool:
+        """Whether a world has paused early, since a wait was in vain, and still moves: its last wait is a long one."""
+        fails = self._metrics.culprit >= 0
+        return not (self._quiet.holds or fails) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
         if self.paused:

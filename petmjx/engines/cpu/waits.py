@@ -51,13 +51,16 @@ class Waits:
 
         Args:
             n_boxes: of the plan; ``all_placed``: whether they are.
-            restless: an earlier wait was in vain. Then only the last one is long.
+            restless: an earlier wait was in vain, and this is not the last one, which is long.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
-        self._patient = self._patient and (all_placed or not restless)
         self._latest_if_failed = NEVER
-        self._latest = self.longest if self._patient else self._latest_after(step)
+        self._latest = self.longest if self._patient and not restless else self._latest_after(step)
+
+    def lasts_longer(self, step: int) -> bool:
+        """Whether a wait that is over after this step, as an earlier one was in vain, goes on if it is the last one."""
+        return self._patient and step < self.longest
 
     def deadline(self, sign_step: int | None) -> int:
         """The latest step for the event that is waited for. Once a box shows a sign of failure, nothing is gained by

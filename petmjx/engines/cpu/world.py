@@ -284,7 +284,8 @@ class WorldRun:
         self._waiting = True
         self._quiet.restart()
         all_placed = self._live.n_placed == self._scene.n_boxes
-        self._waits.begin(since, self._scene.n_boxes, all_placed, Flag.MOVING in self._flags)
+        restless = Flag.MOVING in self._flags and (self._pauses or not all_placed)
+        self._waits.begin(since, self._scene.n_boxes, all_placed, restless)
 
     @property
     def _sign(self) -> int | None:

@@ -114,9 +114,11 @@ class Simulator:
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: Open) -> State:
-        """Paused worlds begin their rest window, or their drive, as their constants say."""
+        """Paused worlds begin their rest window, or their drive, as their constants say. Those that have paused early,
+        since a wait was in vain, and still move wait on: their last wait is a long one."""
         state, worlds = open_.state, open_.worlds
-        goes = state.status == Status.PAUSED
+        paused = state.status == Status.PAUSED
+        goes = paused & ~(self._moves(state) & self._lasts_longer(state))
         settles = goes & worlds.settles & (not self._sim.waits_for_rest)
         rests = goes & ~settles
         state = self._noting_motion(state, settles)
@@ -125,7 +127,7 @@ class Simulator:
             rest_from=jnp.where(rests, rest_from, state.rest_from),
             end=jnp.where(rests, rest_from + self._timetable.rest_steps, state.end),
             driven_from=jnp.where(settles, state.step, state.driven_from),
-            status=jnp.where(settles, Status.SETTLED, jnp.where(rests, Status.RUNNING, state.status)),
+            status=jnp.where(settles, Status.SETTLED, jnp.where(paused, Status.RUNNING, state.status)),
         )
 
     def go_on(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
@@ -156,8 +158,17 @@ class Simulator:
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
         """The flag of worlds that go on although they are not at rest."""
-        moves = goes & (state.metrics.culprit < 0) & (state.quiet_steps < self._sim.quiet.steps)
+        moves = goes & self._moves(state)
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
+
+    def _moves(self, state: State) -> Bool[Array, " world"]:
+        """Whether worlds that have paused are not quiet, and have not failed."""
+        return (state.metrics.culprit < 0) & (state.quiet_steps < self._sim.quiet.steps)
+
+    def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
+        """Whether the wait of worlds that have paused goes on if it is the last one."""
+        patient = self._sim.waits_for_rest and self._sim.check is Check.ONE_BY_ONE
+        return patient & (state.step < jnp.asarray(self._timetable.longest)[state.last_placed_at])
 
 
 def _no_frames(n_worlds: int, n_boxes: int) -> dict[str, jax.Array]:

@@ -100,7 +100,7 @@ def _deadline(
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
-    restless = more and (state.flags[world] & MOVING) != 0
+    restless = (more or worlds.pauses[world]) and (state.flags[world] & MOVING) != 0
     if patient and not failed and not restless:
         return _longest_wait(model, worlds, state, world, driven)
     since = state.waits_since[world]
@@ -297,7 +297,7 @@ def after_step(
     settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:
-        rest_from = wp.max(step, landed + model.landing_steps)
+        rest_from = wp.where(driven, step, wp.max(step, landed + model.landing_steps))
         end = rest_from + model.rest_steps
 
     still_from = end - model.still_steps
