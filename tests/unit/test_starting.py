@@ -3,9 +3,13 @@ needs it."""
 
 from __future__ import annotations
 
+import os
 import queue
 import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,6 +17,7 @@ from petmjx.basics.errors import InputError
 from petmjx.engines import resolve, start
 from petmjx.engines.cost import MEASURED, Work
 from petmjx.engines.resolve import starting
+from petmjx.engines.workers import cluster as of_clusters
 from petmjx.engines.workers import resolve as of_workers
 from petmjx.engines.workers.actor import Recipe
 from petmjx.engines.workers.places import Node
@@ -161,3 +166,21 @@ def test_what_workers_cannot_do_is_told_when_they_are_needed(said: queue.SimpleQ
             of_workers.resolve_workers(asked, Work(Simulation(), [9]), MEASURED, ahead)
     assert _heard(said, 2) == ["cluster", "closed"]  # options are looked at before
     assert said.empty()
+
+
+def test_threads_do_not_import_ray_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What one has set in the environment meanwhile, the other would put back at its end, and it stayed."""
+    meets, met = threading.Barrier(2, timeout=0.2), []
+
+    def importing(name: str) -> SimpleNamespace:
+        with suppress(threading.BrokenBarrierError):
+            met.append(meets.wait())
+        return SimpleNamespace(is_initialized=lambda: True, get_runtime_context=lambda: SimpleNamespace(gcs_address=""))
+
+    before = dict(os.environ)
+    monkeypatch.setattr(of_clusters, "importlib", SimpleNamespace(import_module=importing))
+    with ThreadPoolExecutor(2) as pool:
+        for user in [pool.submit(of_clusters.Cluster) for _ in range(2)]:
+            user.result().leave()
+    assert not met
+    assert dict(os.environ) == before

@@ -274,8 +274,7 @@ class WorldRun:
 
     def _has_placed(self) -> None:
         """The last box stands, or falls, or is in the hand: waiting begins, in the last case once more at its end."""
-        live = self._live
-        self._still_pose[live.n_placed - 1] = live.pose[live.n_placed - 1]
+        self._still_pose[self._live.n_placed - 1] = self._live.pose[self._live.n_placed - 1]
         self._waits.last_placement = self._step
         self._wait(self._step)
 

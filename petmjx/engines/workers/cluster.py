@@ -239,12 +239,13 @@ class Cluster:
     """What this process has started or joined last. Without users it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
-        self.ray = import_ray()
         cls = Cluster
         with cls._lock:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
+            # one at a time: what another thread's import has just set would be put back as if it had been there before
+            self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _Ours(self.ray, address)
                 cls._latest.wait_until_started()
