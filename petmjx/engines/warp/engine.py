@@ -136,9 +136,10 @@ class MjxWarpEngine(Engine):
             while first < len(jobs):  # more may have been appended
                 rest = jobs[first:]
                 timetable = build_timetable(sim, round_up(max(job.scene.n_boxes for job in rest), self.granule))
-                traits = (any(map(trait, rest)) for trait in (wants_hands, gives, is_wrapped))
+                hands, give, wraps = (any(map(trait, rest)) for trait in (wants_hands, gives, is_wrapped))
                 handover = Handover(0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE)
-                run = Run(sim, timetable, widths_of(rest, self.granule), progress, jobs, *traits, handover)
+                widths = widths_of(rest, self.granule)
+                run = Run(sim, timetable, widths, progress, jobs, hands, give, wraps, handover)
                 most = self.group_size - (handover.most if len(rest) > self.group_size else 0)
                 size = math.ceil(len(rest) / math.ceil(len(rest) / most))
                 end = len(jobs)
