@@ -8,6 +8,9 @@ from collections.abc import Callable
 
 from petmjx.basics.text import counted, three_digits, time_left
 
+MARK_S = 0.1
+"""Marks are so far apart, s: of a million worlds, too, there are few."""
+
 
 class Pace:
     """Counts finished worlds, and says how many there are, how many a second, and how long the others will take.
@@ -30,9 +33,13 @@ class Pace:
         if done == self._done:
             return
         self._done = done
-        self._marks.append((done, self._clock()))
+        mark = done, self._clock()
+        if len(self._marks) > 2 and mark[1] - self._marks[-2][1] < MARK_S:
+            self._marks[-1] = mark
+        else:
+            self._marks.append(mark)
         others = (self._total or 0) - done
-        while others > 0 and self._marks[1][0] <= done - others:
+        while others > 0 and len(self._marks) > 1 and self._marks[1][0] <= done - others:
             self._marks.popleft()
 
     @property

@@ -15,7 +15,7 @@ from rich.console import Console, RenderableType
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.stories import standing_story
 
-from petmjx.basics.pace import Pace
+from petmjx.basics.pace import MARK_S, Pace
 from petmjx.basics.text import counted, printable, three_digits, time_left
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.compare import compare_runs
@@ -351,6 +351,16 @@ def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> No
     now = 60.0
     assert pace.words == ["1,000 of 1,000 worlds", "24.7 worlds/s"]
     assert not Pace(None, "world").left
+
+
+def test_of_a_million_worlds_few_moments_are_kept() -> None:
+    now = 0.0
+    pace = Pace(1_000_000, "world", lambda: now)
+    for done in range(1, 10_001):
+        now = done / 4000
+        pace.update(done)
+    assert len(pace._marks) < 2.5 / MARK_S + 5
+    assert pace.left == "4 min 8 s left"
 
 
 def test_lines_of_an_unknown_total() -> None:
