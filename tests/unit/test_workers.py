@@ -194,7 +194,9 @@ def test_a_place_where_no_worker_gets_ready_any_more_is_left(pool: WorkerPool, m
     monkeypatch.setattr(pool_module, "FALSE_STARTS", 1)
     os.kill(pool.pids[0], signal.SIGKILL)
     assert len(list(outcomes)) == 29
-    assert len(list(pool.run(jobs * 8, SHORT))) == 240
+    patience = time.monotonic() + 60.0  # a worker takes a second or two until it says that it cannot start
+    while len(pool._places) == 2 and time.monotonic() < patience:
+        assert len(list(pool.run(jobs * 8, SHORT))) == 240
     assert len(pool._places) == 1
 
 
