@@ -28,8 +28,8 @@ from petmjx.verdict import Attempt, Flag, Outcome, Verdict, margin_of
 from petmjx.world.job import Job, KeptState
 
 DEFAULT_CHUNK_WORLDS, CHUNK_BOXES = 131_072, 1 << 21
-"""Most worlds given to an engine at once, and boxes to which no more are added: scenes of 250 MB, and as much for the
-next ones. At the end of a chunk a device has few worlds left, and MJX engines choose (and compile) shapes for each."""
+"""Most worlds given to an engine at once, and boxes to which no more are added: 250 MB of scenes, as much for the next
+ones. At the end of a chunk a device has few worlds left, and MJX engines choose (and compile) shapes for each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,33 +163,33 @@ def score_worlds(
 
 @dataclass(eq=False)
 class _Chunks(Generic[AnyWorld]):
-    """Worlds by the chunk. While an engine has one, a thread makes the next one: a GPU would wait for it."""
+    """Worlds by the chunk. While an engine has a full one, a thread makes the next one: a GPU would wait for it."""
 
     source: Iterator[AnyWorld]
     most: int
-    _closed: bool = False
+    _ended: bool = False
     _maker: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-worlds"))
     _next: Future[list[AnyWorld]] | None = None
 
     def take(self) -> list[AnyWorld]:
         """The next worlds; an empty list at the end."""
         chunk = self._made() if self._next is None else self._next.result()
-        self._next = self._maker.submit(self._made) if chunk else None
+        self._next = None if self._ended else self._maker.submit(self._made)
         return chunk
 
     def _made(self) -> list[AnyWorld]:
-        chunk: list[AnyWorld] = []
-        boxes = 0
-        while len(chunk) < self.most and boxes < CHUNK_BOXES and not self._closed:
-            if (world := next(self.source, None)) is None:
-                break
+        chunk, boxes = list[AnyWorld](), 0
+        for world in self.source:
             chunk.append(world)
             boxes += world.job.scene.n_boxes
+            if self._ended or len(chunk) == self.most or boxes >= CHUNK_BOXES:
+                return chunk
+        self._ended = True
         return chunk
 
     def close(self) -> None:
         """Make no more worlds; one that is being made is waited for."""
-        self._closed = True
+        self._ended = True
         self._maker.shutdown()
 
 

@@ -8,9 +8,7 @@ import os
 import pickle
 import signal
 import socket
-import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -18,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.command_line import TOWER, write
 from support.fake_stepper import fake_scene
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 
@@ -331,60 +328,6 @@ def test_without_ray_a_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(EngineUnavailable, match=r"Ray is not installed: pip install 'petmjx\[ray\]'"):
         petmjx.score(PLANS[:2], engine="mujoco", workers=1)
-
-
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_ends_a_command_with_workers_and_it_goes_on_without(
-    number: signal.Signals, code: int, tmp_path: Path
-) -> None:
-    """Ctrl-C in a terminal reaches the whole process group, Ray's processes too."""
-    plans = write(tmp_path / "plans.json", {f"p{k:03}": TOWER for k in range(150)})
-    command = [sys.executable, "-m", "petmjx", "score", str(plans), "--engine", "mujoco", "--out", str(tmp_path / "o")]
-    two = [*command, "--workers", "1", "--threads", "1"]
-    with subprocess.Popen(two, stderr=subprocess.PIPE, text=True, start_new_session=True) as child:
-        assert child.stderr is not None
-        for line in child.stderr:
-            if line.startswith("engine mujoco (as asked for, in 1 worker)"):
-                break
-        time.sleep(1)
-        os.killpg(child.pid, number)
-        stderr = child.stderr.read()
-    assert child.returncode == code, stderr
-    assert "Traceback" not in stderr
-    interrupted = petmjx.load_run(tmp_path / "o")
-    done = len(interrupted.worlds)
-    are = "is" if done == 1 else "are"
-    assert f"interrupted: {done} of 150 plans {are} done" in stderr
-    assert interrupted.info["status"] == "interrupted"
-    assert 0 < done < 150
-    whole = petmjx.score(plans, out=tmp_path / "o", engine="mujoco", resume=True)
-    assert len(whole.worlds) == 150
-
-
-def test_a_signal_while_ray_starts_leaves_nothing(tmp_path: Path) -> None:
-    plans = write(tmp_path / "plans.json", {"p": TOWER})
-    command = [sys.executable, "-m", "petmjx", "score", str(plans), "--engine", "mujoco", "--out", str(tmp_path / "o")]
-    with tempfile.TemporaryDirectory(prefix="t", dir="/tmp") as short:
-        own = {**os.environ, "TMPDIR": short}
-        with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True, env=own) as child:
-            until = time.monotonic() + 30.0
-            while not any(Path(short).iterdir()) and time.monotonic() < until:
-                time.sleep(0.01)
-            time.sleep(0.5)
-            child.send_signal(signal.SIGTERM)
-            _, stderr = child.communicate()
-        assert child.returncode == 143
-        assert stderr == "petmjx: interrupted: before the first plan was finished; nothing was written\n"
-        assert not any(Path(short).iterdir())
-        assert not [each for each in Path("/proc").glob("[0-9]*/cmdline") if short in _text(each)]
-
-
-def _text(path: Path) -> str:
-    """A file's text; empty if it is gone."""
-    try:
-        return path.read_text(errors="replace")
-    except OSError:
-        return ""
 
 
 def test_a_worker_starts_what_a_gpu_needs_while_jobs_are_made(monkeypatch: pytest.MonkeyPatch) -> None:

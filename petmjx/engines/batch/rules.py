@@ -38,6 +38,11 @@ class _Seen(NamedTuple):
     top_force: Float[Array, "world box"]
 
 
+def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
+    """The last step of each drive, if its world does not rest before."""
+    return state.driven_from + worlds.drive_steps
+
+
 @dataclass(frozen=True, eq=False)
 class Rules:
     """The rules with their numbers, for worlds with room for ``capacity`` boxes. ``driven``: settled worlds are shaken
@@ -116,7 +121,7 @@ class Rules:
     def begin_drives(self, state: State, worlds: Worlds) -> State:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
-        end = state.driven_from + worlds.drive_steps
+        end = _drive_end(state, worlds)
         # signs from the placement (a hard landing) are forgotten where no box is over a threshold now
         metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
@@ -337,7 +342,7 @@ class Rules:
     def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
         """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
         if self.driven:
-            return state.driven_from + worlds.drive_steps + self.timetable.longest_steps
+            return _drive_end(state, worlds) + self.timetable.longest_steps
         return jnp.asarray(self.timetable.longest)[state.last_placed_at]
 
     def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
@@ -351,7 +356,7 @@ class Rules:
         moves = (self.standing(state) & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)
         last_end = jnp.full_like(state.end, NEVER)
         if self.driven:
-            drive_end = state.driven_from + worlds.drive_steps
+            drive_end = _drive_end(state, worlds)
             last_end = jnp.where(state.step < drive_end, drive_end, NEVER)
         moves, over = ends & moves, self._is_over(state, worlds)
         limit = self._longest_wait(state, worlds)

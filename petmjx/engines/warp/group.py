@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.base import Progress
-from petmjx.engines.batch.state import State, Status, put_rows
+from petmjx.engines.batch.state import State, Status
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.upload import Batch
-from petmjx.engines.batch.worlds import Worlds, uploaded
-from petmjx.engines.warp.handover import Handover
+from petmjx.engines.batch.worlds import Worlds
+from petmjx.engines.warp.handover import Handover, put_from
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
@@ -24,8 +24,6 @@ MAX_GROWTH = 8
 """Largest factor for buffers that overflow; they are doubled each time. A world that needs more is invalid."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
-
-_put = jax.jit(put_rows)
 
 
 @dataclass
@@ -79,10 +77,9 @@ class Group(Batch):
 
     def add(self, jobs: Sequence[Job], worlds: Worlds, table: State) -> None:
         """Put more jobs into the rows behind those that are taken. Tables have a row for each of them at least."""
-        first, rows = len(self.jobs), np.full(len(table.status), len(self.table.status), np.int32)
-        rows[: len(jobs)] = np.arange(first, first + len(jobs))
-        self.worlds = _put(self.worlds, uploaded(rows), worlds)
-        self.table = _put(self.table, uploaded(rows), table)
+        first, count = len(self.jobs), len(jobs)
+        self.worlds = put_from(self.worlds, first, count, worlds)
+        self.table = put_from(self.table, first, count, table)
         self.jobs += jobs
         self.__dict__.pop("driven", None)  # is worked out anew
 

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.batch.state import State, put_rows, take_rows
-from petmjx.engines.batch.worlds import uploaded
+from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.world.job import Job
 
+Table = TypeVar("Table", State, Worlds)
+
 _put, _take = jax.jit(put_rows), jax.jit(take_rows)
+
+
+def put_from(table: Table, first_row: int, count: int, values: Table) -> Table:
+    """A table of a group in which the rows from this one on are the first ``count`` of ``values``."""
+    length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
+    rows = np.full(length, end, np.int32)  # beyond the end: they are dropped
+    rows[:count] = first_row + np.arange(count)
+    put: Table = _put(table, uploaded(rows), values)
+    return put
 
 
 @dataclass(eq=False)
@@ -46,10 +58,7 @@ class Left:
         columns, before = ([values.shape[1:] for values in jax.tree.leaves(each)] for each in (table, self.table))
         if columns != before:
             return table
-        rows = np.full(len(self.table.status), len(table.status), np.int32)
-        rows[: len(self.jobs)] = first_row + np.arange(len(self.jobs))
-        put: State = _put(table, uploaded(rows), self.table)
-        return put
+        return put_from(table, first_row, len(self.jobs), self.table)
 
 
 @dataclass
