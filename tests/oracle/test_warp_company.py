@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from petmjx.engines.base import GrowingJobs
+from petmjx.engines.batch.scene_rows import Rows
 from petmjx.history import Record
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Excitation, Job
@@ -33,6 +35,7 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp.ahead import Ahead
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.handover import Left
 from petmjx.engines.warp.launch import Launch
@@ -110,9 +113,10 @@ def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
 def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """49 worlds in two groups, of which the first one may leave two."""
+    """49 worlds in two groups, of which the first one may leave two. The tables of the second are begun meanwhile."""
     going_on: list[int] = []
-    put_into = Left.put_into
+    ready: list[int] = []
+    put_into, take = Left.put_into, Ahead.take
 
     def watched(self: Left, table: Any, first_row: int) -> Any:
         found = put_into(self, table, first_row)
@@ -122,7 +126,13 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
         assert steps[first_row] > steps[0]  # which has not begun
         return found
 
+    def taken(self: Ahead, jobs: Sequence[Job], width: int) -> Rows | None:
+        rows = take(self, jobs, width)
+        ready.append(0 if rows is None else len(rows["n_boxes"]))
+        return rows
+
     monkeypatch.setattr(Left, "put_into", watched)
+    monkeypatch.setattr(Ahead, "take", taken)
     scenes = tiny_scenes()
     again = 50 // len(scenes)
     found = run_all(engine(group_size=32, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * again, SHORT)
@@ -130,6 +140,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
         assert_equal_worlds(dict(zip(scenes, found[first : first + len(scenes)], strict=True)), crowd)
     assert 1 <= len(going_on) <= 2
     assert max(going_on) < len(found) / 2 + 1
+    assert ready == [0, len(found) // 2]
 
 
 @pytest.mark.slow

@@ -30,14 +30,39 @@ Rows = dict[str, NDArray[Any]]
 """Name of a field of ``batch.worlds.Worlds`` → a row for each scene."""
 
 
-def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
+def rows_of(
+    scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, spare: int = 0, ready: Rows | None = None
+) -> Rows:
     """What the tables have of some scenes: the fields of ``batch.worlds.Worlds`` that do not belong to a job.
 
     Args:
+        scenes: those that are there several times are filled in once.
         width: box columns.
         boards: shapes for which carriers have room; more where a scene's has more.
         spare: rows more, which repeat the first scene's.
+        ready: the rows of the first of these scenes, made before with as many columns and no spare ones.
     """
+    if ready is not None:
+        room = ready["shape_half"].shape[1] - width
+        rest = scenes[len(ready["n_boxes"]) :]
+        parts = [ready, rows_of(rest, width, sim, room)] if rest else [ready]
+        if boards <= room and all(part["shape_half"].shape[1] == room + width for part in parts):
+            return {name: _joined([part[name] for part in parts], spare) for name in ready}
+    distinct = list({id(scene): scene for scene in scenes}.values())
+    if len(distinct) == len(scenes):
+        return _rows_of_distinct(scenes, width, sim, boards, spare)
+    row_of = {id(scene): row for row, scene in enumerate(distinct)}
+    fan_out = np.array([row_of[id(scene)] for scene in scenes] + [0] * spare)
+    return {name: values[fan_out] for name, values in _rows_of_distinct(distinct, width, sim, boards).items()}
+
+
+def _joined(parts: Sequence[NDArray[Any]], spare: int) -> NDArray[Any]:
+    """Rows one behind the other, and spare ones, which repeat the first."""
+    return np.concatenate([*parts, np.repeat(parts[0][:1], spare, axis=0)])
+
+
+def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
+    """``rows_of`` scenes that are all different."""
     boards = max(boards, *(_n_shapes(scene) - scene.n_boxes for scene in scenes))
     n = len(scenes)
     rows = _empty(n + spare, width, boards)

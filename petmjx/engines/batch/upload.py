@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from petmjx.engines.batch.outcomes import started_states
 from petmjx.engines.batch.recorder import Recorder
+from petmjx.engines.batch.scene_rows import Rows
 from petmjx.engines.batch.state import NEVER, State, Status, fresh_state
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds, upload_worlds, uploaded
@@ -50,12 +51,15 @@ class Batch:
         self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
 
-def load(jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Timetable) -> Batch:
+def load(
+    jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Timetable, ready: Rows | None = None
+) -> Batch:
     """The tables of some jobs.
 
     Args:
         rows: at least one a job.
         width: box columns, at least as many as the largest plan has boxes.
+        ready: what has been made before, as for ``scene_rows.rows_of``.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
     steps = max([len(e.samples) for e in excitations.values()], default=1)
@@ -63,7 +67,7 @@ def load(jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Tim
     for row, excitation in enumerate(excitations.values()):
         profiles[row, : len(excitation.samples)] = excitation.samples
     profile_rows = {key: row for row, key in enumerate(excitations)}
-    worlds, table = tables(jobs, rows, width, profile_rows, sim, timetable)
+    worlds, table = tables(jobs, rows, width, profile_rows, sim, timetable, ready=ready)
     return Batch(jobs, worlds, table, uploaded(profiles), profile_rows, Recorder(jobs, sim))
 
 
@@ -75,9 +79,10 @@ def tables(
     sim: Simulation,
     timetable: Timetable,
     boards: int = 1,
+    ready: Rows | None = None,
 ) -> tuple[Worlds, State]:
-    """Constants and first states of jobs; ``boards`` as in ``upload_worlds``."""
-    worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards)
+    """Constants and first states of jobs; ``boards`` and ``ready`` as in ``upload_worlds``."""
+    worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards, ready)
     static = sim.check is Check.STATIC
     ends = np.full(rows, NEVER, np.int32)
     if sim.schedule is Schedule.FIXED:

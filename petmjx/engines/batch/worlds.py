@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.basics.units import seconds_to_steps
-from petmjx.engines.batch.scene_rows import rows_of
+from petmjx.engines.batch.scene_rows import Rows, rows_of
 from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 
@@ -92,7 +92,13 @@ def uploaded(values: NDArray[Any]) -> jax.Array:
 
 
 def upload_worlds(
-    jobs: Sequence[Job], rows: int, width: int, profiles: dict[int, int], sim: Simulation, boards: int = 1
+    jobs: Sequence[Job],
+    rows: int,
+    width: int,
+    profiles: dict[int, int],
+    sim: Simulation,
+    boards: int = 1,
+    ready: Rows | None = None,
 ) -> Worlds:
     """Constants of a group of jobs as device arrays. Everything is made on the host: on a device each operation of each
     shape would first have to be compiled.
@@ -102,15 +108,10 @@ def upload_worlds(
         width: box columns.
         profiles: ``id`` of an excitation → its row in the profile table.
         boards: shapes for which carriers have room; more where a scene's has more.
+        ready: what has been made before, as for ``rows_of``.
     """
-    scenes = list({id(job.scene): job.scene for job in jobs}.values())
     spare = rows - len(jobs)
-    if len(scenes) == len(jobs):
-        of_scenes = rows_of(scenes, width, sim, boards, spare)
-    else:
-        row_of = {id(scene): row for row, scene in enumerate(scenes)}
-        fan_out = np.array([row_of[id(job.scene)] for job in jobs] + [0] * spare)
-        of_scenes = {name: values[fan_out] for name, values in rows_of(scenes, width, sim, boards).items()}
+    of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare, ready)
 
     def each(value: Callable[[Job], Any], dtype: Any) -> jax.Array:
         values = np.array([value(job) for job in jobs], dtype)

@@ -143,23 +143,27 @@ class MjxWarpEngine(Engine):
                 most = self.group_size - (handover.most if len(rest) > self.group_size else 0)
                 size = math.ceil(len(rest) / math.ceil(len(rest) / most))
                 end = len(jobs)
-                while first < end:
-                    group = list(jobs[first : min(first + size, end)])
-                    yield from self._run_group(run, group, first, hands_over=first + len(group) < end)
-                    first += len(group)  # a group may have taken more
+                try:
+                    while first < end:
+                        group = list(jobs[first : min(first + size, end)])
+                        following = jobs[first + len(group) : min(first + len(group) + size, end)]
+                        yield from self._run_group(run, group, first, following)
+                        first += len(group)  # a group may have taken more
+                finally:
+                    run.ahead.close()
 
     def _load_group(self, run: Run, jobs: list[Job], most: int = 0) -> Group:
         """The tables of a group. ``most``: rows for as many jobs, if there are fewer now."""
-        rows = 1 << (max(len(jobs), most) - 1).bit_length()
-        batch = load(jobs, rows, max(run.widths.values()), run.sim, run.timetable)
+        rows, width = 1 << (max(len(jobs), most) - 1).bit_length(), max(run.widths.values())
+        batch = load(jobs, rows, width, run.sim, run.timetable, run.ahead.take(jobs, width))
         return Group(**vars(batch), run=run)
 
-    def _run_group(self, run: Run, own: list[Job], first_job: int, *, hands_over: bool) -> Iterator[Outcome]:
+    def _run_group(self, run: Run, own: list[Job], first_job: int, following: Sequence[Job]) -> Iterator[Outcome]:
         """Outcomes of a group of jobs, and of those that the group before has left. A group may take more of the run's
         jobs behind its own; these are appended to it.
 
         Args:
-            hands_over: leave the last ones to the next group.
+            following: the jobs of the next group, to which it leaves its last ones; none at the end.
         """
         left = run.handover.take()
         jobs, numbers = own, list(range(first_job, first_job + len(own)))
@@ -178,24 +182,24 @@ class MjxWarpEngine(Engine):
 
             return list(takewhile(is_known, more))
 
-        for outcome in self._run_worlds(run, jobs, waiting, left, hands_over=hands_over):
+        for outcome in self._run_worlds(run, jobs, waiting, left, following):
             row = outcome.job
             outcome.job = numbers[row] if row < len(numbers) else first_job + row
             yield outcome
         run.handover.number(numbers)
 
     def _run_worlds(
-        self, run: Run, jobs: list[Job], waiting: Waiting, left: Left | None = None, *, hands_over: bool = False
+        self, run: Run, jobs: list[Job], waiting: Waiting, left: Left | None = None, following: Sequence[Job] = ()
     ) -> Iterator[Outcome]:
         """Worlds of all sizes; outcomes count them from 0.
 
         Args:
             left: those at the end have these states.
-            hands_over: leave the last ones to the next group.
+            following: the jobs of the next group, as of ``_run_group``.
         """
         answered: set[int] = set()
         try:
-            for outcome in self._march(run, jobs, waiting, left, hands_over=hands_over):
+            for outcome in self._march(run, jobs, waiting, left, following):
                 answered.add(outcome.job)
                 yield outcome
         except Exception as error:
@@ -224,8 +228,8 @@ class MjxWarpEngine(Engine):
         jobs: list[Job],
         waiting: Waiting,
         left: Left | None = None,
+        following: Sequence[Job] = (),
         *,
-        hands_over: bool = False,
         simulate: bool = True,
     ) -> Iterator[Outcome]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
@@ -234,6 +238,7 @@ class MjxWarpEngine(Engine):
         off all worlds are given up, since memory has run out. Other arguments: as of ``_run_worlds``."""
         rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
         rows = rows if isinstance(run.jobs, GrowingJobs) else 0
+        next_width = max((run.widths[size_of(job)] for job in following), default=0)
         run = replace(run, widths={size: run.widths[size] for size in {size_of(job) for job in jobs}})
         group = self._load_group(run, jobs, rows)
         queues = Queues(run.sizes, size_of, len(group.table.status))
@@ -250,6 +255,8 @@ class MjxWarpEngine(Engine):
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
                 rollout.keep_under_way(at_once, group, queues.order)
+                if run.handover.most and following:
+                    run.ahead.begin(following, next_width, run.sim)
             while not emitted[: len(jobs)].all():
                 frames = None
                 if rollout is None:
@@ -278,7 +285,7 @@ class MjxWarpEngine(Engine):
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
                     rollout.keep_under_way(at_once, group, queues.order)
                 rest = np.flatnonzero(~emitted[: len(jobs)])
-                if hands_over and rollout is not None and group.recorder.idle and 0 < len(rest) <= run.handover.most:
+                if following and rollout is not None and group.recorder.idle and 0 < len(rest) <= run.handover.most:
                     rollout.finish(group)
                     run.handover.left = Left.of(rest, jobs, group.table, run.handover.most)
                     return

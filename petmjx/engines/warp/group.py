@@ -15,6 +15,7 @@ from petmjx.engines.batch.state import State, Status
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.upload import Batch
 from petmjx.engines.batch.worlds import Worlds
+from petmjx.engines.warp.ahead import Ahead
 from petmjx.engines.warp.handover import Handover, put_from
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag
@@ -36,6 +37,7 @@ class Run:
         hands: whether its kernels let a hand carry boxes, or drop them.
         gives, wraps: whether its kernels know boxes that give, and film that holds them.
         handover: from each group to the next one.
+        ahead: the tables of the next one.
     """
 
     sim: Simulation
@@ -47,6 +49,7 @@ class Run:
     gives: bool = False
     wraps: bool = False
     handover: Handover = field(default_factory=Handover)
+    ahead: Ahead = field(default_factory=Ahead)
 
     @property
     def sizes(self) -> list[int]:
