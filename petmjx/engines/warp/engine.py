@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import replace
 from itertools import takewhile
 
@@ -14,7 +14,7 @@ from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import why_no_warp
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, RunLock
-from petmjx.engines.batch.outcomes import outcomes, pick
+from petmjx.engines.batch.outcomes import pick
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.timetable import build_timetable
@@ -30,6 +30,7 @@ from petmjx.engines.warp.needs import gives, is_wrapped, size_of, wants_hands, w
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.rounds import Round, outcomes_of
 from petmjx.options.config import Simulation
 from petmjx.options.physics import Cone
 from petmjx.verdict import Flag, Outcome
@@ -199,7 +200,7 @@ class MjxWarpEngine(Engine):
         """
         answered: set[int] = set()
         try:
-            for outcome in self._march(run, jobs, waiting, left, following):
+            for outcome in outcomes_of(self._march(run, jobs, waiting, left, following), jobs, run):
                 answered.add(outcome.job)
                 yield outcome
         except Exception as error:
@@ -215,7 +216,7 @@ class MjxWarpEngine(Engine):
         apart = [lost[sizes == size] for size in np.unique(sizes)]
         for part in apart if len(apart) > 1 else np.array_split(lost, 2):
             if len(jobs) == len(part) == 1:
-                yield from self._march(run, jobs, _none_waiting, simulate=False)
+                yield from outcomes_of(self._march(run, jobs, _none_waiting, simulate=False), jobs, run)
             elif len(part):
                 run.progress.message = f"out of device memory, again with {len(part)} of the worlds"
                 for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()], _none_waiting):
@@ -231,11 +232,11 @@ class MjxWarpEngine(Engine):
         following: Sequence[Job] = (),
         *,
         simulate: bool = True,
-    ) -> Iterator[Outcome]:
+    ) -> Generator[Round]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
         worlds that ended in the one before, and from these more jobs may follow. Where none can, and no world is
-        recorded, the next slice is under way already, so that the device does not wait for the host. With ``simulate``
-        off all worlds are given up, since memory has run out. Other arguments: as of ``_run_worlds``."""
+        recorded, the next slice is under way already. With ``simulate`` off all worlds are given up, since memory has
+        run out. Other arguments: as of ``_run_worlds``."""
         rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
         rows = rows if isinstance(run.jobs, GrowingJobs) else 0
         next_width = max((run.widths[size_of(job)] for job in following), default=0)
@@ -279,9 +280,7 @@ class MjxWarpEngine(Engine):
                         rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                found = outcomes(ended, picked, jobs, 0, run.sim, group.recorder)
-                for run.progress.at_hand, outcome in zip(reversed(range(len(ended))), found, strict=True):
-                    yield outcome
+                yield Round(ended, picked, group.recorder)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
                     rollout.keep_under_way(at_once, group, queues.order)
                 rest = np.flatnonzero(~emitted[: len(jobs)])

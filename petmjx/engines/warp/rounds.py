@@ -1,0 +1,52 @@
+"""What a group of worlds gives after each time slice, and the outcomes that the host makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.basics.run_ahead import run_ahead
+from petmjx.engines.base import GrowingJobs
+from petmjx.engines.batch.outcomes import outcomes
+from petmjx.engines.batch.recorder import Recorder
+from petmjx.engines.batch.running import Measured
+from petmjx.engines.batch.state import State
+from petmjx.engines.warp.group import Run
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+MOST_AHEAD: Final = 64
+"""Slices whose worlds may wait for the host: 16 s of a device. They are copies of a group's rows, once each."""
+
+
+class Round(NamedTuple):
+    """The worlds that have ended in a time slice.
+
+    Attributes:
+        rows: of the group.
+        picked: their states and metrics, on the device (``batch.outcomes.pick``).
+        recorder: has their histories.
+    """
+
+    rows: NDArray[np.int64]
+    picked: Sequence[tuple[State, Measured]]
+    recorder: Recorder
+
+
+def outcomes_of(rounds: Generator[Round], jobs: Sequence[Job], run: Run) -> Iterator[Outcome]:
+    """The outcomes of a group's worlds.
+
+    A thread runs the slices, so that the device does not wait for the host, which may take longer for small worlds than
+    the device; where more jobs may follow from outcomes, or worlds are recorded, the next slice waits for them.
+    """
+    if not isinstance(run.jobs, GrowingJobs) and all(job.record is None for job in jobs):
+        rounds = run_ahead(rounds, MOST_AHEAD)
+    with closing(rounds):
+        for rows, picked, recorder in rounds:
+            found = outcomes(rows, picked, jobs, 0, run.sim, recorder)
+            for run.progress.at_hand, outcome in zip(reversed(range(len(rows))), found, strict=True):
+                yield outcome

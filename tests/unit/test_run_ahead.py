@@ -1,0 +1,67 @@
+"""A generator that a thread runs ahead."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Generator
+
+import pytest
+
+from petmjx.basics.run_ahead import run_ahead
+
+
+class Numbers:
+    """0, 1, … and how far somebody has come with them."""
+
+    def __init__(self, count: int, error: Exception | None = None) -> None:
+        self.count, self.error = count, error
+        self.made, self.closed_in = 0, ""
+        self.ahead = threading.Semaphore(0)
+
+    def all(self) -> Generator[int]:
+        try:
+            for number in range(self.count):
+                self.made += 1
+                self.ahead.release()
+                yield number
+            if self.error is not None:
+                raise self.error
+        finally:
+            self.closed_in = threading.current_thread().name
+
+
+def test_items_come_in_order_from_a_thread_that_is_ahead() -> None:
+    numbers = Numbers(20)
+    ahead = run_ahead(numbers.all(), 3)
+    assert numbers.made == 0
+    taken = [next(ahead)]
+    for _ in range(5):  # one was taken, three may wait, and one more is made
+        assert numbers.ahead.acquire(timeout=5)
+    assert not numbers.ahead.acquire(timeout=0.05)
+    assert [*taken, *ahead] == [*range(20)]
+    assert numbers.closed_in == "petmjx-ahead"
+
+
+def test_an_error_comes_after_what_came_before_it() -> None:
+    taken: list[int] = []
+    with pytest.raises(MemoryError, match="none left"):
+        taken.extend(run_ahead(Numbers(5, MemoryError("none left")).all(), 10))
+    ahead = run_ahead(Numbers(5, MemoryError("none left")).all(), 10)
+    assert [next(ahead) for _ in range(5)] == [*range(5)]
+    with pytest.raises(MemoryError, match="none left"):
+        next(ahead)
+
+
+@pytest.mark.parametrize("most", [1, 100])
+def test_to_close_it_closes_the_generator_and_ends_its_thread(most: int) -> None:
+    """Whether the thread waits for room or not."""
+    numbers = Numbers(10**9)
+    ahead = run_ahead(numbers.all(), most)
+    assert next(ahead) == 0
+    ahead.close()
+    assert numbers.closed_in == "petmjx-ahead"
+    assert numbers.made < 10**9
+    assert "petmjx-ahead" not in [thread.name for thread in threading.enumerate()]
+    never = Numbers(3)
+    run_ahead(never.all(), most).close()
+    assert never.made == 0
