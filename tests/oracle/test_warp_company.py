@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -35,6 +36,7 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import rounds
 from petmjx.engines.warp.ahead import Ahead
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.handover import Left
@@ -141,6 +143,34 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     assert 1 <= len(going_on) <= 2
     assert max(going_on) < len(found) / 2 + 1
     assert ready == [0, len(found) // 2]
+
+
+@pytest.mark.slow
+def test_memory_that_runs_out_for_outcomes_loses_no_world(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """The device is ahead: it has left the last worlds of the first group to the next one by then."""
+    has_left = threading.Event()
+    leave, make = Left.of, rounds.outcomes
+
+    def watched(*args: Any) -> Left:
+        left = leave(*args)
+        has_left.set()
+        return left
+
+    def fails_once(*args: Any) -> Iterator[Outcome]:
+        monkeypatch.setattr(rounds, "outcomes", make)
+        assert has_left.wait(60)
+        raise MemoryError
+
+    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
+    monkeypatch.setattr(rounds, "MOST_AHEAD", 1 << 20)
+    monkeypatch.setattr(Left, "of", watched)
+    monkeypatch.setattr(rounds, "outcomes", fails_once)
+    scenes = tiny_scenes()
+    found = run_all(engine(group_size=8, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
+    for first in (0, len(scenes)):
+        assert_equal_worlds(dict(zip(scenes, found[first : first + len(scenes)], strict=True)), crowd)
 
 
 @pytest.mark.slow

@@ -207,6 +207,7 @@ class MjxWarpEngine(Engine):
             if not is_out_of_memory(error):
                 raise
             self._drop()
+            run.handover.take()  # the host may run out of it only then, with outcomes to make
         if run.handover.left is not None:  # they are not lost
             return
         # if memory ran out, the states of all worlds are lost with it: the others again, one size or half of them at a
