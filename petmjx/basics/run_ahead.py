@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 from collections.abc import Generator
 from contextlib import closing
@@ -18,13 +19,13 @@ class _End:
 
 
 def run_ahead(items: Generator[Item], most: int) -> Generator[Item]:
-    """What a generator yields, in its order. It is run at most so many items ahead, from the first one on that is asked
-    for. Its error is raised when all that came before has been taken. Closing the result closes it, in its thread."""
+    """What a generator yields, in its order. From the first item on that is asked for, it is run until so many wait and
+    one more is made. Its error is raised when all that came before has been taken. Closing the result closes it, in
+    its thread, and returns when that has ended."""
     came: SimpleQueue[Item | _End] = SimpleQueue()
-    room, closed = threading.Semaphore(most), threading.Event()
+    room, closed, ended = threading.Semaphore(most), threading.Event(), threading.Event()
 
     def run() -> None:
-        error = None
         try:
             with closing(items):
                 for item in items:
@@ -32,19 +33,45 @@ def run_ahead(items: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as caught:
-            error = caught
-        came.put(_End(error))
+        except BaseException as error:  # under no other name: its traceback has this frame, and what the items hold
+            came.put(_End(error))
+        else:
+            came.put(_End(None))
+        finally:
+            ended.set()
 
     thread = threading.Thread(target=run, name="petmjx-ahead", daemon=True)
-    thread.start()
+
+    def end() -> None:
+        closed.set()
+        room.release()
+        if thread.ident is not None:
+            _wait_for(ended)
+            thread.join()
+
+    atexit.register(end)  # a thread in the midst of JAX aborts the process when Python ends
     try:
+        thread.start()
         while not isinstance(item := came.get(), _End):
             room.release()
             yield item
-        if item.error is not None:
-            raise item.error
+        error = item.error
+        del item
+        try:
+            if error is not None:
+                raise error
+        finally:
+            del error
     finally:
-        closed.set()
-        room.release()
-        thread.join()
+        end()
+        atexit.unregister(end)
+
+
+def _wait_for(ended: threading.Event) -> None:
+    """However often it is interrupted: before, nobody else may have what the thread works with. (``Thread.join`` takes
+    a thread for ended once it was interrupted.)"""
+    try:
+        ended.wait()
+    except BaseException:
+        _wait_for(ended)
+        raise

@@ -301,7 +301,7 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
     class Broken(FailingRollout):
         error = RuntimeError("INTERNAL: illegal memory access")
 
-    begun = engine(slice_ns=SOME_NS)
+    begun = engine(slice_ns=STEP_NS)
     with monkeypatch.context() as patch:
         patch.setattr(mjx_warp, "Rollout", Broken)
         with pytest.raises(RuntimeError, match="illegal memory access"):

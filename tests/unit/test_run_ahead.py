@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import gc
+import os
+import signal
 import threading
+import time
+import weakref
 from collections.abc import Generator
+from contextlib import suppress
 
 import pytest
 
@@ -50,6 +56,60 @@ def test_an_error_comes_after_what_came_before_it() -> None:
     assert [next(ahead) for _ in range(5)] == [*range(5)]
     with pytest.raises(MemoryError, match="none left"):
         next(ahead)
+
+
+def test_an_error_holds_nothing_of_the_generator() -> None:
+    """What has failed for want of memory must be free before it is tried again."""
+
+    class Large:
+        pass
+
+    held: list[weakref.ref[Large]] = []
+
+    def fails() -> Generator[int]:
+        large = Large()
+        held.append(weakref.ref(large))
+        yield 0
+        raise MemoryError
+
+    gc.disable()
+    try:
+        with suppress(MemoryError):
+            list(run_ahead(fails(), 1))
+        assert [each() for each in held] == [None]
+    finally:
+        gc.enable()
+
+
+def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
+    """Else another run would take what the thread still works with."""
+    closing, done = threading.Event(), threading.Event()
+
+    def slow() -> Generator[int]:
+        try:
+            while True:
+                yield 0
+        finally:
+            closing.set()
+            time.sleep(0.4)
+            done.set()
+
+    def interrupt() -> None:
+        closing.wait()
+        for _ in range(2):
+            time.sleep(0.1)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    ahead = run_ahead(slow(), 1)
+    next(ahead)
+    threading.Thread(target=interrupt).start()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            ahead.close()
+        assert done.is_set()
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.parametrize("most", [1, 100])

@@ -235,9 +235,9 @@ class MjxWarpEngine(Engine):
         simulate: bool = True,
     ) -> Generator[Round]:
         """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
-        worlds that ended in the one before, and from these more jobs may follow. Where none can, and no world is
-        recorded, the next slice is under way already. With ``simulate`` off all worlds are given up, since memory has
-        run out. Other arguments: as of ``_run_worlds``."""
+        worlds that have ended, and from these more jobs may follow. Where none can, and no world is recorded, the next
+        slice is under way already. With ``simulate`` off all worlds are given up, since memory has run out. Other
+        arguments: as of ``_run_worlds``."""
         rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
         rows = rows if isinstance(run.jobs, GrowingJobs) else 0
         next_width = max((run.widths[size_of(job)] for job in following), default=0)

@@ -20,7 +20,8 @@ from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
 MOST_AHEAD: Final = 64
-"""Slices whose worlds may wait for the host: 16 s of a device. They are copies of a group's rows, once each."""
+"""Slices whose worlds may wait for the host: 16 s of a device. They are copies of a group's rows, those of a slice
+padded to hundreds: a few hundred megabytes at most."""
 
 
 class Round(NamedTuple):
@@ -40,8 +41,9 @@ class Round(NamedTuple):
 def outcomes_of(rounds: Generator[Round], jobs: Sequence[Job], run: Run) -> Iterator[Outcome]:
     """The outcomes of a group's worlds.
 
-    A thread runs the slices, so that the device does not wait for the host, which may take longer for small worlds than
-    the device; where more jobs may follow from outcomes, or worlds are recorded, the next slice waits for them.
+    A thread runs the slices, so that inside a group the device does not wait for the host, which may take longer for
+    small worlds than the device. Where more jobs may follow from outcomes, or worlds are recorded, the next slice waits
+    for them.
     """
     if not isinstance(run.jobs, GrowingJobs) and all(job.record is None for job in jobs):
         rounds = run_ahead(rounds, MOST_AHEAD)
