@@ -147,7 +147,8 @@ class MjxWarpEngine(Engine):
                 try:
                     while first < end:
                         group = list(jobs[first : min(first + size, end)])
-                        following = jobs[first + len(group) : min(first + len(group) + size, end)]
+                        begin = end if run.grows else first + len(group)
+                        following = jobs[begin : min(begin + size, end)]
                         yield from self._run_group(run, group, first, following)
                         first += len(group)  # a group may have taken more
                 finally:
@@ -164,7 +165,8 @@ class MjxWarpEngine(Engine):
         jobs behind its own; these are appended to it.
 
         Args:
-            following: the jobs of the next group, to which it leaves its last ones; none at the end.
+            following: the jobs of the next group, to which it leaves its last ones; none at the end, and where
+                more jobs may be appended.
         """
         left = run.handover.take()
         jobs, numbers = own, list(range(first_job, first_job + len(own)))
@@ -172,7 +174,7 @@ class MjxWarpEngine(Engine):
             jobs, numbers = own + left.jobs, numbers + left.numbers
 
         def waiting(most: int) -> Sequence[Job]:
-            if not isinstance(run.jobs, GrowingJobs):
+            if not run.grows:
                 return ()
             begin = first_job + len(jobs)
             more = run.jobs[begin : begin + most]
@@ -239,7 +241,7 @@ class MjxWarpEngine(Engine):
         slice is under way already. With ``simulate`` off all worlds are given up, since memory has run out. Other
         arguments: as of ``_run_worlds``."""
         rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
-        rows = rows if isinstance(run.jobs, GrowingJobs) else 0
+        rows = rows if run.grows else 0
         next_width = max((run.widths[size_of(job)] for job in following), default=0)
         run = replace(run, widths={size: run.widths[size] for size in {size_of(job) for job in jobs}})
         group = self._load_group(run, jobs, rows)
@@ -251,13 +253,13 @@ class MjxWarpEngine(Engine):
         queues.add(jobs[:own], 0, run.sim)
         emitted = np.zeros(len(group.table.status), bool)
         rollout = self._rollout(group) if simulate else None
-        at_once = 2 if group.recorder.idle and not isinstance(run.jobs, GrowingJobs) else 1
+        at_once = 1 if run.waits_for_host(jobs) else 2
         try:
             if rollout is None:
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
                 rollout.keep_under_way(at_once, group, queues.order)
-                if run.handover.most and following:
+                if following:
                     run.ahead.begin(following, next_width, run.sim)
             while not emitted[: len(jobs)].all():
                 frames = None

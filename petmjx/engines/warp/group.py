@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.base import Progress
+from petmjx.engines.base import GrowingJobs, Progress
 from petmjx.engines.batch.state import State, Status
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.upload import Batch
@@ -55,6 +55,16 @@ class Run:
     def sizes(self) -> list[int]:
         """The sizes of the run's worlds, the largest first."""
         return sorted(self.widths, reverse=True)
+
+    @property
+    def grows(self) -> bool:
+        """Whether more jobs may be appended, which follow from outcomes."""
+        return isinstance(self.jobs, GrowingJobs)
+
+    def waits_for_host(self, jobs: Sequence[Job]) -> bool:
+        """Whether the next slice of a group of jobs waits until the host has made outcomes of the last one: more jobs
+        may follow from these, or the host takes frames of recorded worlds away."""
+        return self.grows or any(job.record is not None for job in jobs)
 
 
 @dataclass

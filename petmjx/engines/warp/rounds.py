@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.run_ahead import run_ahead
-from petmjx.engines.base import GrowingJobs
 from petmjx.engines.batch.outcomes import outcomes
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.running import Measured
@@ -41,11 +40,10 @@ class Round(NamedTuple):
 def outcomes_of(rounds: Generator[Round], jobs: Sequence[Job], run: Run) -> Iterator[Outcome]:
     """The outcomes of a group's worlds.
 
-    A thread runs the slices, so that inside a group the device does not wait for the host, which may take longer for
-    small worlds than the device. Where more jobs may follow from outcomes, or worlds are recorded, the next slice waits
-    for them.
+    Where no slice has to wait for them, a thread runs the slices: the host may take longer for small worlds than the
+    device.
     """
-    if not isinstance(run.jobs, GrowingJobs) and all(job.record is None for job in jobs):
+    if not run.waits_for_host(jobs):
         rounds = run_ahead(rounds, MOST_AHEAD)
     with closing(rounds):
         for rows, picked, recorder in rounds:
