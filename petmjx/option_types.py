@@ -109,6 +109,8 @@ class QuietTable(TypedDict, total=False):
     poll_steps: int
     still_m_s: float
     still_steps: int
+    tremble_steps: int
+    tremble_share: float
 
 
 class PlacingTable(TypedDict, total=False):

@@ -96,7 +96,8 @@ class _Run:
             self._metrics.add_rest(self._world.top_forces())
         if not self._goes_on:
             return False
-        return self._quiet.is_still(before, self._world.pose(), window_s)
+        _, waits = self._quiet.motion(before, self._world.pose(), window_s)
+        return not waits
 
     @property
     def _time_s(self) -> float:
@@ -116,7 +117,7 @@ class _Run:
         if self._polls % self._polls_per_sample == 0:
             none = np.zeros(len(pose))
             self._metrics.add_sample(self._time_s, pose[:, :3], pose[:, 3:], np.zeros((len(pose), 6)), none)
-        return self._quiet.look(velocity, sign_seen=self._metrics.culprit >= 0)
+        return self._quiet.look(pose, velocity, sign_seen=self._metrics.culprit >= 0)
 
     def _judged(self, placed: int, moving: bool) -> Stood:
         scene, sim = self._scene, self._sim

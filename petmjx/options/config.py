@@ -95,6 +95,8 @@ class Quiet(Checked):
     faster, as a box does that begins to topple. A box for which this does not hold creeps. Once a box has crossed a
     threshold, the result of the creep is known, so it is not waited for.
 
+    A box that goes to and fro without getting anywhere trembles, and is not waited for.
+
     A world rests if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` of its rest window.
     """
 
@@ -120,6 +122,17 @@ class Quiet(Checked):
     still_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
         50, ge=1, description="steps before a world's end for which all boxes must have been still"
     )
+    tremble_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
+        250, ge=1, description="steps of a wait after which it is found out which boxes tremble, again and again"
+    )
+    tremble_share: Annotated[float, within(0, 1)] = Field(
+        0.25, ge=0, description="a box trembles that gets no further away than this share of the way that it goes"
+    )
+
+    @property
+    def tremble_looks(self) -> int:
+        """``tremble_steps`` in checks."""
+        return -(-self.tremble_steps // self.poll_steps)
 
 
 class Simulation(Checked):

@@ -113,6 +113,11 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
         waits_since=jnp.asarray(np.where(some(0.6), landed, np.maximum(landed, step - pick(0, 5, 20, 60))), jnp.int32),
         quiet_speed=jnp.asarray(0.01 * rng.random((WORLDS, BOXES)), jnp.float32),
         still_qpos=poses[0].at[..., :3].add(rng.normal(0, 1, (WORLDS, BOXES, 3)) * went),
+        tremble_looks=jnp.asarray(pick(0, 3, 4, 5, 8)),
+        trembles=jnp.asarray(some(0.3, (WORLDS, BOXES)), jnp.int32),
+        tremble_path=jnp.asarray(0.002 * rng.random((WORLDS, BOXES)), jnp.float32),
+        tremble_away=jnp.asarray(0.0005 * rng.random((WORLDS, BOXES)), jnp.float32),
+        tremble_qpos=poses[0].at[..., :3].add(rng.normal(0, 1, (WORLDS, BOXES, 3)) * went),
         violent_since=jnp.asarray(np.where(some(0.5), NEVER, step - pick(5, 49, 50, 100)), jnp.int32),
         driven_from=jnp.asarray(np.where(driven, step - 20, NEVER), jnp.int32),
         rest_from=jnp.asarray(np.where(end == NEVER, NEVER, step + pick(-9, -1, 0, 1)), jnp.int32),
@@ -121,6 +126,8 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     )
     return worlds, after, after._replace(qpos=poses[1])
 
+
+PER_BOX = "quiet_speed", "still_qpos", "trembles", "tremble_path", "tremble_away", "tremble_qpos"
 
 CASES = [
     {},
@@ -134,7 +141,8 @@ CASES = [
 @pytest.mark.slow
 @pytest.mark.parametrize("changes", CASES, ids=lambda changes: "-".join(map(str, changes)) or "default")
 def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict[str, Any]) -> None:
-    sim = Simulation(interval_s=0.3, sample_interval_s=0.05, settle_s=0.4).changed(**changes)
+    quiet = {"tremble_steps": 20}
+    sim = Simulation(interval_s=0.3, sample_interval_s=0.05, settle_s=0.4, quiet=quiet).changed(**changes)
     timetable = build_timetable(sim, BOXES)
     rng = np.random.default_rng(5)
     worlds, after, before = random_worlds(sim, rng)
@@ -177,7 +185,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     )
     stood = np.arange(BOXES) < np.asarray(after.placed)[:, None]
     for name, values in wanted.items():
-        if name in ("quiet_speed", "still_qpos"):  # that of boxes which do not stand yet means nothing
+        if name in PER_BOX:  # that of boxes which do not stand yet means nothing
             these = stood.reshape(*stood.shape, *[1] * (values.ndim - 2))
             found[name], values = np.where(these, found[name], 0.0), np.where(these, values, 0.0)
         if values.dtype == np.int32:
@@ -185,12 +193,15 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         else:
             np.testing.assert_allclose(found[name], values, rtol=SAME, atol=SAME, err_msg=name)
     # The states show what rules can do.
+    adapts = sim.schedule is Schedule.ADAPTIVE and sim.waits_for_rest
     assert set(np.unique(found["status"]).tolist()) == {Status.RUNNING, Status.SETTLED, Status.FINISHED}
     assert (found["placed"] > np.asarray(after.placed)).any()
     assert (found["rest_from"] != np.asarray(after.rest_from)).any()
+    # Some boxes are found to tremble, and others that did not to do so any more.
+    trembled = np.asarray(after.trembles)
+    assert {-1, 1} <= set(np.unique((found["trembles"] - trembled)[stood])) or not adapts
     # In drives some worlds rest before their time, and some that did are found to move.
     was, now = np.asarray(after.end), found["end"]
-    adapts = sim.schedule is Schedule.ADAPTIVE and sim.waits_for_rest
     assert ((now < was) & (was != NEVER)).any() == adapts
     assert ((now > was) & (now != NEVER)).any() == sim.waits_for_rest
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):

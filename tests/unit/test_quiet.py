@@ -26,6 +26,7 @@ Finder = Callable[[np.ndarray, Simulation, bool], list[bool]]
 
 BOXES = 3
 SCENE = make_scene(BOXES)
+AT_HOME = np.concatenate([SCENE.start_pos, SCENE.start_quat], axis=1)
 QUIET = Simulation().quiet
 ADAPTIVE = Simulation()
 ANY_PACE = Simulation(quiet={"slow_m_s": 1.0, "still_m_s": 1.0})
@@ -46,7 +47,7 @@ def velocities(pace: np.ndarray) -> np.ndarray:
 def quiet_on_c(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     """Whether the C engine calls the pallet quiet at each poll. ``paces``: (poll, box)."""
     rule = QuietRule(sim, SCENE)
-    return [rule.look(velocities(pace), sign) for pace in paces]
+    return [rule.look(AT_HOME, velocities(pace), sign) for pace in paces]
 
 
 @functools.cache
@@ -67,7 +68,7 @@ def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
     count = _count_quiet(sim)
     for pace in paces:
         state = state._replace(qvel=jnp.asarray(velocities(pace), jnp.float32)[None])
-        state, quiet = count(state, worlds, jnp.array([True]))
+        state, quiet = count(state, worlds, jnp.array([True]), jnp.array([True]))
         found.append(bool(quiet[0]))
     return found
 
@@ -131,9 +132,9 @@ def test_pyramidal_cones_creep_by_themselves(find: Finder) -> None:
 def test_a_placement_begins_the_count_anew() -> None:
     rule = QuietRule(Simulation(), SCENE)
     still = np.zeros((BOXES, 6))
-    assert [rule.look(still, False) for _ in range(2)] == [False] * 2
+    assert [rule.look(AT_HOME, still, False) for _ in range(2)] == [False] * 2
     rule.restart()
-    assert [rule.look(still, False) for _ in range(3)] == [False] * 2 + [True]
+    assert [rule.look(AT_HOME, still, False) for _ in range(3)] == [False] * 2 + [True]
 
 
 def test_a_box_that_begins_to_topple_is_waited_for() -> None:

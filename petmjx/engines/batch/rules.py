@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.engines.batch import hand
+from petmjx.engines.batch import hand, trembling
 from petmjx.engines.batch.running import Sample
 from petmjx.engines.batch.state import NEVER, State, Status
 from petmjx.engines.batch.template import PARKING_HEIGHT_M, parked_positions
@@ -100,6 +100,7 @@ class Rules:
             last_placed_at=jnp.where(where, state.step, state.last_placed_at),
             waits_since=jnp.where(where, state.step, state.waits_since),
             quiet_steps=jnp.where(where, 0, state.quiet_steps),
+            tremble_looks=jnp.where(where, 0, state.tremble_looks),
         )
         if not self.carries:
             return placed
@@ -133,6 +134,8 @@ class Rules:
             still_qpos=jnp.where(begins[:, None, None], state.qpos, state.still_qpos),
             waits_since=jnp.where(begins, state.driven_from + worlds.profile_steps, state.waits_since),
             quiet_steps=jnp.where(begins, 0, state.quiet_steps),
+            tremble_looks=jnp.where(begins, 0, state.tremble_looks),
+            trembles=jnp.where(begins[:, None], 0, state.trembles),
             metrics=metrics._replace(sway_anchor=anchor),
         )
 
@@ -242,14 +245,18 @@ class Rules:
         )
 
     def count_quiet(
-        self, state: State, worlds: Worlds, poll: Bool[Array, " world"]
+        self, state: State, worlds: Worlds, poll: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> tuple[State, Bool[Array, " world"]]:
         """In worlds with ``poll``, count the steps for which all boxes were quiet. If one creeps, start again.
 
-        A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps.
+        A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps. Boxes that tremble are
+        quiet; which do is looked at where waits adapt.
         """
         quiet = self.sim.quiet
         speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
+        if self.sim.waits_for_rest:
+            state = trembling.after_look(state, worlds, poll & adapts, speed, self.sim)
+        speed = jnp.where(state.trembles == 1, 0.0, speed)
         count = jnp.where((speed < quiet.quiet_m_s).all(-1), state.quiet_steps + quiet.poll_steps, 0)
         enough = poll & (count >= quiet.steps)
         if not self.sim.waits_for_rest:
@@ -276,8 +283,8 @@ class Rules:
         if self.carries:
             waits &= ~hand.carried(state)
         poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
-        state, still = self.count_quiet(state, worlds, poll)
         adapts = self._adaptive | (state.waits_since > state.last_placed_at)
+        state, still = self.count_quiet(state, worlds, poll, adapts)
         no_sign = state.metrics.culprit < 0
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         late = ~in_drive & (state.step >= self._deadline(state, worlds, more, adapts))
@@ -353,7 +360,10 @@ class Rules:
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
         still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
         seconds = (state.step - still_from) * sim.physics.timestep_s
-        moves = (self.standing(state) & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)
+        most = jnp.where(state.trembles == 1, sim.quiet.slow_m_s, sim.quiet.still_m_s) * seconds[:, None]
+        standing = self.standing(state)
+        moves = (standing & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)
+        waits = (standing & (moved > most)).any(-1)
         last_end = jnp.full_like(state.end, NEVER)
         if self.driven:
             drive_end = _drive_end(state, worlds)
@@ -363,7 +373,7 @@ class Rules:
         if sim.check == "static" and not self.driven:
             limit = jnp.where(worlds.settles, limit, table.static_end)
         may_wait = sim.waits_for_rest and sim.total_time_factor is None
-        again = moves & ((last_end != NEVER) | ~over) & (state.step < limit) & may_wait
+        again = moves & waits & ((last_end != NEVER) | ~over) & (state.step < limit) & may_wait
         settles = ends & ~again & worlds.settles & (not self.driven)
         finished = ends & ~again & ~settles
         last_window = jnp.where(last_end == NEVER, NEVER, last_end - table.rest_steps)

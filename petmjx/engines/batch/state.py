@@ -79,6 +79,14 @@ class State(NamedTuple):
     quiet_speed: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
+    # Looks for trembling since the last placement, which boxes tremble (1), and since this was last found out: the way
+    # that each has gone, how far it has been from where it was, m, and where that was.
+    tremble_looks: Int[Array, " world"]
+    trembles: Int[Array, "world box"]
+    tremble_path: Float[Array, "world box"]
+    tremble_away: Float[Array, "world box"]
+    tremble_qpos: Float[Array, "world box 7"]
+
     # What follows, as steps or NEVER: when the drive starts, the rest window starts, and the world ends. And the poses
     # shortly before the end, from which on boxes must be still.
     driven_from: Int[Array, " world"]
@@ -179,6 +187,11 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         quiet_steps=ints,
         quiet_speed=zeros,
         violent_since=never,
+        tremble_looks=ints,
+        trembles=jnp.zeros((n, width), jnp.int32),
+        tremble_path=zeros,
+        tremble_away=zeros,
+        tremble_qpos=worlds.start,
         driven_from=never,
         rest_from=jnp.where(ends == NEVER, NEVER, ends - rest_steps),
         end=ends,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from petmjx.basics.units import FloatArray
+from petmjx.engines.cpu.trembling import Trembling
 from petmjx.metrics import motion_np
 from petmjx.options.config import Simulation
 from petmjx.world.scene import Scene
@@ -17,9 +18,10 @@ class QuietRule:
     """
 
     def __init__(self, sim: Simulation, scene: Scene) -> None:
-        self._rule = sim.quiet
+        self._sim, self._rule = sim, sim.quiet
         self._waits_for_creep = sim.waits_for_rest
         self._steps = 0
+        self.trembling = Trembling()
         self._first: FloatArray = np.zeros(0)
         self.extend(scene)
 
@@ -36,15 +38,20 @@ class QuietRule:
         """Whether the last look found the pallet quiet."""
         return self._steps >= self._rule.steps
 
-    def look(self, velocity: FloatArray, sign_seen: bool) -> bool:
+    def look(self, pose: FloatArray, velocity: FloatArray, sign_seen: bool, adapts: bool = True) -> bool:
         """One look; whether it finds the pallet quiet.
 
         Args:
-            velocity: (k, 6) of the placed boxes, linear in m/s and angular in rad/s.
+            pose: (k, 7) of the placed boxes, in m and unit quaternions.
+            velocity: (k, 6), linear in m/s and angular in rad/s.
             sign_seen: whether a box has crossed a threshold; then creep is not waited for.
+            adapts: whether the wait depends on what is seen: then it is looked which boxes tremble.
         """
-        rule = self._rule
-        speed = motion_np.speed(velocity, self._radius_m[: len(velocity)])
+        rule, radius = self._rule, self._radius_m[: len(velocity)]
+        speed = motion_np.speed(velocity, radius)
+        if self._waits_for_creep and adapts:
+            self.trembling = self.trembling.after_look(self._sim, pose, speed, radius)
+        speed = np.where(self.trembling.which(len(speed)), 0.0, speed)
         if not (speed < rule.quiet_m_s).all():
             self._steps = 0
             return False
@@ -65,7 +72,9 @@ class QuietRule:
         """Whether these boxes are slower than a quiet pallet's."""
         return bool((motion_np.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
-    def is_still(self, before: FloatArray, after: FloatArray, seconds: float) -> bool:
-        """Whether no point of any box moved faster than ``still_m_s``, from (k, 7) poses and the time between them."""
+    def motion(self, before: FloatArray, after: FloatArray, seconds: float) -> tuple[bool, bool]:
+        """Whether a point of a box moved faster than ``still_m_s``, from (k, 7) poses and the time between them, and
+        whether a world with such boxes has to wait: not if they tremble, up to ``slow_m_s``."""
         moved = motion_np.moved(before, after, self._radius_m[: len(after)])
-        return bool((moved <= self._rule.still_m_s * seconds).all())
+        most = np.where(self.trembling.which(len(after)), self._rule.slow_m_s, self._rule.still_m_s)
+        return bool((moved > self._rule.still_m_s * seconds).any()), bool((moved > most * seconds).any())

@@ -303,8 +303,7 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: a world that moves is waited for, if it has not failed or its drive may go on. One that
-        rests may begin its drive."""
+        """At the last step: wait on for a world that moves, if it has not failed or is driven; or begin the drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
             return
@@ -312,14 +311,15 @@ class WorldRun:
         pose = self._live.pose[:k]
         if self._step % self._sample_steps:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
-        moves = not self._quiet.is_still(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
+        moves, waits = self._quiet.motion(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
         last_end = self._waits.last_end(self._step)
-        if moves and (last_end != NEVER or not self._metrics.is_over(pose[:, :3], pose[:, 3:])):
-            if self._waits.may_go_on(self._step):
-                self._set_end(last_end)
-                self._metrics.restart_rest()
-                self._wait(self._step)
-                return
+        fails = self._metrics.is_over(pose[:, :3], pose[:, 3:])
+        if waits and (last_end != NEVER or not fails) and self._waits.may_go_on(self._step):
+            self._set_end(last_end)
+            self._metrics.restart_rest()
+            self._wait(self._step)
+            return
+        if moves and not fails:
             self._flags |= Flag.MOVING
         if self._settles and self._waits.rests_first and not self._driving:
             self._settle()
@@ -328,8 +328,8 @@ class WorldRun:
         """Look at the pallet, if it is time; whether it is quiet at this look."""
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
-        velocity = self._live.velocity[: self._live.n_placed]
-        return self._quiet.look(velocity, sign_seen=self._metrics.culprit >= 0)
+        live, k = self._live, self._live.n_placed
+        return self._quiet.look(live.pose[:k], live.velocity[:k], self._metrics.culprit >= 0, self._waits.adapts)
 
     # ------------------------------------------------------------------ drive
 
@@ -346,7 +346,7 @@ class WorldRun:
             self._set_end(self._step + self._rest_steps)
 
     def _begin_drive(self, drive: Drive) -> None:
-        self._waiting = False
+        self._waiting, self._quiet = False, QuietRule(self._sim, self._scene)
         last_sample = self._step + len(drive.excitation.samples)
         rest_steps = seconds_to_steps(drive.rest_s, self._dt)
         self._waits.drive_end = last_sample + rest_steps

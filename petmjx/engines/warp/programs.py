@@ -82,6 +82,8 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "slow_speed": quiet.slow_m_s,
         "slowing": quiet.slowing,
         "still_speed": quiet.still_m_s,
+        "tremble_share": quiet.tremble_share,
+        "tremble_looks": quiet.tremble_looks,
         "quiet_steps": quiet.steps,
         "landing_steps": quiet.landing_steps,
         "poll_steps": quiet.poll_steps,

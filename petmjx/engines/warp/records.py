@@ -109,6 +109,8 @@ class Model:
     slow_speed: float
     slowing: float
     still_speed: float
+    tremble_share: float
+    tremble_looks: int
     quiet_steps: int
     landing_steps: int
     poll_steps: int

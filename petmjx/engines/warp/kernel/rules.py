@@ -12,8 +12,9 @@ from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.hand import lets_go, take_up
-from petmjx.engines.warp.kernel.motion import box_half, center, middle_of, orientation
-from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, speed_of, tilt_of
+from petmjx.engines.warp.kernel.motion import center, middle_of, orientation
+from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, tilt_of
+from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, speed_unless_trembling
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 from petmjx.world import release
@@ -44,11 +45,11 @@ def _count_quiet(
     state: State,
 ) -> tuple[int, bool]:
     """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
-    and the count starts again."""
+    and the count starts again. Boxes that tremble are quiet."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        if not speed_of(worlds, state, world, box) < model.quiet_speed:
+        if not speed_unless_trembling(worlds, state, world, box) < model.quiet_speed:
             fast = True
     count = int(0)
     if not any_of_all(fast):
@@ -58,7 +59,7 @@ def _count_quiet(
         return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        speed = speed_of(worlds, state, world, box)
+        speed = speed_unless_trembling(worlds, state, world, box)
         if count <= model.poll_steps:
             state.quiet_speed[world, box] = speed
         first = state.quiet_speed[world, box]
@@ -68,7 +69,7 @@ def _count_quiet(
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = speed_of(worlds, state, world, box)
+            state.quiet_speed[world, box] = speed_unless_trembling(worlds, state, world, box)
     return count, quiet
 
 
@@ -118,31 +119,32 @@ def _deadline(
 
 
 @wp.func
-def _moves_or_failed(model: Model, worlds: Worlds, state: State, at: Thread, seconds: float) -> tuple[bool, bool]:
-    """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago, and
-    whether a box is over a threshold now, or has dropped."""
+def _look_at_the_end(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    seconds: float,
+    # Data in:
+    state: State,
+) -> tuple[bool, bool, bool]:
+    """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago,
+    whether one has that must be waited for, and whether a box is over a threshold now, or has dropped."""
     world = at.world
     moves = bool(False)
+    waits = bool(False)
     failed = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        place = wp.vec3(state.qpos[world, box, 0], state.qpos[world, box, 1], state.qpos[world, box, 2])
-        q = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        shifted = float(0.0)
-        turned = float(0.0)
-        for i in range(3):
-            change = place[i] - state.still_qpos[world, box, i]
-            shifted += change * change
-        for i in range(4):
-            q[i] = state.qpos[world, box, 3 + i]
-            change = q[i] - state.still_qpos[world, box, 3 + i]
-            turned += change * change
-        radius = wp.length(box_half(worlds, world, box))
-        if wp.sqrt(shifted) + 2.0 * radius * wp.sqrt(turned) > model.still_speed * seconds:
-            moves = True
-        place = middle_of(worlds, world, box, place, q)
+        moved = moved_since(worlds, state, state.still_qpos, world, box)
+        moves = moves or moved > model.still_speed * seconds
+        most = wp.where(state.trembles[world, box] != 0, model.slow_speed, model.still_speed)
+        waits = waits or moved > most * seconds
+        q = orientation(state, world, box + 1)
+        place = middle_of(worlds, world, box, center(state, world, box + 1), q)
         if excess_of(model, worlds, world, box, place, tilt_of(q), state.drop_step[world, box] >= 0) > 1.0:
             failed = True
-    return any_of_all(moves), any_of_all(failed)
+    return any_of_all(moves), any_of_all(waits), any_of_all(failed)
 
 
 @wp.func
@@ -183,6 +185,7 @@ def place_next(
     state.last_placed_at[world] = step
     state.waits_since[world] = step
     state.quiet_steps[world] = 0
+    state.tremble_looks[world] = 0
 
 
 @wp.func
@@ -233,6 +236,7 @@ def after_step(
     culprit = state.culprit[world]
     violent_since = state.violent_since[world]
     quiet_steps = state.quiet_steps[world]
+    looks = state.tremble_looks[world]
     sign_step = state.sign_step[world]
     driven = state.driven_from[world] != NEVER
     counted = step > 0 and not nonfinite
@@ -287,6 +291,9 @@ def after_step(
         waited = step - state.waits_since[world]
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
+            if adapts and model.waits_for_rest != 0:
+                find_trembling(model, worlds, at, looks, state)
+                looks += 1
             quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, state)
         if not in_drive:
             goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
@@ -309,14 +316,14 @@ def after_step(
     moving = (settles or (goes and more)) and culprit < 0 and quiet_steps < model.quiet_steps
     if last and not finished:
         seconds = float(step - still_from) * model.timestep
-        moves, failed = _moves_or_failed(model, worlds, state, at, seconds)
+        moves, waits, failed = _look_at_the_end(model, worlds, at, seconds, state)
         limit = _longest_wait(model, worlds, state, world, driven)
         if model.static_end != NEVER and not driven and not worlds.settles[world]:
             limit = model.static_end
         if driven and step < state.driven_from[world] + worlds.drive_steps[world]:
             last_end = state.driven_from[world] + worlds.drive_steps[world]
             last_window = last_end - model.rest_steps
-        again = moves and (last_end != NEVER or not failed) and model.extends != 0 and step < limit
+        again = waits and (last_end != NEVER or not failed) and model.extends != 0 and step < limit
         moving = moves and not failed and not again
         settles = worlds.settles[world] and not driven and not again
         finished = not again and not settles
@@ -338,6 +345,7 @@ def after_step(
         state.rest_samples[world] = wp.where(again, 0, state.rest_samples[world] + wp.where(resting, 1, 0))
         state.violent_since[world] = violent_since
         state.quiet_steps[world] = wp.where(again, 0, quiet_steps)
+        state.tremble_looks[world] = looks
         state.rest_from[world] = wp.where(again, last_window, rest_from)
         state.end[world] = wp.where(again, last_end, end)
         if again:

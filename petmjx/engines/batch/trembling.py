@@ -1,0 +1,33 @@
+"""Which boxes tremble (docs/rules.md, section 5), for all worlds of a batch. Twin: petmjx/engines/cpu/trembling.py."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from petmjx.engines.batch.state import State
+from petmjx.engines.batch.worlds import Worlds
+from petmjx.metrics import motion_jax as motion
+from petmjx.options.config import Simulation
+
+
+def after_look(
+    state: State, worlds: Worlds, looks: Bool[Array, " world"], speed: Float[Array, "world box"], sim: Simulation
+) -> State:
+    """States of worlds some of which are looked at. ``speed``: of boxes' fastest points, m/s."""
+    rule = sim.quiet
+    period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
+    look = state.tremble_looks
+    measures = (looks & (look > period))[:, None]
+    path = jnp.where(measures, state.tremble_path + speed * look_s, state.tremble_path)
+    away = jnp.maximum(state.tremble_away, motion.moved(state.tremble_qpos, state.qpos, worlds.half))
+    away = jnp.where(measures, away, state.tremble_away)
+    begins = (looks & (look >= period) & (look % period == 0))[:, None]
+    trembles = away < jnp.minimum(rule.tremble_share * path, rule.slow_m_s * period * look_s)
+    return state._replace(
+        tremble_looks=look + looks,
+        trembles=jnp.where(begins & measures, trembles.astype(jnp.int32), state.trembles),
+        tremble_path=jnp.where(begins, 0.0, path),
+        tremble_away=jnp.where(begins, 0.0, away),
+        tremble_qpos=jnp.where(begins[..., None], state.qpos, state.tremble_qpos),
+    )
