@@ -50,7 +50,7 @@ STIFF_QUIET_STEPS = 25
 """``Quiet.steps`` in stiff contacts, where less than a millimetre decides. Of 6,000 small stacks that statics decides
 5 fell with 15 that should stand, 4 with 25, and 3 with 50, with which pallets that tremble take three times as long."""
 
-_COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps")
+_COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet``."""
 
 

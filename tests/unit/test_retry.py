@@ -159,7 +159,7 @@ def test_half_the_timestep_keeps_durations() -> None:
     sim = Simulation()
     (half,) = (recipe.apply_to_sim(sim) for recipe in ATTEMPTS if recipe.number == 5)
     assert half.physics.timestep_s == sim.physics.timestep_s / 2
-    for name in ("steps", "landing_steps", "poll_steps", "still_steps"):
+    for name in ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps"):
         before, after = (getattr(s.quiet, name) * s.physics.timestep_s for s in (sim, half))
         assert after == pytest.approx(before)
 
