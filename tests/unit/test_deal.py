@@ -155,10 +155,19 @@ NODES = (Node(8, 2), Node(4, 0), Node(0, 0))
         ("mujoco", 2, 1, [Place(1, 0, 1)] * 2),
         ("mjx-warp", "auto", None, [Place(1, 1)] * 2),
         ("mjx-jax", 1, None, [Place(1, 1)]),
+        ("mjx-warp", 4, None, [Place(1, 0.5)] * 4),
+        ("mjx-warp", 6, None, [Place(1, 0.3333)] * 6),  # Ray counts in ten-thousandths
     ],
 )
 def test_what_workers_take(engine: str, workers: int | str, threads: int | None, expected: list[Place]) -> None:
     assert places(engine, NODES, workers, threads) == expected
+
+
+def test_workers_that_share_a_gpu_have_a_cpu_each() -> None:
+    nodes = [Node(4, 1), Node(5, 2)]  # any two of three GPUs would have room for four
+    assert places("mjx-jax", nodes, 3) == [Place(1, 1)] * 3
+    with pytest.raises(InputError, match="workers: no room for 9 workers of 1 CPU beside the GPUs; there are 9 CPUs"):
+        places("mjx-jax", nodes, 9)
 
 
 def test_a_device_engine_without_gpus() -> None:
@@ -174,7 +183,8 @@ def test_a_device_engine_without_gpus() -> None:
         ("mujoco", 13, None, "workers: no room for 13 workers of 1 CPU; there are 12 CPUs and 2 GPUs on 3 nodes"),
         ("mujoco", 2, 5, "workers: no room for 2 workers of 5 CPUs; there are"),
         ("mujoco", "auto", 9, "workers: no room for a worker of 9 CPUs; there are"),
-        ("mjx-warp", 3, None, "workers: 3 of engine mjx-warp need a GPU each; there are"),
+        ("mjx-warp", 5, None, "workers: 5 cannot share 2 GPUs evenly, 4 can; there are"),
+        ("mjx-warp", 9, None, "workers: at most 4 share a GPU, so 9 have no room; there are"),
     ],
 )
 def test_more_workers_than_there_is_room_for(engine: str, workers: int | str, threads: int | None, line: str) -> None:

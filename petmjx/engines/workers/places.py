@@ -10,6 +10,14 @@ from petmjx.basics.text import counted
 from petmjx.options.run_options import AUTO
 
 
+MOST_SHARING = 4
+"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory, and a process on the host. Two
+small workers keep a GPU busier than one; four gain little more (docs/resume-and-shards.md, "Workers")."""
+
+PARTS = 10_000
+"""Ray counts a GPU in so many parts."""
+
+
 @dataclass(frozen=True)
 class Node:
     """What one machine of a cluster has."""
@@ -23,12 +31,13 @@ class Place:
     """What one worker takes.
 
     Attributes:
-        cpus, gpus: of one node.
+        cpus: of one node.
+        gpus: of that node, or the share of one GPU.
         slots: chunks of jobs that it simulates side by side: the threads of ``mujoco``; MJX engines have one.
     """
 
     cpus: int
-    gpus: int = 0
+    gpus: float = 0
     slots: int = 1
 
 
@@ -36,21 +45,25 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     """The places of all workers.
 
     Args:
-        workers: their number; ``auto``: one for each GPU, or else one for each node, with all its CPUs.
+        workers: their number; ``auto``: one for each GPU, or else one for each node, with all its CPUs. If there are
+            more workers than GPUs, as many share each GPU.
         threads: of each worker of ``mujoco``; None: its share of the CPUs.
 
     Raises:
-        InputError: the cluster can never place so many.
+        InputError: the cluster can never place so many, or not as many on each GPU.
         EngineUnavailable: the engine needs a GPU, and there is none.
     """
     gpus = sum(node.gpus for node in nodes)
     if engine == "mjx-warp" or (engine == "mjx-jax" and gpus):
         if not gpus:
-            raise EngineUnavailable(f"engine {engine} cannot run here: {_has(nodes)}")
+            raise EngineUnavailable(f"engine {engine} cannot run here: {why_no_gpus(nodes, workers)}")
+        if why := why_no_gpus(nodes, workers):
+            raise InputError(f"workers: {why}")
         number = gpus if workers == AUTO else int(workers)
-        if number > gpus:
-            raise InputError(f"workers: {number} of engine {engine} need a GPU each; {_has(nodes)}")
-        return [Place(cpus=1, gpus=1)] * number
+        # Whole parts, rounded down: so many fit into a GPU, and not one more. All GPUs are then full, whichever of them
+        # Ray takes first.
+        share = PARTS // _sharing(gpus, number) / PARTS
+        return [Place(cpus=1, gpus=share)] * number
     if workers == AUTO:
         sizes = [(node.cpus, threads or node.cpus) for node in nodes if node.cpus]
         cpus = [each for whole, each in sizes for _ in range(whole // each)]
@@ -63,6 +76,33 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         asked = "a worker" if workers == AUTO else counted(int(workers), "worker")
         raise InputError(f"workers: no room for {asked} of {counted(threads or 1, 'CPU')}; {_has(nodes)}")
     return [Place(cpus=each, slots=each if engine == "mujoco" else 1) for each in cpus]
+
+
+def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
+    """Why the GPUs cannot be divided among so many workers, in a few words; None if they can.
+
+    A worker takes a whole GPU, or the same share as all others do: with shares of two sizes Ray might leave no room for
+    the last one, and with GPUs that are not full it would rather fill one than use them all.
+    """
+    gpus = sum(node.gpus for node in nodes)
+    if not gpus:
+        return _has(nodes)
+    if workers == AUTO:
+        return None
+    number = int(workers)
+    each = _sharing(gpus, number)
+    if each > MOST_SHARING:
+        return f"at most {MOST_SHARING} share a GPU, so {number} have no room; {_has(nodes)}"
+    if number > gpus and number % gpus:
+        return f"{number} cannot share {gpus} GPUs evenly, {number - number % gpus} can; {_has(nodes)}"
+    if sum(min(node.cpus, each * node.gpus) for node in nodes) < number:
+        return f"no room for {counted(number, 'worker')} of 1 CPU beside the GPUs; {_has(nodes)}"
+    return None
+
+
+def _sharing(gpus: int, workers: int) -> int:
+    """How many workers share the GPU that has most of them."""
+    return -(-workers // gpus)
 
 
 def _share(nodes: Sequence[Node], workers: int) -> int:

@@ -12,7 +12,7 @@ from petmjx.engines.choose import Choice, check_options, choose, options_of
 from petmjx.engines.cost import Costs, Work
 from petmjx.engines.workers.actor import Recipe
 from petmjx.engines.workers.cluster import END_S, Cluster
-from petmjx.engines.workers.places import Node, places
+from petmjx.engines.workers.places import Node, places, why_no_gpus
 from petmjx.engines.workers.pool import WorkerPool
 from petmjx.options.run_options import AUTO, RunOptions
 
@@ -136,7 +136,7 @@ def _chosen(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) ->
     if options.threads is not None and workers != AUTO:
         threads = options.threads * int(workers)
     gpus = sum(node.gpus for node in nodes)
-    used = gpus if workers == AUTO else min(gpus, int(workers))
+    used = gpus if workers == AUTO else min(gpus, int(workers))  # those that share a GPU are not as fast as several
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
     def why_no_gpu() -> str | None:
@@ -152,10 +152,9 @@ def _chosen(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) ->
 
 
 def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """Why ``auto`` cannot give each worker a GPU; None if it can."""
-    workers, gpus = options.asked_workers, sum(node.gpus for node in nodes)
-    assert workers is not None
-    return None if gpus and (workers == AUTO or int(workers) <= gpus) else f"{counted(gpus, 'GPU')} in the cluster"
+    """Why ``auto`` cannot give each worker a GPU or its share of one; None if it can."""
+    assert options.asked_workers is not None
+    return why_no_gpus(nodes, options.asked_workers)
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
