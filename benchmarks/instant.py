@@ -11,6 +11,7 @@ import numpy as np
 from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Progress
 from petmjx.engines.resolve import Lent
+from petmjx.engines.workers import pool
 from petmjx.engines.workers.actor import Worker
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Simulation
@@ -47,6 +48,15 @@ class Instant:
                 yield _outcome(k, pos, moved, Verdict.UNSTABLE, Reason.SHIFT, Flag.EARLY_STOP)
             else:
                 yield _outcome(k, pos, moved, Verdict.STABLE, Reason.NONE, Flag.NONE)
+
+
+IN_WORKERS = "mjx-warp-cpu"
+"""The engine that a run has to name whose workers answer at once: jobs are dealt as to workers with a GPU."""
+
+
+def answer_in_workers() -> None:
+    """Workers of this process answer at once from now on."""
+    vars(pool)["Worker"] = InstantWorker
 
 
 class InstantWorker(Worker):

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.instant import Instant
+from benchmarks.all_memory import looked_at
+from benchmarks.instant import IN_WORKERS, Instant, answer_in_workers
 from benchmarks.record import Result, timed
 from petmjx.basics.errors import InputError
 from petmjx.basics.processes import process_pool
@@ -46,7 +47,7 @@ class Million:
 
     Attributes:
         variants: worlds of each plan.
-        engine: by name; ``instant`` answers at once.
+        engine: by name; ``instant`` answers at once, in workers if the options ask for some.
         kill_at: share of worlds after which the run is killed; 0: it is not.
         placing: how boxes come to their places. Usually a hand sets boxes with errors down, which takes more steps.
         options: further options of the run.
@@ -85,9 +86,10 @@ def _in_process(step: Callable[[Million], Result], case: Million) -> Result:
 
 
 def _measured_step(step: Callable[[Million], Result], case: Million) -> Result:
-    with timed() as clock:
+    with timed() as clock, looked_at() as memory:
         found = step(case)
-    return {**found, "wall_s": clock.wall_s, "cpu_s": clock.cpu_s, "peak_rss_bytes": clock.peak_rss_bytes}
+    own = {"wall_s": clock.wall_s, "cpu_s": clock.cpu_s, "peak_rss_bytes": clock.peak_rss_bytes}
+    return {**found, **own, "peak_all_bytes": memory.peak_bytes}
 
 
 def _killed(case: Million) -> Result:
@@ -153,8 +155,11 @@ def check(case: Million) -> None:
 
 def _asked(case: Million) -> tuple[Sweep, RunOptions]:
     sweep = load_sweep(SWEEP, plans_given=True, simulation={"placing": case.placing})
-    engine: Any = Instant() if case.engine == "instant" else case.engine
-    options = RunOptions(engine=engine, out=case.out, resume=True, **dict(case.options))
+    more = dict(case.options)
+    engine: Any = case.engine
+    if engine == "instant":
+        engine = IN_WORKERS if "workers" in more else Instant()
+    options = RunOptions(engine=engine, out=case.out, resume=True, **more)
     return sweep.model_copy(update={"replicates": case.variants}), options
 
 
@@ -162,6 +167,8 @@ def run(case: Million) -> Result:
     """Simulate what is missing."""
     plans = made(case.plans)
     sweep, options = _asked(case)
+    if case.engine == "instant":
+        answer_in_workers()
 
     def ask(some: Any, options: RunOptions) -> SweepStudy:
         return SweepStudy(sweep, some, options)

@@ -84,7 +84,9 @@ def score(at: float) -> None:
     stages.around(api, "simulate", after="read again")
     name = engine
     if engine == "instant":
-        name = "mjx-warp-cpu" if workers else "mjx-warp"
+        from benchmarks.instant import IN_WORKERS
+
+        name = IN_WORKERS if workers else "mjx-warp"
     of_workers = ["--workers", workers] if workers else []
     sys.argv[1:] = ["score", plans, "--engine", name, *of_workers, "--out", folder]
     import petmjx.__main__ as command
@@ -104,9 +106,9 @@ def _note_workers(stages: Stages, engine: str) -> None:
     from petmjx.engines.workers import cluster, pool
 
     if engine == "instant":
-        from benchmarks.instant import InstantWorker
+        from benchmarks.instant import answer_in_workers
 
-        vars(pool)["Worker"] = InstantWorker
+        answer_in_workers()
     stages.around(cluster, "import_ray", before="Ray asked for")
     stages.around(cluster._Ours, "wait_until_started", after="Ray there")
     stages.around(pool.WorkerPool, "_greet", after="first worker ready")

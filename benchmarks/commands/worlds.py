@@ -153,13 +153,15 @@ def million(
     placing: Annotated[str, typer.Option(metavar="exact|hand", help="How boxes come to their places.")] = "exact",
     keep: Annotated[str, typer.Option(metavar="all|worlds", help="Tables that are kept.")] = "worlds",
     threads: Annotated[int | None, typer.Option(metavar="N", help="CPU threads of the engine.")] = None,
+    workers: Annotated[str | None, typer.Option(metavar="N|auto", help="Processes that simulate.")] = None,
     out: Out = DEFAULT_OUT,
 ) -> None:
     """A sweep of a million small worlds, killed and resumed: time for each, memory, tables, report."""
     from benchmarks.million import Million, measured
     from benchmarks.record import append_line, environment
 
-    options = {"keep": keep, **({} if threads is None else {"threads": threads})}
+    given = {"keep": keep, "threads": threads, "workers": workers}
+    options = {name: value for name, value in given.items() if value is not None}
     case = Million(folder, plans, variants, engine, kill_at, placing, tuple(options.items()))
     for line in measured(case):
         append_line(out, {**line, **environment()})

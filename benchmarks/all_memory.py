@@ -1,0 +1,75 @@
+"""The memory of a process with all that it has started, such as workers: on Linux only."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+LOOK_S = 1.0
+"""Time between two looks, s."""
+
+_KIB = 1024
+
+
+@dataclass
+class Memory:
+    """Largest memory so far, bytes; None where the system does not tell."""
+
+    peak_bytes: int | None = None
+
+    def look(self) -> None:
+        """Count what is used now."""
+        now = memory_of_all(os.getpid())
+        if now is not None:
+            self.peak_bytes = max(now, self.peak_bytes or 0)
+
+
+@contextmanager
+def looked_at() -> Iterator[Memory]:
+    """Look at the memory of this process and its descendants now and then, in a thread, and at the end. A peak between
+    two looks is missed."""
+    memory, ended = Memory(), threading.Event()
+
+    def watch() -> None:
+        while not ended.wait(LOOK_S):
+            memory.look()
+
+    thread = threading.Thread(target=watch, name="petmjx-memory", daemon=True)
+    thread.start()
+    try:
+        yield memory
+    finally:
+        ended.set()
+        thread.join()
+        memory.look()
+
+
+def memory_of_all(root: int) -> int | None:
+    """Bytes of physical memory that a process and its descendants use: what several of them share counts once. None
+    where the system does not tell."""
+    children: dict[int, list[int]] = defaultdict(list)
+    for folder in Path("/proc").glob("[0-9]*"):
+        if (parent := _field(folder / "status", "PPid:")) is not None:
+            children[parent].append(int(folder.name))
+    found, waiting = [], [root]
+    while waiting:
+        process = waiting.pop()
+        waiting += children[process]
+        # Pss: of a page that n processes use, each has one n-th
+        found.append(_field(Path(f"/proc/{process}/smaps_rollup"), "Pss:"))
+    known = [each * _KIB for each in found if each is not None]
+    return sum(known) if known else None
+
+
+def _field(path: Path, name: str) -> int | None:
+    """The number after a name in a file of /proc; None if there is none, as of a process that has ended."""
+    try:
+        lines = path.read_text().splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) for line in lines if line.startswith(name)), None)
