@@ -65,7 +65,7 @@ class Flag(IntFlag):
     """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
     depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
-    """A load acts within half a millimetre of the edge of what bears it (petmjx.engines.edges)."""
+    """A load acts within half a millimetre of the edge of what bears it (petmjx.engines.looked_at)."""
     TIMESTEP = 16384
     """At half the timestep the verdict is another one (``Simulation.check_timestep``)."""
 
@@ -94,10 +94,10 @@ class Outcome:
     state: KeptState | EngineState | None = None
     """The settled state, if the job asked for it: a ``KeptState`` where outcomes have arrived."""
     margin: float = math.nan
-    """See :func:`margin_of`; filled in for all engines where their outcomes arrive (petmjx.engines.retry)."""
+    """See :func:`margin_of`; filled in for all engines (petmjx.engines.looked_at)."""
     plan_edge_m: float = math.nan
     rest_edge_m: float = math.nan
-    """Least distances of loads from edges, m (petmjx.engines.edges); filled in there, too."""
+    """Least distances of loads from edges, m (petmjx.engines.looked_at); filled in there, too."""
     message: str = ""
     """Why there is no result, in one line, if ``reason`` is ``failed``."""
     history: History | None = None

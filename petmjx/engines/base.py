@@ -93,9 +93,11 @@ class Engine(Simulates, Protocol):
 
     Attributes:
         takes_more: whether jobs may be appended while it runs (``GrowingJobs``).
+        looks: whether it has looked at its outcomes (petmjx/engines/looked_at.py).
     """
 
     takes_more: bool = False
+    looks: bool = False
 
     @property
     def device(self) -> str:

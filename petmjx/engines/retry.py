@@ -18,13 +18,12 @@ from petmjx.basics.text import counted, one_line
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import Engine, GrowingJobs, Progress
 from petmjx.engines.beside.process import READY, Answer, Task
-from petmjx.engines.edges import note_edges
 from petmjx.engines.failing import failed_outcome
-from petmjx.engines.sinking import note_softness
+from petmjx.engines.looked_at import MOST_TOGETHER, looked_at
 from petmjx.options.config import Simulation, Solver
 from petmjx.options.physics import Cone
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Attempt, Flag, Outcome, Verdict, margin_of
+from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.job import Job, KeptState
 
 DEFAULT_CHUNK_WORLDS, CHUNK_BOXES = 131_072, 1 << 21
@@ -56,10 +55,9 @@ class WorldResult(Generic[AnyWorld]):
 LARGE: Final = 1000
 """Worlds of a run that is worth a process beside it before one of them needs it."""
 
-MOST_TOGETHER: Final = 64
 MOST_DELAY_S: Final = 0.1
-"""At most so many answers are looked at together. If an engine says how many are at hand, it is these; else those that
-come within so many seconds, or, if more worlds may follow from them, each alone."""
+"""Up to ``MOST_TOGETHER`` answers are looked at together. If an engine says how many are at hand, it is these; else
+those that come within so many seconds, or, if more worlds may follow from them, each alone."""
 
 _Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts: with the outcome of the last one, and the records of all before."""
@@ -332,7 +330,7 @@ class _Making(Generic[AnyWorld]):
             try:
                 answer = next(answers, None)
             except BaseException as error:  # ctrl-C, too, loses nothing that has come
-                yield from self.made(came, engine.name)
+                yield from self.made(came, engine.name, looks=engine.looks)
                 if not isinstance(error, Exception):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
@@ -350,13 +348,13 @@ class _Making(Generic[AnyWorld]):
             at_hand = self.engines.progress.at_hand if engine is self.engines.own else None
             soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
             if len(came) == MOST_TOGETHER or not (soon if at_hand is None else at_hand > 0):
-                yield from self.made(came, engine.name)
+                yield from self.made(came, engine.name, looks=engine.looks)
                 came, looked_s = [], time.monotonic()
             for world in self._following(engine) if takes_more else ():
                 unanswered.add(len(batch))
                 batch.append((world, None, ()))
                 jobs.append(ready_for(engine.name, world.job))
-        yield from self.made(came, engine.name)
+        yield from self.made(came, engine.name, looks=engine.looks)
         if unanswered:
             raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")
         return []
@@ -371,20 +369,20 @@ class _Making(Generic[AnyWorld]):
                 self.aside.append(world)
 
     def made(
-        self, came: Sequence[tuple[_Pending[AnyWorld], Outcome]], engine: str
+        self, came: Sequence[tuple[_Pending[AnyWorld], Outcome]], engine: str, *, looks: bool = False
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-        """Checks the answers of many worlds together: one by one, this took longer than the simulation on a GPU."""
+        """What becomes of the answers of many worlds. ``looks``: the engine has looked at them itself."""
         worlds = [pending[0] for pending, _ in came]
-        jobs = [world.job for world in worlds]
-        jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
-        outcomes = note_softness([answer for _, answer in came], jobs, self.sim)
+        outcomes = [answer for _, answer in came]
+        if not looks:
+            jobs = [world.job for world in worlds]
+            jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
+            outcomes = looked_at(outcomes, jobs, self.sim)
         for outcome in outcomes:
             outcome.attempt, outcome.engine = self.attempt.number, engine
             outcome.solver = self.sim.solver.value
-            outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, self.sim.thresholds)
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
                 outcome.state = KeptState(engine, outcome.state)
-        note_edges(outcomes, [world.job for world in worlds])
         for (_, before, records), world, outcome in zip((each for each, _ in came), worlds, outcomes, strict=True):
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
             if self.attempt.checks and before is not None:

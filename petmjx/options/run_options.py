@@ -135,7 +135,7 @@ class RunOptions(Checked):
     workers: Annotated[int | str | None, BeforeValidator(_workers), CliFlag("--workers", "N|auto")] = Field(
         None,
         description="run in this many processes by Ray (extra ray): a worker has its share of the CPU threads, or a "
-        "GPU; auto: one for each GPU or, with mujoco, for each machine",
+        "GPU, which up to four can share; auto: one for each GPU or, with mujoco, for each machine",
     )
     ray: Annotated[str | None, AfterValidator(_address), CliFlag("--ray", "ADDRESS")] = Field(
         None,

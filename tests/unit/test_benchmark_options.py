@@ -1,7 +1,10 @@
-"""Bad options of benchmarks that run in several processes are one line, before anything is run."""
+"""Benchmarks that run in several processes: bad options are one line, before anything is run; and their memory."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,6 +12,7 @@ from support.command_line import only_line
 
 from benchmarks import shell
 from benchmarks.__main__ import main
+from benchmarks.all_memory import memory_of_all
 
 
 @pytest.mark.parametrize(
@@ -18,6 +22,7 @@ from benchmarks.__main__ import main
         (["--engine", "abacus"], "unknown engine"),
         (["--keep", "nothing"], "keep"),
         (["--threads", "0"], "threads"),
+        (["--workers", "0"], "workers"),
         (["--engine", "mjx-warp", "--threads", "2"], "threads"),
     ],
 )
@@ -43,3 +48,18 @@ def test_a_run_that_fails_from_shell_to_shell(
         shell.main()
     assert ended.value.code == 2
     assert only_line(capsys.readouterr().err).endswith("missing.json: no such file or folder")
+
+
+@pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="the system does not tell")
+def test_memory_of_processes_that_were_started_counts() -> None:
+    held = 40 << 20
+    before = memory_of_all(os.getpid())
+    code = f"held = b'x' * {held}; print('held', flush=True); input()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.readline()
+        now = memory_of_all(os.getpid())
+        child.communicate(b"\n")
+    assert before is not None
+    assert now is not None
+    assert now - before > held

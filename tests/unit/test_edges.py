@@ -14,7 +14,7 @@ from test_stand_in import Scripted, never, scored
 
 import petmjx
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.edges import note_edges
+from petmjx.engines.looked_at import note_edges
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job

@@ -12,6 +12,7 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
+import petmjx.engines.looked_at as looked_at
 import petmjx.engines.retry as retry_module
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.base import Engine, Progress
@@ -107,7 +108,7 @@ def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_th
                     yield outcome_of(index, Verdict.STABLE)
 
     together: list[int] = []
-    monkeypatch.setattr(retry_module, "note_edges", lambda outcomes, jobs: together.append(len(outcomes)))
+    monkeypatch.setattr(looked_at, "note_edges", lambda outcomes, jobs: together.append(len(outcomes)))
     queue, worlds = [], worlds_failing(0, 0, 0, 0, 0)
 
     def more() -> list[World]:

@@ -85,7 +85,7 @@ def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch)
 class _Cluster:
     """Two CPUs and two GPUs. What is done with it, and with pools on it, is noted."""
 
-    nodes = (Node(2, 2),)
+    nodes: tuple[Node, ...] = (Node(2, 2),)
 
     def __init__(self, said: queue.SimpleQueue[str]) -> None:
         self.said = said
@@ -146,6 +146,21 @@ def test_workers_start_before_plans_are_read(
     assert said.empty()
     assert pool.name == choice.name
     assert choice.reason.endswith("in 2 workers")
+
+
+@pytest.mark.parametrize(
+    ("workers", "name", "reason"),
+    [(2, "mjx-warp", "about"), (5, "mujoco", "mjx-warp would be faster but cannot run: at most 4 share a GPU")],
+)
+def test_auto_lets_workers_share_a_gpu(
+    workers: int, name: str, reason: str, said: queue.SimpleQueue[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_Cluster, "nodes", (Node(8, 1),))
+    options, work = RunOptions(workers=workers), Work(Simulation(), [50] * 10_000)
+    alone = MEASURED.seconds(work, threads=8, gpus=1)
+    pool, choice = of_workers.resolve_workers(options, work, MEASURED)
+    assert (pool.name, choice.seconds) == (name, alone[name])
+    assert choice.reason.startswith(reason)
 
 
 def test_workers_of_a_run_whose_plans_are_wrong_are_ended(said: queue.SimpleQueue[str]) -> None:

@@ -8,7 +8,7 @@ import platform
 import queue
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from petmjx.basics.machine import device_name, package_versions
 from petmjx.basics.text import one_line
 from petmjx.engines.base import Progress
 from petmjx.engines.choose import make_engine
+from petmjx.engines.looked_at import MOST_TOGETHER, looked_at
 from petmjx.engines.start import start_gpu
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
@@ -80,7 +81,7 @@ class Worker:
         return pickle.dumps(Hello(os.getpid(), platform.node(), device, package_versions(), error))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
-        """Run a pickled (jobs, sim); yield pickled reports, whose outcomes count jobs from 0."""
+        """Run a pickled (jobs, sim); yield pickled reports, whose outcomes are looked at and count jobs from 0."""
         jobs, sim = pickle.loads(chunk)
         if self._starting is not None:
             self._starting.join()
@@ -91,7 +92,8 @@ class Worker:
         runner.start()
         going, said = True, ""
         while going:
-            outcomes, going = _gather(news)
+            came, going = _gather(news)
+            outcomes = _looked_at(came, jobs, sim)
             if outcomes or not going or progress.message != said:
                 said = progress.message
                 # a copy: the engine writes into it meanwhile
@@ -129,6 +131,15 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
             return outcomes, False
         outcomes.append(outcome)
     return outcomes, True
+
+
+def _looked_at(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
+    """All of them, some at a time."""
+    found: list[Outcome] = []
+    for first in range(0, len(outcomes), MOST_TOGETHER):
+        some = outcomes[first : first + MOST_TOGETHER]
+        found += looked_at(some, [jobs[outcome.job] for outcome in some], sim)
+    return found
 
 
 def _sendable(error: BaseException) -> BaseException:

@@ -9,10 +9,9 @@ from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.basics.text import counted
 from petmjx.options.run_options import AUTO
 
-
 MOST_SHARING = 4
-"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory, and a process on the host. Two
-small workers keep a GPU busier than one; four gain little more (docs/resume-and-shards.md, "Workers")."""
+"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory. In sweeps of small worlds two
+processes kept one GPU busier than one did, and four gained little more."""
 
 PARTS = 10_000
 """Ray counts a GPU in so many parts."""

@@ -92,6 +92,8 @@ class WorkerPool(Engine):
         cluster: used until :meth:`close`, which closes it.
     """
 
+    looks = True
+
     def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster) -> None:
         self.name = recipe.name
         self._recipe, self._cluster, self._ray = recipe, cluster, cluster.ray

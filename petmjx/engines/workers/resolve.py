@@ -136,7 +136,7 @@ def _chosen(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) ->
     if options.threads is not None and workers != AUTO:
         threads = options.threads * int(workers)
     gpus = sum(node.gpus for node in nodes)
-    used = gpus if workers == AUTO else min(gpus, int(workers))  # those that share a GPU are not as fast as several
+    used = gpus if workers == AUTO else min(gpus, int(workers))  # workers that share a GPU count as one
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
     def why_no_gpu() -> str | None:

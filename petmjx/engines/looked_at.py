@@ -1,17 +1,41 @@
-"""How near loads act to the edges of what bears them: whether a verdict stands on a knife's edge."""
+"""What is looked at in the outcomes of an engine, whichever it is: soft contacts, the margin, and how near loads act to
+the edges of what bears them, which says whether a verdict stands on a knife's edge.
+
+Where an engine runs in workers they do it, each with its own outcomes: of small worlds it is almost half of what the
+process of the run would have to do.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Final
 
-from petmjx.verdict import Flag, Outcome, Verdict
+from petmjx.engines.sinking import note_softness
+from petmjx.options.config import Simulation
+from petmjx.verdict import Flag, Outcome, Verdict, margin_of
 from petmjx.world.bearing import plan_edges_m, rest_edges_m
 from petmjx.world.job import Job
 
 KNIFE_EDGE_M: Final = 0.0005
 """Plans have whole millimetres, and boxes are smaller than planned by a tenth of one. All verdicts that other
 simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
+
+MOST_TOGETHER: Final = 64
+"""At most so many outcomes are looked at together; one by one, this took longer than the simulation on a GPU."""
+
+
+def looked_at(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
+    """The outcomes with what follows from them and their jobs. It may change the verdict.
+
+    Args:
+        jobs: as the engine had them, one for each outcome.
+        sim: that the engine had.
+    """
+    found = note_softness(outcomes, jobs, sim)
+    for outcome in found:
+        outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, sim.thresholds)
+    note_edges(found, jobs)
+    return found
 
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job]) -> None:
