@@ -15,8 +15,9 @@ import numpy as np
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.state import Status
 from petmjx.engines.choose import make_engine
-from petmjx.engines.retry import World, score_worlds
+from petmjx.engines.retry import score_worlds
 from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.worlds import World
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.gather import usable_plans

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
 
+from petmjx.basics.garbage import collect_rarely
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
@@ -28,8 +30,9 @@ def command() -> NoReturn:
     """The command ``petmjx``: run the command line, and end the process with its exit code.
 
     What a run has made is not taken apart object by object, as Python does at its end: of 10,003 plans that took 0.2 s,
-    and more with a GPU's programs. What has asked to be called at the end is called.
+    and more with a GPU's programs. What has asked to be called at the end is called. And cycles are looked for rarely.
     """
+    collect_rarely()
     code = main()
     atexit._run_exitfuncs()
     for stream in (sys.stdout, sys.stderr):

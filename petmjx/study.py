@@ -14,7 +14,8 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, duration, rounded
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cost import Work
-from petmjx.engines.retry import World, score_worlds
+from petmjx.engines.retry import score_worlds
+from petmjx.engines.worlds import World
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan

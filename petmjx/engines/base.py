@@ -26,7 +26,7 @@ class Progress:
 
     Attributes:
         message: what it is doing (compiling, …).
-        at_hand: outcomes that follow the last one at once; None where the engine does not say.
+        at_hand: so many outcomes follow the last one at once, or more; None where the engine does not say.
         notes: lines for the results, each once: what was done otherwise than asked for.
     """
 

@@ -11,18 +11,19 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from itertools import count
-from typing import Final, Generic, TypeVar
+from typing import Final, Generic
 
 from petmjx.basics.errors import InputError, PetmjxError
 from petmjx.basics.text import counted, one_line
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import Engine, GrowingJobs, Progress
+from petmjx.engines.beside.lookers import Lookers
 from petmjx.engines.beside.process import READY, Answer, Task
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.looked_at import MOST_TOGETHER, looked_at
+from petmjx.engines.worlds import AnyWorld, WorldResult
 from petmjx.options.config import Simulation, Solver
 from petmjx.options.physics import Cone
-from petmjx.plans.plan import Plan
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.job import Job, KeptState
 
@@ -31,29 +32,8 @@ DEFAULT_CHUNK_WORLDS, CHUNK_BOXES = 131_072, 1 << 21
 ones. At the end of a chunk a device has few worlds left, and MJX engines choose (and compile) shapes for each."""
 
 
-@dataclass(frozen=True, eq=False)
-class World:
-    """One plan in one variant. It is simulated once, and again if it is invalid."""
-
-    plan: Plan
-    variant: int
-    job: Job
-
-
-AnyWorld = TypeVar("AnyWorld", bound=World)
-
-
-@dataclass(frozen=True, eq=False)
-class WorldResult(Generic[AnyWorld]):
-    """A world, the outcome of its last attempt, and all its attempts in order (often only one)."""
-
-    world: AnyWorld
-    outcome: Outcome
-    attempts: tuple[Attempt, ...]
-
-
 LARGE: Final = 1000
-"""Worlds of a run that is worth a process beside it before one of them needs it."""
+"""Worlds of a run that is worth processes beside it."""
 
 MOST_DELAY_S: Final = 0.1
 """Up to ``MOST_TOGETHER`` answers are looked at together. If an engine says how many are at hand, it is these; else
@@ -123,6 +103,7 @@ def score_worlds(
 
     def attempt_at(batch: list[_Pending[AnyWorld]], attempt: AttemptRecipe) -> Iterator[WorldResult[AnyWorld]]:
         making = _Making(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
+        making.lookers = besides.lookers if attempt is first and more is None else None
         for found in making.run(batch):
             yield from went_on(attempt, found)
             yield from from_beside()
@@ -193,10 +174,11 @@ class _Chunks(Generic[AnyWorld]):
 
 @dataclass(eq=False)
 class _Besides(Generic[AnyWorld]):
-    """Further attempts at single worlds that are made beside the engine of the run."""
+    """What is done beside the engine of a run: further attempts at single worlds, and looks at outcomes."""
 
     sim: Simulation
     engines: Engines
+    lookers: Lookers[_Pending[AnyWorld]] | None = None
     _numbers: Iterator[int] = field(default_factory=count)
     _asked: dict[int, tuple[_Making[AnyWorld], _Pending[AnyWorld], str]] = field(default_factory=dict)
     """Number of a task → the attempt that it makes, the world, and the name of the engine."""
@@ -207,10 +189,14 @@ class _Besides(Generic[AnyWorld]):
         return len(self._asked)
 
     def prepare(self, worlds: Sequence[AnyWorld], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run: start what makes the attempts that few worlds need, with a box of one of
-        them. It may have to compile a kernel, for as long as many worlds take."""
+        """At the beginning of a large run: start what looks at outcomes, and what makes the attempts that few worlds
+        need, with a box of one of them. It may have to compile a kernel, for as long as many worlds take."""
         name = BESIDE.get(self.engines.own.name)
-        if name is None or len(worlds) < LARGE or self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
+        if name is None or len(worlds) < LARGE:
+            return
+        if self.lookers is None and not self.engines.own.looks:
+            self.lookers = Lookers.here()
+        if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
             return
         scene = next((each.job.scene for each in worlds if not each.job.settles), None)
         for attempt in retries if self.sim.solver is not Solver.CG else ():
@@ -266,6 +252,8 @@ class _Besides(Generic[AnyWorld]):
 
     def close(self) -> None:
         """Nothing more is asked."""
+        if self.lookers is not None:
+            self.lookers.close()
         if "helper" in vars(self.engines):
             self.engines.helper.close()
 
@@ -278,6 +266,7 @@ class _Making(Generic[AnyWorld]):
         sim: the run's options with the attempt's changes.
         more: worlds that follow from the results so far, if they may be added to the batch.
         aside: those of them that another engine simulates are put here.
+        lookers: look at answers beside the run, if there are any.
     """
 
     attempt: AttemptRecipe
@@ -285,6 +274,7 @@ class _Making(Generic[AnyWorld]):
     engines: Engines
     more: Callable[[], Iterable[AnyWorld]] | None
     aside: list[AnyWorld]
+    lookers: Lookers[_Pending[AnyWorld]] | None = None
     _message: str = ""
     """Of the last error of an engine."""
 
@@ -347,8 +337,9 @@ class _Making(Generic[AnyWorld]):
             came.append((batch[answer.job], answer))
             at_hand = self.engines.progress.at_hand if engine is self.engines.own else None
             soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
-            if len(came) == MOST_TOGETHER or not (soon if at_hand is None else at_hand > 0):
-                yield from self.made(came, engine.name, looks=engine.looks)
+            idle = not (soon if at_hand is None else at_hand > 0)
+            if len(came) == MOST_TOGETHER or idle:
+                yield from self.made(came, engine.name, looks=engine.looks, wait=idle)
                 came, looked_s = [], time.monotonic()
             for world in self._following(engine) if takes_more else ():
                 unanswered.add(len(batch))
@@ -369,21 +360,28 @@ class _Making(Generic[AnyWorld]):
                 self.aside.append(world)
 
     def made(
-        self, came: Sequence[tuple[_Pending[AnyWorld], Outcome]], engine: str, *, looks: bool = False
+        self, came: list[tuple[_Pending[AnyWorld], Outcome]], engine: str, *, looks: bool = False, wait: bool = True
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-        """What becomes of the answers of many worlds. ``looks``: the engine has looked at them itself."""
-        worlds = [pending[0] for pending, _ in came]
-        outcomes = [answer for _, answer in came]
-        if not looks:
-            jobs = [world.job for world in worlds]
+        """What becomes of the answers of many worlds.
+
+        Args:
+            looks: the engine has looked at them itself.
+            wait: for those that are looked at beside the run; else some of them follow in later calls.
+        """
+        if looks:
+            found = came
+        elif self.lookers is not None:
+            found = self.lookers.exchanged(came, [world.job for (world, _, _), _ in came], self.sim, wait=wait)
+        else:
+            jobs = [world.job for (world, _, _), _ in came]
             jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
-            outcomes = looked_at(outcomes, jobs, self.sim)
-        for outcome in outcomes:
+            outcomes = looked_at([answer for _, answer in came], jobs, self.sim)
+            found = [(pending, outcome) for (pending, _), outcome in zip(came, outcomes, strict=True)]
+        for (world, before, records), outcome in found:
             outcome.attempt, outcome.engine = self.attempt.number, engine
             outcome.solver = self.sim.solver.value
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
                 outcome.state = KeptState(engine, outcome.state)
-        for (_, before, records), world, outcome in zip((each for each, _ in came), worlds, outcomes, strict=True):
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
             if self.attempt.checks and before is not None:
                 outcome = self._checked(world, before, outcome)

@@ -17,7 +17,8 @@ from petmjx.basics.checked import got
 from petmjx.basics.errors import InputError, PlanWarning
 from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Engine
-from petmjx.engines.retry import World, WorldResult, score_worlds
+from petmjx.engines.retry import score_worlds
+from petmjx.engines.worlds import World, WorldResult
 from petmjx.loop.closing import Closable
 from petmjx.loop.opening import OF_RUN, ready_engine
 from petmjx.loop.told import Told

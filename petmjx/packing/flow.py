@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
 from petmjx.engines.base import Engine
-from petmjx.engines.retry import World, score_worlds
+from petmjx.engines.retry import score_worlds
+from petmjx.engines.worlds import World
 from petmjx.packing.finalists import Finalist
 from petmjx.packing.judged import Asks, Judged, Trial, judging
 from petmjx.packing.options import PhysicalOptions

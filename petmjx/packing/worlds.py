@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from petmjx.engines.cost import Work
-from petmjx.engines.retry import World
+from petmjx.engines.worlds import World
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import Confidence, RunOptions, sorted_options
 from petmjx.plans.gather import without_vanishing_boxes

@@ -10,8 +10,9 @@ from support.tiny_worlds import shared_engine
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import WorldResult, score_worlds
+from petmjx.engines.retry import score_worlds
 from petmjx.engines.warp.cpu import MjxWarpCpuEngine
+from petmjx.engines.worlds import WorldResult
 from petmjx.options.config import Simulation
 from petmjx.verdict import Verdict
 

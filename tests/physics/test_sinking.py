@@ -12,8 +12,9 @@ from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, make_world, stack
 
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import World, WorldResult, score_worlds
+from petmjx.engines.retry import score_worlds
 from petmjx.engines.sinking import note_softness, sank, sinking_m, stiffened, surely_did_not_sink
+from petmjx.engines.worlds import World, WorldResult
 from petmjx.options.config import Simulation
 from petmjx.options.physics import PHYSICS
 from petmjx.verdict import Flag, Outcome, Reason, Verdict

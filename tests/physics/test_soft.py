@@ -16,7 +16,8 @@ from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.soft import SoftWorld
-from petmjx.engines.retry import World, score_worlds
+from petmjx.engines.retry import score_worlds
+from petmjx.engines.worlds import World
 from petmjx.history import CARRIER, Record
 from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan

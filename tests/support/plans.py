@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from petmjx.engines.retry import World
+from petmjx.engines.worlds import World
 from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.body import Body

@@ -17,7 +17,8 @@ import petmjx.engines.retry as retry_module
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import World, score_worlds
+from petmjx.engines.retry import score_worlds
+from petmjx.engines.worlds import World
 from petmjx.options.config import Simulation, Solver
 from petmjx.options.physics import PHYSICS
 from petmjx.verdict import Flag, Outcome, Reason, Verdict

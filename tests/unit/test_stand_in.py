@@ -16,7 +16,8 @@ from petmjx.basics.errors import InputError
 from petmjx.engines import attempts, retry
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.retry import WorldResult, score_worlds
+from petmjx.engines.retry import score_worlds
+from petmjx.engines.worlds import WorldResult
 from petmjx.options.config import Simulation, Solver
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import atexit
-import contextlib
 import os
 import pickle
 import queue
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
 from typing import Final, Protocol
 
-from petmjx.basics.machine import own_environment
 from petmjx.basics.text import one_line
-from petmjx.engines.beside.process import READY, Answer, Task, next_of
+from petmjx.engines.beside.child import Child
+from petmjx.engines.beside.process import READY, Answer, Task
 
 LOOK_S: Final = 0.25
 """Longest wait for an answer, s: a signal is noticed after it."""
-
-_CODE: Final = "from petmjx.engines.beside.process import main; main()"
 
 
 class Beside(Protocol):
@@ -50,7 +44,7 @@ class InProcess:
     """
 
     def __init__(self) -> None:
-        self._process: _Process | None = None
+        self._process: Child | None = None
         self._unanswered: set[int] = set()
 
     def begin(self, task: Task) -> None:
@@ -58,7 +52,10 @@ class InProcess:
         if self._process is None:
             self._process = _taken()
         self._unanswered.add(task.number)
-        self._process.tasks.put(task)
+        try:
+            self._process.tasks.put(pickle.dumps(task))
+        except Exception as error:
+            self._process.answers.put(Answer(task.number, None, one_line(error)))
 
     def ended(self, *, wait: bool) -> Iterator[Answer]:
         """As in the protocol."""
@@ -92,67 +89,11 @@ class InProcess:
             _IDLE.setdefault(os.getpid(), []).append(process)
 
 
-class _Process:
-    """A process, with threads that write its tasks and read its answers.
-
-    Attributes:
-        answers: None is the last one.
-    """
-
-    def __init__(self) -> None:
-        self.tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
-        self.answers: queue.SimpleQueue[Answer | None] = queue.SimpleQueue()
-        environment = {**own_environment(), "JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
-        self._popen: subprocess.Popen[bytes] | None = None
-        try:
-            self._popen = subprocess.Popen(
-                [sys.executable, "-c", _CODE],
-                env=environment,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-            )
-            for target in (self._write, self._read):
-                threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
-        except (OSError, RuntimeError):  # no memory for it or a thread, or an interpreter inside another program
-            self.answers.put(None)
-
-    @property
-    def lives(self) -> bool:
-        return self._popen is not None and self._popen.poll() is None
-
-    def end(self) -> None:
-        """Kill it."""
-        self.tasks.put(None)
-        if self._popen is not None:
-            self._popen.kill()
-            self._popen.wait()
-
-    def _write(self, popen: subprocess.Popen[bytes]) -> None:
-        assert popen.stdin is not None
-        with contextlib.suppress(OSError), popen.stdin as pipe:
-            while (task := self.tasks.get()) is not None:
-                try:
-                    data = pickle.dumps(task)
-                except Exception as error:
-                    self.answers.put(Answer(task.number, None, one_line(error)))
-                    continue
-                pipe.write(data)
-                pipe.flush()
-
-    def _read(self, popen: subprocess.Popen[bytes]) -> None:
-        assert popen.stdout is not None
-        with popen.stdout as pipe:
-            while (answer := next_of(pipe)) is not None:
-                self.answers.put(answer)
-        self.answers.put(None)
-
-
-_IDLE: Final[dict[int, list[_Process]]] = {}
+_IDLE: Final[dict[int, list[Child]]] = {}
 """Processes that have nothing to do, by the process that has started them: a fork of it must not use them, too."""
 
 
-def _taken() -> _Process:
+def _taken() -> Child:
     """One that has nothing to do, or a new one."""
     idle = _IDLE.get(os.getpid(), [])
     while idle:
@@ -160,7 +101,7 @@ def _taken() -> _Process:
         if process.lives:
             return process
         process.end()
-    return _Process()
+    return Child("petmjx.engines.beside.process")
 
 
 @atexit.register

@@ -8,18 +8,16 @@ from __future__ import annotations
 
 import os
 import pickle
-import signal
-import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import IO, Any
 
 from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import cpu_threads
 from petmjx.basics.text import one_line
 from petmjx.engines.base import Engine
+from petmjx.engines.beside.child import next_of, own_pipes
 from petmjx.engines.choose import make_engine
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
@@ -60,11 +58,7 @@ class Answer:
 
 def main() -> None:
     """Answer tasks from standard input on standard output, in any order, until the input ends."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the run ends this process when it wants to
-    if hasattr(os, "nice"):
-        os.nice(NICE)
-    tasks, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no answer
+    tasks, answers = own_pipes(NICE)
     own, writing = threading.local(), threading.Lock()
 
     def answer(task: Task) -> None:
@@ -81,14 +75,6 @@ def main() -> None:
     while (task := next_of(tasks)) is not None:
         pool.submit(answer, task)
     os._exit(0)  # whatever still runs is for nobody
-
-
-def next_of(pipe: IO[bytes]) -> Any:
-    """The next object of a pipe; None at its end."""
-    try:
-        return pickle.load(pipe)
-    except (EOFError, OSError, pickle.UnpicklingError):
-        return None
 
 
 def _answer(task: Task, engines: dict[str, Engine]) -> Answer:

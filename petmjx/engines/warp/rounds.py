@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
+from queue import SimpleQueue
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -43,10 +44,12 @@ def outcomes_of(rounds: Generator[Round], jobs: Sequence[Job], run: Run) -> Iter
     Where no slice has to wait for them, a thread runs the slices: the host may take longer for small worlds than the
     device.
     """
+    waiting: SimpleQueue[Round] = SimpleQueue()
     if not run.waits_for_host(jobs):
-        rounds = run_ahead(rounds, MOST_AHEAD)
+        rounds = run_ahead(rounds, MOST_AHEAD, waiting)
     with closing(rounds):
         for rows, picked, recorder in rounds:
             found = outcomes(rows, picked, jobs, 0, run.sim, recorder)
-            for run.progress.at_hand, outcome in zip(reversed(range(len(rows))), found, strict=True):
+            for left, outcome in zip(reversed(range(len(rows))), found, strict=True):
+                run.progress.at_hand = left + (not waiting.empty())
                 yield outcome

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from petmjx.basics.garbage import collect_rarely
 from petmjx.basics.machine import device_name, package_versions
 from petmjx.basics.text import one_line
 from petmjx.engines.base import Progress
@@ -62,6 +63,7 @@ class Worker:
     """
 
     def __init__(self, recipe: Recipe, cache_dir: str | None, threads: int | None) -> None:
+        collect_rarely()
         if cache_dir is not None:
             os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
         self._recipe, self._threads = recipe, threads

@@ -1,0 +1,120 @@
+"""Looks at outcomes in processes beside a run: of many small worlds the run itself would be slower than a GPU."""
+
+from __future__ import annotations
+
+import pickle
+import queue
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final, Generic, TypeVar
+
+from petmjx.basics.machine import cpu_threads
+from petmjx.engines.beside.child import Child
+from petmjx.engines.beside.looker import Look
+from petmjx.engines.looked_at import looked_at
+from petmjx.options.config import Simulation
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+
+MOST: Final = 3
+"""Processes. With three the run has more to do itself than each of them."""
+
+THREADS_EACH: Final = 4
+"""So many CPU threads of a machine are worth one of them."""
+
+MOST_WAITING: Final = 8
+"""Looks that wait for one of them: with 64 outcomes each, 5 MB."""
+
+LOOK_S: Final = 0.25
+"""Longest wait for an answer, s: a signal is noticed after it."""
+
+Key = TypeVar("Key")
+
+
+@dataclass(eq=False)
+class _Looker(Generic[Key]):
+    """A process, and the looks that it has not answered, with a key for each outcome; it answers them in turn."""
+
+    child: Child = field(default_factory=lambda: Child("petmjx.engines.beside.looker"))
+    unanswered: deque[tuple[list[Key], Look]] = field(default_factory=deque)
+
+
+class Lookers(Generic[Key]):
+    """Processes that look at outcomes (``looked_at``). What none of them answers is looked at here.
+
+    Each outcome has a key, by which the run knows it again.
+    """
+
+    def __init__(self, processes: int) -> None:
+        self._lookers = [_Looker[Key]() for _ in range(processes)]
+        self._found: list[tuple[Key, Outcome]] = []
+
+    @classmethod
+    def here(cls) -> Lookers[Key]:
+        """As many as this machine has CPU threads for."""
+        return cls(min(cpu_threads() // THREADS_EACH, MOST))
+
+    def exchanged(
+        self, came: Sequence[tuple[Key, Outcome]], jobs: Sequence[Job], sim: Simulation, *, wait: bool
+    ) -> list[tuple[Key, Outcome]]:
+        """Give outcomes to be looked at, and take those that have been. Nobody may change outcomes meanwhile.
+
+        Args:
+            jobs: one for each outcome.
+            wait: for all outcomes.
+        """
+        if came:
+            self._begin([key for key, _ in came], ([outcome for _, outcome in came], jobs, sim))
+        for looker in self._lookers.copy():
+            self._take(looker, wait=False)
+        while wait and (busy := [looker for looker in self._lookers if looker.unanswered]):
+            self._take(busy[0], wait=True)
+        found, self._found = self._found, []
+        return found
+
+    def _begin(self, keys: list[Key], look: Look) -> None:
+        """Begin a look. Waits where too many have not been answered."""
+        while self._lookers and not any(outcome.state or outcome.history for outcome in look[0]):
+            looker = min(self._lookers, key=lambda each: len(each.unanswered))
+            if len(looker.unanswered) < MOST_WAITING:
+                try:
+                    task = pickle.dumps(look)
+                except Exception:
+                    break
+                looker.unanswered.append((keys, look))
+                looker.child.tasks.put(task)
+                return
+            self._take(looker, wait=True)
+        self._look(keys, look)
+
+    def _look(self, keys: list[Key], look: Look) -> None:
+        """Look here."""
+        self._found += zip(keys, looked_at(*look), strict=True)
+
+    def _take(self, looker: _Looker[Key], *, wait: bool) -> None:
+        """Take the answers of a process, with ``wait`` one at least."""
+        while looker.unanswered:
+            try:
+                answer = looker.child.answers.get(timeout=LOOK_S) if wait else looker.child.answers.get_nowait()
+            except queue.Empty:
+                if wait:
+                    continue
+                return
+            wait = False
+            if answer is None:
+                self._lookers.remove(looker)
+                looker.child.end()
+                while looker.unanswered:
+                    self._look(*looker.unanswered.popleft())
+                return
+            keys, look = looker.unanswered.popleft()
+            if isinstance(answer, str):  # an error, which is raised here
+                self._look(keys, look)
+            else:
+                self._found += zip(keys, answer, strict=True)
+
+    def close(self) -> None:
+        """End the processes. What is unanswered is for nobody."""
+        while self._lookers:
+            self._lookers.pop().child.end()

@@ -1,0 +1,100 @@
+"""Processes that look at outcomes beside a run: what they find is what the run would, also where one of them dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from copy import deepcopy
+from typing import Any
+
+import pytest
+from support.plans import make_plan, make_world, stack
+
+from petmjx.engines.beside.lookers import MOST_WAITING, Lookers
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.looked_at import looked_at
+from petmjx.options.config import Simulation
+from petmjx.verdict import Outcome, Verdict
+from petmjx.world.job import Job
+
+SIM = Simulation()
+JOBS = [make_world(make_plan(f"stack of {n}", stack(n))).job for n in (1, 3)]
+
+
+@pytest.fixture(scope="module")
+def raw() -> list[Outcome]:
+    """Outcomes of an engine, which has not looked at them."""
+    return sorted(MujocoEngine(1).run(JOBS, SIM), key=lambda outcome: outcome.job)
+
+
+@pytest.fixture
+def lookers() -> Iterator[Lookers[Any]]:
+    found = Lookers[Any](2)
+    yield found
+    found.close()
+
+
+def pids(lookers: Lookers[Any]) -> list[int]:
+    return [looker.child.pid for looker in lookers._lookers if looker.child.pid is not None]
+
+
+def told(outcomes: list[Outcome]) -> list[tuple[Any, ...]]:
+    return [(each.job, each.verdict, each.plan_edge_m, each.rest_edge_m, each.margin, each.flags) for each in outcomes]
+
+
+def expected(raw: list[Outcome]) -> list[tuple[Any, ...]]:
+    found = told(looked_at(deepcopy(raw), JOBS, SIM))
+    assert {each[1] for each in found} == {Verdict.STABLE}
+    assert all(0 < edge < 1 for _, _, *edges, _, _ in found for edge in edges)
+    return found
+
+
+def given(raw: list[Outcome], key: Any) -> list[tuple[Any, Outcome]]:
+    """Outcomes with keys, of which nobody else has them."""
+    return [((key, outcome.job), outcome) for outcome in deepcopy(raw)]
+
+
+def test_they_find_what_the_run_would(lookers: Lookers[Any], raw: list[Outcome]) -> None:
+    assert len(pids(lookers)) == 2
+    found: dict[Any, Outcome] = {}
+    many = 2 * MOST_WAITING + 3  # more than may wait for them
+    for key in range(many):
+        found |= lookers.exchanged(given(raw, key), JOBS, SIM, wait=False)
+    found |= lookers.exchanged([], [], SIM, wait=True)
+    assert sorted(found) == [(key, job) for key in range(many) for job in range(len(JOBS))]
+    for key in range(many):
+        assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
+    assert lookers.exchanged([], [], SIM, wait=True) == []
+
+
+def test_the_run_looks_itself_where_they_do_not(lookers: Lookers[Any], raw: list[Outcome]) -> None:
+    one, other = pids(lookers)
+    # one look that cannot be sent, and some of processes that are stopped, and then killed
+    os.kill(one, signal.SIGSTOP)
+    os.kill(other, signal.SIGSTOP)
+    unsendable = [Job(job.scene, record=lambda: None) for job in JOBS]  # type: ignore[arg-type]
+    found = dict(lookers.exchanged(given(raw, "unsendable"), unsendable, SIM, wait=False))
+    assert len(found) == len(JOBS)
+    for key in range(5):
+        assert lookers.exchanged(given(raw, key), JOBS, SIM, wait=False) == []
+    os.kill(one, signal.SIGKILL)
+    os.kill(other, signal.SIGKILL)
+    found |= lookers.exchanged(given(raw, 5), JOBS, SIM, wait=True)
+    assert pids(lookers) == []
+    found |= lookers.exchanged(given(raw, "none is left"), JOBS, SIM, wait=False)
+    for key in ("unsendable", *range(6), "none is left"):
+        assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
+
+
+def test_an_error_is_raised_in_the_run(lookers: Lookers[Any], raw: list[Outcome]) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011 - NumPy words it
+        lookers.exchanged(given(raw, 0), JOBS[:1], SIM, wait=True)
+
+
+def test_they_end_with_the_run(lookers: Lookers[Any]) -> None:
+    some = pids(lookers)
+    lookers.close()
+    for pid in some:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
