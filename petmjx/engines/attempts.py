@@ -79,7 +79,7 @@ class AttemptRecipe:
     of the time constant boxes sink by less than it resolves."""
 
     few: bool = False
-    """Whether few worlds need it, among many: but for those with errors of a plan whose boxes sink."""
+    """Whether few worlds need it, among many: but for those with errors of a plan whose boxes may sink."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give what the one before did not. More time is not given to a world."""

@@ -21,6 +21,7 @@ from petmjx.engines.beside.lookers import Lookers
 from petmjx.engines.beside.process import READY, Answer, Task
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.looked_at import MOST_TOGETHER, looked_at
+from petmjx.engines.sinking import may_sink
 from petmjx.engines.worlds import AnyWorld, WorldResult
 from petmjx.options.config import Simulation, Solver
 from petmjx.options.physics import Cone
@@ -208,8 +209,9 @@ class _Besides(Generic[AnyWorld]):
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
         making = _Making[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
         world, before, _ = pending
-        # where one world of a plan has sunk, those with errors have, too
-        few = attempt.few and (world.variant == 0 or (before is not None and before.verdict is not Verdict.INVALID))
+        # where boxes of a plan sink, they do in all its worlds with errors
+        sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
+        few = attempt.few and not (sank and may_sink(world.job.scene, self.sim))
         traits = {"doubles": attempt.doubles, "soft": making.is_soft(world), "few": few}
         name = self.engines.beside(world.job, making.sim, **traits)
         if name is not None:

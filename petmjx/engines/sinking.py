@@ -92,6 +92,14 @@ def sinking_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m:
     return sinking
 
 
+def may_sink(scene: Scene, sim: Simulation) -> bool:
+    """Whether boxes come down so far that it counts (``sank``) where each bears all that is above it. If none does, a
+    world of this plan sinks by chance alone."""
+    most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
+    bound_m = BOUND_SHARE * sim.thresholds.shift_m
+    return bool((sinking_m(scene, sim.physics, most_n, enough_m=bound_m) > bound_m).any())
+
+
 class _Stack:
     """Which boxes of a plan are above which."""
 
