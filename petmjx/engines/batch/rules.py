@@ -135,7 +135,6 @@ class Rules:
             waits_since=jnp.where(begins, state.driven_from + worlds.profile_steps, state.waits_since),
             quiet_steps=jnp.where(begins, 0, state.quiet_steps),
             tremble_looks=jnp.where(begins, 0, state.tremble_looks),
-            trembles=jnp.where(begins[:, None], 0, state.trembles),
             metrics=metrics._replace(sway_anchor=anchor),
         )
 
@@ -249,14 +248,15 @@ class Rules:
     ) -> tuple[State, Bool[Array, " world"]]:
         """In worlds with ``poll``, count the steps for which all boxes were quiet. If one creeps, start again.
 
-        A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps. Boxes that tremble are
-        quiet; which do is looked at where waits adapt.
+        A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps, and boxes that tremble
+        do not count; with such ones the count is 0 then. Which do is looked at where waits adapt.
         """
         quiet = self.sim.quiet
         speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
         if self.sim.waits_for_rest:
             state = trembling.after_look(state, worlds, poll & adapts, speed, self.sim)
-        speed = jnp.where(state.trembles == 1, 0.0, speed)
+        trembles = self.standing(state) & trembling.trembling(state, self.sim)
+        speed = jnp.where(trembles, 0.0, speed)
         count = jnp.where((speed < quiet.quiet_m_s).all(-1), state.quiet_steps + quiet.poll_steps, 0)
         enough = poll & (count >= quiet.steps)
         if not self.sim.waits_for_rest:
@@ -268,6 +268,7 @@ class Rules:
         anew = enough & (creeps | faster) & (state.metrics.culprit < 0)
         count = jnp.where(anew, quiet.poll_steps, count)
         at_begin = jnp.where(anew[:, None], speed, at_begin)
+        count = jnp.where(enough & ~anew & trembles.any(-1), 0, count)
         counted = state._replace(
             quiet_steps=jnp.where(poll, count, state.quiet_steps),
             quiet_speed=jnp.where(poll[:, None], at_begin, state.quiet_speed),
@@ -360,7 +361,8 @@ class Rules:
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
         still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
         seconds = (state.step - still_from) * sim.physics.timestep_s
-        most = jnp.where(state.trembles == 1, sim.quiet.slow_m_s, sim.quiet.still_m_s) * seconds[:, None]
+        trembles = trembling.trembling(state, sim)
+        most = jnp.where(trembles, sim.quiet.slow_m_s, sim.quiet.still_m_s) * seconds[:, None]
         standing = self.standing(state)
         moves = (standing & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)
         waits = (standing & (moved > most)).any(-1)

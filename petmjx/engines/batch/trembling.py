@@ -11,6 +11,11 @@ from petmjx.metrics import motion_jax as motion
 from petmjx.options.config import Simulation
 
 
+def trembling(state: State, sim: Simulation) -> Bool[Array, "world box"]:
+    """Which boxes tremble. Once another one has been placed, that is not known."""
+    return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
+
+
 def after_look(
     state: State, worlds: Worlds, looks: Bool[Array, " world"], speed: Float[Array, "world box"], sim: Simulation
 ) -> State:
@@ -23,7 +28,8 @@ def after_look(
     away = jnp.maximum(state.tremble_away, motion.moved(state.tremble_qpos, state.qpos, worlds.half))
     away = jnp.where(measures, away, state.tremble_away)
     begins = (looks & (look >= period) & (look % period == 0))[:, None]
-    trembles = away < jnp.minimum(rule.tremble_share * path, rule.slow_m_s * period * look_s)
+    least = rule.slow_m_s * period * look_s
+    trembles = (path >= least) & (away < jnp.minimum(rule.tremble_share * path, least))
     return state._replace(
         tremble_looks=look + looks,
         trembles=jnp.where(begins & measures, trembles.astype(jnp.int32), state.trembles),

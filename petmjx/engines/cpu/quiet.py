@@ -39,7 +39,7 @@ class QuietRule:
         return self._steps >= self._rule.steps
 
     def look(self, pose: FloatArray, velocity: FloatArray, sign_seen: bool, adapts: bool = True) -> bool:
-        """One look; whether it finds the pallet quiet.
+        """One look; whether it finds the pallet quiet, but for boxes that tremble.
 
         Args:
             pose: (k, 7) of the placed boxes, in m and unit quaternions.
@@ -51,7 +51,8 @@ class QuietRule:
         speed = motion_np.speed(velocity, radius)
         if self._waits_for_creep and adapts:
             self.trembling = self.trembling.after_look(self._sim, pose, speed, radius)
-        speed = np.where(self.trembling.which(len(speed)), 0.0, speed)
+        trembles = self.trembling.which(len(speed))
+        speed = np.where(trembles, 0.0, speed)
         if not (speed < rule.quiet_m_s).all():
             self._steps = 0
             return False
@@ -66,6 +67,8 @@ class QuietRule:
             if creeps or faster:
                 self._steps, self._first = rule.poll_steps, speed
                 return False
+        if trembles.any():
+            self._steps = 0  # the wait is over, but the pallet is not quiet
         return True
 
     def is_slow(self, velocity: FloatArray, boxes: slice) -> bool:

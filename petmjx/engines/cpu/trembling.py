@@ -22,24 +22,21 @@ class Trembling:
     """What is known of the boxes that tremble after a look; each look makes another one.
 
     Attributes:
-        boxes: (k,) which do. Boxes placed since it was found out do not.
-        placed, looks: boxes at the last look, and looks at so many.
+        boxes: (n,) which do, of those that have been looked at since the last one was placed.
+        looks: at as many boxes.
         home: (n, 7) poses at the beginning of the period that is measured.
         path_m, away_m: (n,) the way that each box has gone since, and how far it has been from its pose there, m.
     """
 
     boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
-    placed: int = 0
     looks: int = 0
     home: FloatArray | None = None
     path_m: FloatArray | float = 0.0
     away_m: FloatArray | float = 0.0
 
     def which(self, n: int) -> NDArray[np.bool_]:
-        """(n,) which of the first n boxes tremble."""
-        found = np.zeros(n, bool)
-        found[: len(self.boxes)] = self.boxes
-        return found
+        """(n,) which of the n placed boxes tremble. Once another one has been placed, that is not known."""
+        return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:
         """Another look at the boxes of a wait.
@@ -49,13 +46,14 @@ class Trembling:
         """
         rule = sim.quiet
         period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
-        boxes, looks, home, path, away = self.boxes, self.looks, self.home, self.path_m, self.away_m
-        if len(pose) != self.placed:
-            looks, home = 0, None
+        if len(pose) != len(self.boxes):
+            return replace(self, boxes=np.zeros(len(pose), bool), looks=1, home=None)
+        boxes, home, path, away = self.boxes, self.home, self.path_m, self.away_m
         if home is not None:
             path, away = path + speed_m_s * look_s, np.maximum(away, motion_np.moved(home, pose, radius_m))
-        if looks >= period and looks % period == 0:
+        if self.looks % period == 0:
             if home is not None:
-                boxes = away < np.minimum(rule.tremble_share * path, rule.slow_m_s * period * look_s)
+                least = rule.slow_m_s * period * look_s
+                boxes = (path >= least) & (away < np.minimum(rule.tremble_share * path, least))
             home, path, away = pose.copy(), 0.0, 0.0
-        return replace(self, boxes=boxes, placed=len(pose), looks=looks + 1, home=home, path_m=path, away_m=away)
+        return replace(self, boxes=boxes, looks=self.looks + 1, home=home, path_m=path, away_m=away)

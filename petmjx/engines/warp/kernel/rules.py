@@ -14,7 +14,7 @@ from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.hand import lets_go, take_up
 from petmjx.engines.warp.kernel.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, tilt_of
-from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, speed_unless_trembling
+from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, speed_unless_trembling, trembles
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 from petmjx.world import release
@@ -41,15 +41,16 @@ def _count_quiet(
     at: Thread,
     quiet_steps: int,
     signs: bool,
+    looks: int,
     # Data out:
     state: State,
 ) -> tuple[int, bool]:
     """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
-    and the count starts again. Boxes that tremble are quiet."""
+    and the count starts again. Boxes that tremble do not count; with such ones the count of a quiet pallet is 0."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        if not speed_unless_trembling(worlds, state, world, box) < model.quiet_speed:
+        if not speed_unless_trembling(model, worlds, state, looks, world, box) < model.quiet_speed:
             fast = True
     count = int(0)
     if not any_of_all(fast):
@@ -59,7 +60,7 @@ def _count_quiet(
         return count, quiet
     creeps = bool(False)
     for box in range(at.thread, at.placed, at.threads):
-        speed = speed_unless_trembling(worlds, state, world, box)
+        speed = speed_unless_trembling(model, worlds, state, looks, world, box)
         if count <= model.poll_steps:
             state.quiet_speed[world, box] = speed
         first = state.quiet_speed[world, box]
@@ -69,7 +70,13 @@ def _count_quiet(
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = speed_unless_trembling(worlds, state, world, box)
+            state.quiet_speed[world, box] = speed_unless_trembling(model, worlds, state, looks, world, box)
+    if quiet and looks > 2 * model.tremble_looks:
+        trembling = bool(False)
+        for box in range(at.thread, at.placed, at.threads):
+            trembling = trembling or trembles(model, state, looks, world, box)
+        if any_of_all(trembling):
+            count = 0
     return count, quiet
 
 
@@ -126,6 +133,7 @@ def _look_at_the_end(
     # In:
     at: Thread,
     seconds: float,
+    looks: int,
     # Data in:
     state: State,
 ) -> tuple[bool, bool, bool]:
@@ -138,7 +146,7 @@ def _look_at_the_end(
     for box in range(at.thread, at.placed, at.threads):
         moved = moved_since(worlds, state, state.still_qpos, world, box)
         moves = moves or moved > model.still_speed * seconds
-        most = wp.where(state.trembles[world, box] != 0, model.slow_speed, model.still_speed)
+        most = wp.where(trembles(model, state, looks, world, box), model.slow_speed, model.still_speed)
         waits = waits or moved > most * seconds
         q = orientation(state, world, box + 1)
         place = middle_of(worlds, world, box, center(state, world, box + 1), q)
@@ -294,7 +302,7 @@ def after_step(
             if adapts and model.waits_for_rest != 0:
                 find_trembling(model, worlds, at, looks, state)
                 looks += 1
-            quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, state)
+            quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, looks, state)
         if not in_drive:
             goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
@@ -316,7 +324,7 @@ def after_step(
     moving = (settles or (goes and more)) and culprit < 0 and quiet_steps < model.quiet_steps
     if last and not finished:
         seconds = float(step - still_from) * model.timestep
-        moves, waits, failed = _look_at_the_end(model, worlds, at, seconds, state)
+        moves, waits, failed = _look_at_the_end(model, worlds, at, seconds, looks, state)
         limit = _longest_wait(model, worlds, state, world, driven)
         if model.static_end != NEVER and not driven and not worlds.settles[world]:
             limit = model.static_end

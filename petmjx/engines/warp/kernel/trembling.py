@@ -52,8 +52,9 @@ def find_trembling(
         path = state.tremble_path[world, box] + speed_of(worlds, state, world, box) * look_s
         away = wp.max(state.tremble_away[world, box], moved_since(worlds, state, state.tremble_qpos, world, box))
         if begins and look > period:
-            most = wp.min(model.tremble_share * path, model.slow_speed * float(period) * look_s)
-            state.trembles[world, box] = wp.where(away < most, 1, 0)
+            least = model.slow_speed * float(period) * look_s
+            trembles = path >= least and away < wp.min(model.tremble_share * path, least)
+            state.trembles[world, box] = wp.where(trembles, 1, 0)
         if begins:
             path = 0.0
             away = 0.0
@@ -64,8 +65,18 @@ def find_trembling(
 
 
 @wp.func
-def speed_unless_trembling(worlds: Worlds, state: State, world: int, box: int) -> float:
+def trembles(model: Model, state: State, looks: int, world: int, box: int) -> bool:
+    """Whether a box trembles. Once another one has been placed, that is not known.
+
+    Args:
+        looks: since the last placement.
+    """
+    return looks > 2 * model.tremble_looks and state.trembles[world, box] != 0
+
+
+@wp.func
+def speed_unless_trembling(model: Model, worlds: Worlds, state: State, looks: int, world: int, box: int) -> float:
     """Speed of a box's fastest point, m/s; 0 if it trembles."""
-    if state.trembles[world, box] != 0:
+    if trembles(model, state, looks, world, box):
         return float(0.0)
     return speed_of(worlds, state, world, box)
