@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import os
 import signal
 import threading
 import time
@@ -27,6 +28,10 @@ if TYPE_CHECKING:
 BURST_S: Final = 2.0
 """Signals that come closer together than this count as one: pressing Ctrl-C six times in a row is one
 interruption."""
+
+
+AGAIN_S: Final = 0.05
+"""Time after which a signal comes again that came where an exception would be lost."""
 
 
 class Interrupted(Exception):
@@ -54,11 +59,16 @@ class _Stopped(KeyboardInterrupt):
 def stoppable() -> Iterator[None]:
     """SIGTERM and SIGHUP end the body as Ctrl-C does, each burst of signals once. Ignored signals stay ignored
     (nohup).
+
+    Python ignores what is raised while an object is finalised, as Ray's often are. A signal then comes again.
     """
     last_s = -math.inf
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal last_s
+        if any(each.f_code.co_name == "__del__" for each in _frames_of(frame)):
+            threading.Timer(AGAIN_S, os.kill, (os.getpid(), number)).start()
+            return
         now_s, before_s = time.monotonic(), last_s
         last_s = now_s
         if now_s - before_s >= BURST_S:
@@ -77,6 +87,13 @@ def stoppable() -> Iterator[None]:
         if last_s == -math.inf:  # else the process is about to end, and the rest of the burst may still come
             for number, handler in before.items():
                 signal.signal(number, handler)
+
+
+def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
+    """A frame and those that led to it."""
+    while frame is not None:
+        yield frame
+        frame = frame.f_back
 
 
 def run_and_show(
