@@ -32,7 +32,6 @@ DEFAULT_CHUNK_WORLDS, CHUNK_BOXES = 131_072, 1 << 21
 """Most worlds given to an engine at once, and boxes to which no more are added: 250 MB of scenes, as much for the next
 ones. At the end of a chunk a device has few worlds left, and MJX engines choose (and compile) shapes for each."""
 
-
 LARGE: Final = 1000
 """Worlds of a run that is worth processes beside it."""
 
@@ -63,9 +62,8 @@ def score_worlds(
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
 
-    An error of an engine that has a stand-in (petmjx/engines/attempts.py) does not end the run: the stand-in simulates
-    what was left unanswered. Nor does an error at a further attempt: without a stand-in such worlds are invalid by
-    ``failed``.
+    An error of an engine that has a stand-in does not end the run: that simulates what was left unanswered. Nor does an
+    error at a further attempt: without a stand-in such worlds are invalid by ``failed``.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
@@ -104,7 +102,8 @@ def score_worlds(
 
     def attempt_at(batch: list[_Pending[AnyWorld]], attempt: AttemptRecipe) -> Iterator[WorldResult[AnyWorld]]:
         making = _Making(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
-        making.lookers = besides.lookers if attempt is first and more is None else None
+        if attempt is first and more is None:
+            making.lookers, besides.making = besides.lookers, making
         for found in making.run(batch):
             yield from went_on(attempt, found)
             yield from from_beside()
@@ -135,6 +134,8 @@ def score_worlds(
         raise
     except BaseException:  # ctrl-C, too, loses nothing that has come
         yield from from_beside()
+        for found in besides.making.made([], engine.name) if besides.making is not None else ():
+            yield from went_on(first, found)
         raise
     finally:
         source.close()
@@ -180,6 +181,8 @@ class _Besides(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lookers: Lookers[_Pending[AnyWorld]] | None = None
+    making: _Making[AnyWorld] | None = None
+    """Whose answers they look at."""
     _numbers: Iterator[int] = field(default_factory=count)
     _asked: dict[int, tuple[_Making[AnyWorld], _Pending[AnyWorld], str]] = field(default_factory=dict)
     """Number of a task → the attempt that it makes, the world, and the name of the engine."""
@@ -209,7 +212,7 @@ class _Besides(Generic[AnyWorld]):
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
         making = _Making[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
         world, before, _ = pending
-        # where boxes of a plan sink, they do in all its worlds with errors
+        # where boxes of a plan may sink, they do in all its worlds with errors
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
         few = attempt.few and not (sank and may_sink(world.job.scene, self.sim))
         traits = {"doubles": attempt.doubles, "soft": making.is_soft(world), "few": few}

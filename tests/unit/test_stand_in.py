@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,8 @@ from petmjx.basics.errors import InputError
 from petmjx.engines import attempts, retry
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
+from petmjx.engines.beside.looker import Look
+from petmjx.engines.beside.lookers import Lookers
 from petmjx.engines.retry import score_worlds
 from petmjx.engines.worlds import WorldResult
 from petmjx.options.config import Simulation, Solver
@@ -185,6 +188,32 @@ def test_a_large_run_has_what_may_be_needed_beside_it_compiled_at_once(monkeypat
     for other in (Simulation(physics="reference"), Simulation(solver=Solver.CG)):
         scored(Scripted("mjx-warp", never), Scripted("mujoco", never), monkeypatch, other, kernel=kernel)
     assert len(kernel.sims) == 1
+
+
+def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Slow(Lookers[Any]):
+        """Answers where it is waited for, and the third look is interrupted."""
+
+        begun = 0
+
+        def _begin(self, keys: list[Any], look: Look) -> None:
+            self.begun += 1
+            if self.begun == WORLDS:
+                raise KeyboardInterrupt
+            super()._begin(keys, look)
+
+        def _take(self, looker: Any, *, wait: bool) -> None:
+            if wait:
+                super()._take(looker, wait=True)
+
+    monkeypatch.setattr(retry, "LARGE", WORLDS)
+    monkeypatch.setattr(retry, "MOST_TOGETHER", 1)
+    monkeypatch.setattr(retry.Lookers, "here", lambda: Slow(1))
+    worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
+    results = score_worlds(worlds, Simulation(physics="reference"), Scripted("mjx-warp", never))
+    assert [next(results).world.plan.plan_id for _ in range(WORLDS - 1)] == ["p0", "p1"]
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
 
 
 @pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # of the weight

@@ -75,7 +75,8 @@ class Lookers(Generic[Key]):
 
     def _begin(self, keys: list[Key], look: Look) -> None:
         """Begin a look. Waits where too many have not been answered."""
-        while self._lookers and not any(outcome.state or outcome.history for outcome in look[0]):
+        large = any(outcome.state is not None or outcome.history is not None for outcome in look[0])
+        while self._lookers and not large:
             looker = min(self._lookers, key=lambda each: len(each.unanswered))
             if len(looker.unanswered) < MOST_WAITING:
                 try:
