@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
@@ -54,9 +55,15 @@ IN_WORKERS = "mjx-warp-cpu"
 """The engine that a run has to name whose workers answer at once: jobs are dealt as to workers with a GPU."""
 
 
-def answer_in_workers() -> None:
-    """Workers of this process answer at once from now on."""
+@contextmanager
+def answering_in_workers() -> Iterator[None]:
+    """Workers that this process starts meanwhile answer at once."""
+    before = vars(pool)["Worker"]
     vars(pool)["Worker"] = InstantWorker
+    try:
+        yield
+    finally:
+        vars(pool)["Worker"] = before
 
 
 class InstantWorker(Worker):

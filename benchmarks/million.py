@@ -12,12 +12,13 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.all_memory import looked_at
-from benchmarks.instant import IN_WORKERS, Instant, answer_in_workers
+from benchmarks.instant import IN_WORKERS, Instant, answering_in_workers
 from benchmarks.record import Result, timed
 from petmjx.basics.errors import InputError
 from petmjx.basics.processes import process_pool
@@ -167,15 +168,14 @@ def run(case: Million) -> Result:
     """Simulate what is missing."""
     plans = made(case.plans)
     sweep, options = _asked(case)
-    if case.engine == "instant":
-        answer_in_workers()
 
     def ask(some: Any, options: RunOptions) -> SweepStudy:
         return SweepStudy(sweep, some, options)
 
     watch = Watch()
     begin = time.perf_counter()
-    results = simulate(ask, sweep.simulation, plans, options, watch)
+    with answering_in_workers() if case.engine == "instant" else nullcontext():
+        results = simulate(ask, sweep.simulation, plans, options, watch)
     seconds = time.perf_counter() - begin
     worlds = max(watch.last_s - watch.known_s, 1e-9)
     return {

@@ -23,6 +23,8 @@ from benchmarks.record import COMMIT_VARIABLE, append_line, read_lines
 from petmjx.basics.errors import InputError
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.workers import pool
+from petmjx.engines.workers.actor import Worker
 from petmjx.options.config import Schedule, Simulation
 from petmjx.plans.read import load_plans
 from petmjx.plans.samples import bundled_path, generate_one
@@ -390,6 +392,7 @@ def test_a_million_worlds_in_small(tmp_path: Path) -> None:
     assert million.written(case.out) == million.load(case)["rows"] == 12
     assert million.report_of(case)["bytes"] == (tmp_path / "report.html").stat().st_size
     assert "boxes" not in million.tables(case.out)
+    assert vars(pool)["Worker"] is Worker  # other runs of this process have workers that simulate
     boxes = [plan.n_boxes for plan in million.made(5)]
     assert boxes == sorted(boxes)
     assert (min(boxes), max(boxes)) == (million.FEWEST, million.MOST)
