@@ -10,8 +10,8 @@ from petmjx.basics.text import counted
 from petmjx.options.run_options import AUTO
 
 MOST_SHARING = 4
-"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory. In sweeps of small worlds two
-processes kept one GPU busier than one did, and four gained little more."""
+"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory. In sweeps of small worlds four
+processes kept a GPU no busier than two (docs/performance.md)."""
 
 PARTS = 10_000
 """Ray counts a GPU in so many parts."""
