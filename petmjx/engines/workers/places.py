@@ -10,8 +10,8 @@ from petmjx.basics.text import counted
 from petmjx.options.run_options import AUTO
 
 MOST_SHARING = 4
-"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory. In sweeps of small worlds four
-processes kept a GPU no busier than two (docs/performance.md)."""
+"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory. In sweeps of small worlds
+four processes kept a GPU hardly busier than two (docs/performance.md)."""
 
 PARTS = 10_000
 """Ray counts a GPU in so many parts."""
