@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -71,6 +71,21 @@ class GrowingJobs(list[Job]):
     Only engines that take more are given such a list. They simulate these jobs in the same run, as soon as something is
     free for them; a run ends when none is left.
     """
+
+
+class JobsInParts(list[Job]):
+    """The first part of a run's jobs. An engine may take the next part while it has this one, so that a device has
+    worlds up to its last ones; its jobs are numbered on. An engine that does not is given it in another run. An engine
+    may clear the list, since worlds that have ended would take memory.
+
+    Args:
+        next_part: see below.
+    """
+
+    def __init__(self, jobs: Sequence[Job], next_part: Callable[[], Sequence[Job] | None]) -> None:
+        super().__init__(jobs)
+        self.next_part = next_part
+        """The next part, once; None as long as it is being made, and no jobs where no part follows in this run."""
 
 
 @runtime_checkable

@@ -8,17 +8,18 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count
 from typing import Final, Generic
 
 from petmjx.basics.errors import InputError, PetmjxError
 from petmjx.basics.text import counted, one_line
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
-from petmjx.engines.base import Engine, GrowingJobs, Progress
+from petmjx.engines.base import Engine, GrowingJobs, JobsInParts, Progress
 from petmjx.engines.beside.lookers import Lookers
 from petmjx.engines.beside.process import READY, Answer, Task
+from petmjx.engines.chunks import DEFAULT_CHUNK_WORLDS, Chunks
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.looked_at import MOST_TOGETHER, looked_at
 from petmjx.engines.sinking import may_sink
@@ -27,10 +28,6 @@ from petmjx.options.config import Simulation, Solver
 from petmjx.options.physics import Cone
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict
 from petmjx.world.job import Job, KeptState
-
-DEFAULT_CHUNK_WORLDS, CHUNK_BOXES = 131_072, 1 << 21
-"""Most worlds given to an engine at once, and boxes to which no more are added: 250 MB of scenes, as much for the next
-ones. At the end of a chunk a device has few worlds left, and MJX engines choose (and compile) shapes for each."""
 
 LARGE: Final = 1000
 """Worlds of a run that is worth processes beside it."""
@@ -55,9 +52,10 @@ def score_worlds(
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
-    ``chunk_worlds`` worlds are simulated at a time, and the next ones are made meanwhile. Invalid ones are collected
-    and simulated again together, at the end or when a chunk is full. So memory does not grow with the number of worlds.
-    Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at once.
+    ``chunk_worlds`` worlds are given to an engine at a time, and the next ones are made meanwhile; an engine may take
+    these before all others have ended (``JobsInParts``). Invalid ones are collected and simulated again together, at
+    the end or when they are as many. So memory does not grow with the number of worlds. Attempts that CPU threads make
+    beside a GPU (petmjx/engines/attempts.py) begin at once.
 
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
@@ -76,7 +74,7 @@ def score_worlds(
     progress = progress or Progress()
     engines = Engines(engine, progress)
     first, *retries = attempts
-    source = _Chunks[AnyWorld](iter(worlds), chunk_worlds)
+    source = Chunks[AnyWorld](iter(worlds), chunk_worlds)
     waiting: list[tuple[AttemptRecipe, _Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
     besides = _Besides[AnyWorld](sim, engines)
@@ -100,10 +98,15 @@ def score_worlds(
         for attempt, found in besides.ended(wait=wait):
             yield from went_on(attempt, found)
 
+    def next_chunk() -> list[AnyWorld] | None:
+        """For an engine that still has the one before; none where as many wait, for other attempts or engines."""
+        return source.take_made() if len(waiting) + len(aside) < chunk_worlds else []
+
     def attempt_at(batch: list[_Pending[AnyWorld]], attempt: AttemptRecipe) -> Iterator[WorldResult[AnyWorld]]:
         making = _Making(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
         if attempt is first and more is None:
             making.lookers, besides.making = besides.lookers, making
+            making.next_chunk = None if source.ended else next_chunk
         for found in making.run(batch):
             yield from went_on(attempt, found)
             yield from from_beside()
@@ -118,17 +121,20 @@ def score_worlds(
 
     try:
         while True:
-            chunk = source.take() or aside.copy() or list(more() if more else ())
+            worlds = aside or source.take() or (more() if more else ())
+            batch: list[_Pending[AnyWorld]] = [(world, None, ()) for world in worlds]
+            del worlds
             aside.clear()
-            if chunk:
-                besides.prepare(chunk, retries)
-                yield from attempt_at([(world, None, ()) for world in chunk], first)
+            ended = not batch
+            if batch:
+                besides.prepare([world for world, _, _ in batch], retries)
+                yield from attempt_at(batch, first)
             elif not waiting and besides.unanswered:
                 progress.message = f"{counted(besides.unanswered, 'world')} again on CPU threads"
                 yield from from_beside(wait=True)
             elif not waiting:
                 return
-            if len(waiting) >= chunk_worlds or not chunk:
+            if len(waiting) >= chunk_worlds or ended:
                 yield from retry()  # from whose results more may follow
     except GeneratorExit:
         raise
@@ -140,38 +146,6 @@ def score_worlds(
     finally:
         source.close()
         besides.close()
-
-
-@dataclass(eq=False)
-class _Chunks(Generic[AnyWorld]):
-    """Worlds by the chunk. While an engine has a full one, a thread makes the next one: a GPU would wait for it."""
-
-    source: Iterator[AnyWorld]
-    most: int
-    _ended: bool = False
-    _maker: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-worlds"))
-    _next: Future[list[AnyWorld]] | None = None
-
-    def take(self) -> list[AnyWorld]:
-        """The next worlds; an empty list at the end."""
-        chunk = self._made() if self._next is None else self._next.result()
-        self._next = None if self._ended else self._maker.submit(self._made)
-        return chunk
-
-    def _made(self) -> list[AnyWorld]:
-        chunk, boxes = list[AnyWorld](), 0
-        for world in self.source:
-            chunk.append(world)
-            boxes += world.job.scene.n_boxes
-            if self._ended or len(chunk) == self.most or boxes >= CHUNK_BOXES:
-                return chunk
-        self._ended = True
-        return chunk
-
-    def close(self) -> None:
-        """Make no more worlds; one that is being made is waited for."""
-        self._ended = True
-        self._maker.shutdown()
 
 
 @dataclass(eq=False)
@@ -264,13 +238,29 @@ class _Besides(Generic[AnyWorld]):
 
 
 @dataclass(eq=False)
+class _Asked(Generic[AnyWorld]):
+    """What an engine was asked in one run: how many worlds, and those of them that it has not answered, by the number
+    of their job."""
+
+    count: int = 0
+    unanswered: dict[int, _Pending[AnyWorld]] = field(default_factory=dict)
+
+    def add(self, batch: Sequence[_Pending[AnyWorld]]) -> None:
+        """It is asked more."""
+        self.unanswered.update(enumerate(batch, self.count))
+        self.count += len(batch)
+
+
+@dataclass(eq=False)
 class _Making(Generic[AnyWorld]):
     """One attempt at a batch of worlds.
 
     Attributes:
         sim: the run's options with the attempt's changes.
         more: worlds that follow from the results so far, if they may be added to the batch.
-        aside: those of them that another engine simulates are put here.
+        next_chunk: other worlds that may be added once they are made; None as long as they are not, and no worlds at
+            the end.
+        aside: those of all of them that another engine simulates are put here.
         lookers: look at answers beside the run, if there are any.
     """
 
@@ -280,15 +270,21 @@ class _Making(Generic[AnyWorld]):
     more: Callable[[], Iterable[AnyWorld]] | None
     aside: list[AnyWorld]
     lookers: Lookers[_Pending[AnyWorld]] | None = None
+    next_chunk: Callable[[], list[AnyWorld] | None] | None = None
     _message: str = ""
     """Of the last error of an engine."""
 
-    def run(self, batch: Sequence[_Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-        """Yield world, outcome, and its records with this attempt's record."""
+    def run(self, batch: list[_Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+        """Yield world, outcome, and its records with this attempt's record.
+
+        Args:
+            batch: is emptied, since worlds that have ended would take memory.
+        """
         own = self.engines.own
-        chosen = [self._engine_for(world) for world, _, _ in batch]
-        left = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is own]
-        others = [pending for pending, engine in zip(batch, chosen, strict=True) if engine is not own]
+        left, others = list[_Pending[AnyWorld]](), list[_Pending[AnyWorld]]()
+        for pending in batch:
+            (left if self._engine_for(pending[0]) is own else others).append(pending)
+        batch.clear()
         if left:
             left = yield from self._run_on(own, left)
         yield from self.stood_in(left + others)
@@ -312,12 +308,19 @@ class _Making(Generic[AnyWorld]):
     def _run_on(
         self, engine: Engine, batch: list[_Pending[AnyWorld]]
     ) -> Generator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]], None, list[_Pending[AnyWorld]]]:
-        """Yield what an engine made of worlds; return those that an error of the engine left unanswered."""
-        jobs = self.attempt.apply_to_jobs([ready_for(engine.name, pending[0].job) for pending in batch])
+        """Yield what an engine made of worlds; return those that an error of the engine left unanswered.
+
+        Args:
+            batch: is emptied, as of ``run``.
+        """
+        asked = _Asked[AnyWorld]()
+        jobs = self._jobs_of(batch, asked, engine)
+        batch.clear()
         takes_more = self.more is not None and engine.takes_more
         if takes_more:
             jobs = GrowingJobs(jobs)
-        unanswered = set(range(len(batch)))
+        elif self.next_chunk is not None and engine is self.engines.own:
+            jobs = JobsInParts(jobs, partial(self._next_part, asked, engine))
         answers = iter(engine.run(jobs, self.sim, self.engines.progress))
         came: list[tuple[_Pending[AnyWorld], Outcome]] = []
         looked_s = -math.inf
@@ -332,37 +335,47 @@ class _Making(Generic[AnyWorld]):
                 if self.attempt.number == 1 and refused:
                     raise  # the user's to change: what the engine refuses, or the user's own engine
                 self._message = one_line(error)
-                self.engines.note_failure(engine.name, self.attempt.number, len(unanswered), self._message)
-                return [batch[index] for index in sorted(unanswered)]
+                self.engines.note_failure(engine.name, self.attempt.number, len(asked.unanswered), self._message)
+                return list(asked.unanswered.values())
             if answer is None:
                 break
-            if answer.job not in unanswered:
+            if answer.job not in asked.unanswered:
                 raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
-            unanswered.remove(answer.job)
-            came.append((batch[answer.job], answer))
+            came.append((asked.unanswered.pop(answer.job), answer))
             at_hand = self.engines.progress.at_hand if engine is self.engines.own else None
             soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
             idle = not (soon if at_hand is None else at_hand > 0)
             if len(came) == MOST_TOGETHER or idle:
                 yield from self.made(came, engine.name, looks=engine.looks, wait=idle)
                 came, looked_s = [], time.monotonic()
-            for world in self._following(engine) if takes_more else ():
-                unanswered.add(len(batch))
-                batch.append((world, None, ()))
-                jobs.append(ready_for(engine.name, world.job))
+            if takes_more:
+                assert self.more is not None
+                jobs += self._jobs_of(self._own_of(self.more(), engine), asked, engine)
         yield from self.made(came, engine.name, looks=engine.looks)
-        if unanswered:
-            raise RuntimeError(f"engine {engine.name} did not answer {len(unanswered)} of {len(batch)} jobs")
+        if asked.unanswered:
+            raise RuntimeError(f"engine {engine.name} did not answer {len(asked.unanswered)} of {asked.count} jobs")
         return []
 
-    def _following(self, engine: Engine) -> Iterator[AnyWorld]:
-        """Worlds that follow from the results so far, those of other engines left out."""
-        assert self.more is not None
-        for world in self.more():
+    def _next_part(self, asked: _Asked[AnyWorld], engine: Engine) -> Sequence[Job] | None:
+        """As of ``JobsInParts``."""
+        assert self.next_chunk is not None
+        chunk = self.next_chunk()
+        return None if chunk is None else self._jobs_of(self._own_of(chunk, engine), asked, engine)
+
+    def _own_of(self, worlds: Iterable[AnyWorld], engine: Engine) -> list[_Pending[AnyWorld]]:
+        """Those that an engine simulates. The others are put aside."""
+        own: list[_Pending[AnyWorld]] = []
+        for world in worlds:
             if self._engine_for(world) is engine:
-                yield world
+                own.append((world, None, ()))
             else:
                 self.aside.append(world)
+        return own
+
+    def _jobs_of(self, batch: Sequence[_Pending[AnyWorld]], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
+        """The jobs of worlds of which an engine is asked now."""
+        asked.add(batch)
+        return self.attempt.apply_to_jobs([ready_for(engine.name, pending[0].job) for pending in batch])
 
     def made(
         self, came: list[tuple[_Pending[AnyWorld], Outcome]], engine: str, *, looks: bool = False, wait: bool = True

@@ -30,7 +30,10 @@ LARGE_PART: Final = 10_000
 """Worlds of such a part: of ``worlds`` a megabyte, of ``boxes`` with 43 a world 30. A million worlds are 100 parts."""
 
 MOST_WAITING_BYTES: Final = 512 << 20
-"""Of metrics of boxes that wait in memory: 65,000 worlds of 43 boxes."""
+"""Of tables that wait in memory: 130,000 worlds of 43 boxes."""
+
+PIECE_WORLDS: Final = 500
+"""Worlds of a part whose rows become a piece of its tables: without ``boxes`` it takes a tenth of the memory."""
 
 
 @dataclass(frozen=True)
@@ -86,29 +89,64 @@ class _Waiting:
     """The worlds of a part that are in memory, and where the others are.
 
     Attributes:
+        pieces: tables of the worlds that came before ``rows``, by name.
+        n_pieces: their worlds.
+        nbytes: of pieces, and of the metrics of rows.
         since_s: when the first of them came (monotonic clock).
         early: numbers of parts that were written too early.
         n_early: their worlds.
     """
 
     rows: list[Row] = field(default_factory=list)
+    pieces: list[dict[str, pa.Table]] = field(default_factory=list)
+    n_pieces: int = 0
+    nbytes: int = 0
     since_s: float = 0.0
     early: list[int] = field(default_factory=list)
     n_early: int = 0
+
+    @property
+    def count(self) -> int:
+        """Worlds in memory."""
+        return self.n_pieces + len(self.rows)
+
+    def add(self, row: Row) -> None:
+        """One world more."""
+        if not self.count:
+            self.since_s = time.monotonic()
+        self.rows.append(row)
+        self.nbytes += row.block.nbytes
+
+    def make_piece(self, schemas: Mapping[str, pa.Schema]) -> None:
+        """Of the rows, if there are any."""
+        if self.rows:
+            piece = dict(Part(0, self.rows).tables(schemas))
+            self.nbytes += sum(table.nbytes for table in piece.values()) - sum(row.block.nbytes for row in self.rows)
+            self.n_pieces += len(self.rows)
+            self.pieces.append(piece)
+            self.rows = []
+
+    def written_early(self, number: int) -> None:
+        """What is in memory is in a part with this number now."""
+        self.early.append(number)
+        self.n_early += self.count
+        self.rows, self.pieces, self.n_pieces, self.nbytes = [], [], 0, 0
 
 
 class ByPlace:
     """Gathers worlds by part, and writes them.
 
+    Args:
+        schemas: of their tables.
+
     Attributes:
         counts: of worlds that are written.
     """
 
-    def __init__(self, places: Places) -> None:
-        self._places = places
+    def __init__(self, places: Places, schemas: Mapping[str, pa.Schema]) -> None:
+        self._places, self._schemas = places, schemas
         self._waiting: dict[int, _Waiting] = {}
         self._next_early = places.n_parts
-        self._bytes = 0
         self.counts = WorldCounts()
 
     def goes_on(self, parts: Parts, counts: WorldCounts) -> bool:
@@ -136,61 +174,52 @@ class ByPlace:
         memory."""
         number = self._places.rank(row.plan.plan_id, row.cells["variant"]) // self._places.per_part
         waiting = self._waiting.setdefault(number, _Waiting())
-        if not waiting.rows:
-            waiting.since_s = time.monotonic()
-        waiting.rows.append(row)
-        self._bytes += row.block.nbytes
-        if self._bytes > MOST_WAITING_BYTES:
+        waiting.add(row)
+        if len(waiting.rows) == PIECE_WORLDS:
+            waiting.make_piece(self._schemas)
+        if sum(each.nbytes for each in self._waiting.values()) > MOST_WAITING_BYTES:
             return self.left()
         return [number] if self._whole(number) else []
 
     def late(self, seconds: float) -> list[int]:
         """Parts of which a world waits for longer than this."""
         now = time.monotonic()
-        return [n for n, waiting in self._waiting.items() if waiting.rows and now - waiting.since_s >= seconds]
+        return [n for n, waiting in self._waiting.items() if waiting.count and now - waiting.since_s >= seconds]
 
     def left(self, early: bool = False) -> list[int]:
         """Parts of which worlds wait; ``early``: also those that were written in pieces and are whole."""
-        return [n for n, waiting in self._waiting.items() if waiting.rows or (early and self._whole(n))]
+        return [n for n, waiting in self._waiting.items() if waiting.count or (early and self._whole(n))]
 
-    def write(self, number: int, tables: Tables, schemas: Mapping[str, pa.Schema]) -> bool:
+    def write(self, number: int, tables: Tables) -> bool:
         """Write what there is of a part; returns whether parts that were written early are of no more use. Raises
         OSError."""
         waiting, whole = self._waiting[number], self._whole(number)
-        part = Part(number if whole else self._next_early, sorted(waiting.rows, key=self._rank))
-        made = part.tables(schemas) if part.rows or not whole else iter(())
-        if whole and waiting.early:
-            tables.write_part(number, self._joined(tables.parts, waiting.early, made))
-            tables.forget(waiting.early)
-        else:
-            tables.write_part(part.number, made)
-        self.counts = part.counted(self.counts)
-        self._bytes -= sum(row.block.nbytes for row in waiting.rows)
+        waiting.make_piece(self._schemas)
+        early = waiting.early if whole else []
+        tables.write_part(number if whole else self._next_early, self._joined(tables.parts, early, waiting.pieces))
+        tables.forget(early)
+        for piece in waiting.pieces:
+            self.counts.add_worlds(piece["worlds"])
         if whole:
             del self._waiting[number]
         else:
-            waiting.early.append(part.number)
-            waiting.n_early += len(part.rows)
-            waiting.rows = []
+            waiting.written_early(self._next_early)
             self._next_early += 1
-        return whole and bool(waiting.early)
+        return bool(early)
 
     def _whole(self, number: int) -> bool:
         waiting = self._waiting[number]
-        return waiting.n_early + len(waiting.rows) == self._places.size(number)
-
-    def _rank(self, row: Row) -> int:
-        return self._places.rank(row.plan.plan_id, row.cells["variant"])
+        return waiting.n_early + waiting.count == self._places.size(number)
 
     def _joined(
-        self, parts: Parts, early: Sequence[int], made: Iterator[tuple[str, pa.Table]]
+        self, parts: Parts, early: Sequence[int], pieces: Sequence[Mapping[str, pa.Table]]
     ) -> Iterator[tuple[str, pa.Table]]:
-        """The tables of a part that was written in pieces, in order; ``worlds`` comes last."""
-        new = dict(made)
-        names = [name for name in ("boxes", "attempts", "worlds") if name in new or parts.numbered(name, early)]
-        for name in names:
-            pieces = [parts.read(file) for file in parts.numbered(name, early)]
-            table = pa.concat_tables([*pieces, *([new[name]] if name in new else [])])
-            ranks = self._places.ranks(table)
-            assert ranks is not None
-            yield name, table.take(np.argsort(ranks, kind="stable"))
+        """The tables of a part, in order, from what was written early and from pieces; ``worlds`` comes last."""
+        for name in ("boxes", "attempts", "worlds"):
+            found = [parts.read(file) for file in parts.numbered(name, early)]
+            found += [piece[name] for piece in pieces if name in piece]
+            if found:
+                table = pa.concat_tables(found)
+                ranks = self._places.ranks(table)
+                assert ranks is not None
+                yield name, table.take(np.argsort(ranks, kind="stable"))

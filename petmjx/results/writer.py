@@ -111,7 +111,7 @@ class RunWriter(RunFolder):
         self._lock = threading.Lock()  # of the pending part and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
         self._pending = Pending(Part(0))
-        self._by_place = None if places is None else ByPlace(places)
+        self._by_place = None if places is None else ByPlace(places, self.schemas)
         self._until_exit = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
@@ -386,7 +386,7 @@ class RunWriter(RunFolder):
         for number in numbers:
             assert self._by_place is not None
             with shielded(afterwards=True), self._writing():
-                put_together = self._by_place.write(number, self._tables, self.schemas)
+                put_together = self._by_place.write(number, self._tables)
                 self._write_info()
                 if put_together:
                     self._tables.drop_others()

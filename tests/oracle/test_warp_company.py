@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from petmjx.engines.base import GrowingJobs
+from petmjx.engines.base import GrowingJobs, JobsInParts
 from petmjx.engines.batch.scene_rows import Rows
 from petmjx.history import Record
 from petmjx.verdict import Outcome
@@ -111,11 +112,19 @@ def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
     assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
 
 
+def in_parts(*parts: list[Job], polls: int = 3) -> JobsInParts:
+    """Each next part is made when it has been asked for so many times."""
+    left = deque(made for part in parts[1:] for made in [None] * polls + [part])
+    return JobsInParts(parts[0], lambda: left.popleft() if left else [])
+
+
 @pytest.mark.slow
 def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """49 worlds in two groups, of which the first one may leave two. The tables of the second are begun meanwhile."""
+    """Two groups of six worlds, and one of the next part; each may leave two. The tables of the next are begun
+    meanwhile."""
+    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
     going_on: list[int] = []
     ready: list[int] = []
     put_into, take = Left.put_into, Ahead.take
@@ -135,14 +144,34 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
 
     monkeypatch.setattr(Left, "put_into", watched)
     monkeypatch.setattr(Ahead, "take", taken)
-    scenes = tiny_scenes()
-    again = 50 // len(scenes)
-    found = run_all(engine(group_size=32, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * again, SHORT)
-    for first in range(0, len(found), len(scenes)):
-        assert_equal_worlds(dict(zip(scenes, found[first : first + len(scenes)], strict=True)), crowd)
-    assert 1 <= len(going_on) <= 2
-    assert max(going_on) < len(found) / 2 + 1
-    assert ready == [0, len(found) // 2]
+    scenes = tiny_scenes(TINY[:3])
+    jobs = [Job(scene) for scene in scenes.values()]
+    run = engine(group_size=8, slice_ns=STEP_NS).run(in_parts(jobs * 4, jobs), SHORT)
+    found = {outcome.job: outcome for outcome in run}
+    for first in range(0, 15, 3):
+        assert_equal_worlds({name: found.pop(first + k) for k, name in enumerate(scenes)}, crowd)
+    assert not found
+    assert len(going_on) >= 2
+    assert min(going_on) < 6 <= max(going_on)
+    assert ready == [0, 6, 3]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("polls", [0, 3, 10_000])
+def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(polls: int, crowd: dict[str, Outcome]) -> None:
+    """Wider tables, in which the worlds that are left begin anew; or it comes too late to be taken."""
+    wide, scenes = make_scene(9), tiny_scenes()
+    alone = simulate(shared_engine(), {"nine": wide}, SHORT)
+    jobs = [Job(scene) for scene in scenes.values()]
+    run = engine(group_size=32, slice_ns=SOME_NS).run(in_parts(jobs, [Job(wide), *jobs], jobs[:1], polls=polls), SHORT)
+    found = dict(sorted((outcome.job, outcome) for outcome in run))
+    if polls == 10_000:
+        assert list(found) == list(range(len(jobs)))
+        return
+    assert list(found) == list(range(2 * len(jobs) + 2))
+    assert_equal_worlds({"nine": found[len(jobs)]}, alone)
+    for first in (0, len(jobs) + 1):
+        assert_equal_worlds({name: found[first + k] for k, name in enumerate(scenes)}, crowd)
 
 
 @pytest.mark.slow

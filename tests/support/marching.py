@@ -16,6 +16,7 @@ from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_B
 from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
+from petmjx.engines.warp.needs import Needs
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.options.config import Check, Simulation
 from petmjx.world.job import Job
@@ -44,8 +45,8 @@ class OneStep:
 
     def __init__(self, scene: Scene, physics: str) -> None:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
-        widths = {size_for(scene.n_boxes).most_boxes: scene.n_boxes}
-        run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), widths, Progress())
+        needs = Needs({size_for(scene.n_boxes).most_boxes: scene.n_boxes})
+        run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), needs, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         boards = len(scene.carrier.half_size)
         room, launch = scene.n_boxes + boards - 1 + MORE_BOXES, Launch.here(scene.n_boxes)

@@ -45,6 +45,7 @@ class InTurn(LargestFirst):
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("petmjx.simulate.LARGE", 20)
+    monkeypatch.setattr(by_place, "PIECE_WORLDS", 3)
     monkeypatch.setattr(Places.__init__, "__defaults__", (10,))
     defaults = sweep_run.Batching.__init__.__defaults__
     assert defaults is not None

@@ -12,10 +12,10 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
+import petmjx.engines.chunks as chunks
 import petmjx.engines.looked_at as looked_at
-import petmjx.engines.retry as retry_module
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
-from petmjx.engines.base import Engine, Progress
+from petmjx.engines.base import Engine, JobsInParts, Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import score_worlds
 from petmjx.engines.worlds import World
@@ -200,11 +200,78 @@ def test_worlds_are_drawn_a_chunk_at_a_time_while_the_one_before_is_simulated() 
     assert [len(jobs) for _, jobs in engine.calls] == [4, 4, 2]
 
 
+@dataclass
+class InParts(FailingEngine):
+    """Takes each next part when it has answered half of the one before, and fails when it has begun one."""
+
+    fails: int = 0
+    parts: list[int] = field(default_factory=list)
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        self.calls.append((sim, list(jobs)))
+        self.parts.append(len(jobs))
+        left = dict(enumerate(jobs))
+        asked = len(left)
+        while left:
+            number = next(iter(left))
+            attempt = sum(left[number] in batch for _, batch in self.calls)
+            failures = round(float(left.pop(number).scene.mass[0])) - 1
+            yield outcome_of(number, Verdict.INVALID if attempt <= failures else Verdict.STABLE)
+            if isinstance(jobs, JobsInParts) and len(left) <= 2:
+                while (part := jobs.next_part()) is None:
+                    time.sleep(0.001)
+                if part and self.fails:
+                    raise ValueError("out of order")
+                left.update(enumerate(part, asked))
+                asked += len(part)
+                self.calls[-1][1].extend(part)
+                self.parts.extend([len(part)] if part else [])
+
+
+def test_an_engine_may_take_the_next_chunk_before_it_is_through_with_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As long as not too many wait for another attempt."""
+    engine = InParts()
+    results = list(score_worlds(worlds_failing(*[0] * 10), Simulation(), engine, chunk_worlds=4))
+    assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(10))
+    assert [len(jobs) for _, jobs in engine.calls] == [10]
+    assert engine.parts == [4, 4, 2]
+    monkeypatch.setattr("petmjx.engines.retry.MOST_TOGETHER", 1)
+    engine = InParts()
+    results = list(score_worlds(worlds_failing(*[1] * 10), Simulation(), engine, chunk_worlds=4))
+    assert sorted(len(r.attempts) for r in results) == [2] * 10
+    assert [len(jobs) for _, jobs in engine.calls] == [8, 8, 2, 2]
+
+
+def test_what_an_engine_had_of_several_chunks_when_it_failed_is_simulated_by_its_stand_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stand_in = FailingEngine("mujoco")
+    monkeypatch.setattr("petmjx.engines.attempts.make_engine", lambda name: stand_in)
+    engine = InParts("mjx-warp-cpu", fails=1)
+    results = list(score_worlds(worlds_failing(*[0] * 10), Simulation(), engine, chunk_worlds=4))
+    assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(10))
+    assert engine.parts == [4, 2]
+    assert len(stand_in.calls[0][1]) == 6
+
+
+def test_an_error_of_the_source_is_none_of_the_engine() -> None:
+    """What came before it is there."""
+
+    def source() -> Iterator[World]:
+        yield from worlds_failing(*[0] * 6)
+        raise ValueError("no more plans")
+
+    results, engine = [], InParts()
+    with pytest.raises(ValueError, match="no more plans"):
+        results.extend(score_worlds(source(), Simulation(), engine, chunk_worlds=4))
+    assert engine.parts == [4]
+
+
 def test_chunks_of_larger_worlds_have_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A chunk is full with the world that has its last box."""
-    monkeypatch.setattr(retry_module, "CHUNK_BOXES", 6)
+    monkeypatch.setattr(chunks, "CHUNK_BOXES", 6)
     worlds = [make_world(make_plan("p", stack(n))) for n in (1, 2, 1, 3, 4, 2, 5, 1, 1, 1, 1)]
-    source = retry_module._Chunks(iter(worlds), 4)
+    source = chunks.Chunks(iter(worlds), 4)
     taken = [[world.job.scene.n_boxes for world in source.take()] for _ in range(6)]
     source.close()
     assert taken == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]

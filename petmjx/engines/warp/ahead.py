@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 from petmjx.engines.batch.scene_rows import Rows, rows_of
+from petmjx.engines.warp.groups import Groups
 from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 
@@ -19,9 +20,12 @@ class Ahead:
     _thread: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-tables"))
     _begun: tuple[Sequence[Job], int, Future[Rows]] | None = None
 
-    def begin(self, jobs: Sequence[Job], width: int, sim: Simulation) -> None:
-        """Begin the rows of the jobs that come next, with so many box columns."""
-        self._begun = jobs, width, self._thread.submit(rows_of, [job.scene for job in jobs], width, sim)
+    def prepare(self, groups: Groups, sim: Simulation) -> None:
+        """Begin the rows of the next group's jobs once these are known, with its box columns."""
+        jobs = groups.following()
+        if jobs and (self._begun is None or self._begun[0] is not jobs):
+            width = groups.needs.of_sizes(jobs).most_boxes
+            self._begun = jobs, width, self._thread.submit(rows_of, [job.scene for job in jobs], width, sim)
 
     def take(self, jobs: Sequence[Job], width: int) -> Rows | None:
         """The rows of the first of some jobs, once; None if they have not been begun, or could not be made: whoever

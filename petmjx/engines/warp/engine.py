@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import replace
 from itertools import takewhile
 
@@ -18,15 +17,17 @@ from petmjx.engines.batch.outcomes import pick
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, round_up, tables
+from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, tables
 from petmjx.engines.open import MOST_BOXES
+from petmjx.engines.warp.ahead import Ahead
 from petmjx.engines.warp.few import fleet_for_few
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
+from petmjx.engines.warp.groups import Groups
 from petmjx.engines.warp.handover import Handover, Left
 from petmjx.engines.warp.launch import FEW_BOXES, Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
-from petmjx.engines.warp.needs import gives, is_wrapped, size_of, wants_hands, widths_of
+from petmjx.engines.warp.needs import size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
@@ -50,13 +51,6 @@ LEFT_SHARE = 16
 
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
-
-Waiting = Callable[[int], Sequence[Job]]
-"""The next jobs of a run, at most so many, which may be appended to those of a group."""
-
-
-def _none_waiting(most: int) -> Sequence[Job]:
-    return ()
 
 
 def _most_room(size: int) -> int:
@@ -132,77 +126,49 @@ class MjxWarpEngine(Engine):
         if not jobs:
             return
         progress = progress or Progress()
-        first = 0
+        handover = Handover(0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE)
+        groups, ahead = Groups(jobs, self.group_size, handover.most, self.granule), Ahead()
         with self._running:
-            while first < len(jobs):  # more may have been appended
-                rest = jobs[first:]
-                timetable = build_timetable(sim, round_up(max(job.scene.n_boxes for job in rest), self.granule))
-                hands, give, wraps = (any(map(trait, rest)) for trait in (wants_hands, gives, is_wrapped))
-                handover = Handover(0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE)
-                widths = widths_of(rest, self.granule)
-                run = Run(sim, timetable, widths, progress, jobs, hands, give, wraps, handover)
-                most = self.group_size - (handover.most if len(rest) > self.group_size else 0)
-                size = math.ceil(len(rest) / math.ceil(len(rest) / most))
-                end = len(jobs)
-                try:
-                    while first < end:
-                        group = list(jobs[first : min(first + size, end)])
-                        begin = end if run.grows else first + len(group)
-                        following = jobs[begin : min(begin + size, end)]
-                        yield from self._run_group(run, group, first, following)
-                        first += len(group)  # a group may have taken more
-                finally:
-                    run.ahead.close()
+            try:
+                for group in groups:
+                    timetable = build_timetable(sim, groups.needs.most_boxes)
+                    run = Run(sim, timetable, groups.needs, progress, groups, handover, ahead)
+                    yield from self._run_group(run, group)
+            finally:
+                ahead.close()
 
     def _load_group(self, run: Run, jobs: list[Job], most: int = 0) -> Group:
         """The tables of a group. ``most``: rows for as many jobs, if there are fewer now."""
-        rows, width = 1 << (max(len(jobs), most) - 1).bit_length(), max(run.widths.values())
+        rows, width = 1 << (max(len(jobs), most) - 1).bit_length(), run.needs.most_boxes
         batch = load(jobs, rows, width, run.sim, run.timetable, run.ahead.take(jobs, width))
         return Group(**vars(batch), run=run)
 
-    def _run_group(self, run: Run, own: list[Job], first_job: int, following: Sequence[Job]) -> Iterator[Outcome]:
-        """Outcomes of a group of jobs, and of those that the group before has left. A group may take more of the run's
-        jobs behind its own; these are appended to it.
-
-        Args:
-            following: the jobs of the next group, to which it leaves its last ones; none at the end, and where
-                more jobs may be appended.
-        """
-        left = run.handover.take()
+    def _run_group(self, run: Run, own: list[Job]) -> Iterator[Outcome]:
+        """Outcomes of a group of jobs, and of those that the group before has left. It may take more of the run's jobs
+        behind its own; these are appended to it."""
+        assert run.groups is not None
+        first_job, left = run.groups.first, run.handover.take()
         jobs, numbers = own, list(range(first_job, first_job + len(own)))
         if left is not None:
             jobs, numbers = own + left.jobs, numbers + left.numbers
-
-        def waiting(most: int) -> Sequence[Job]:
-            if not run.grows:
-                return ()
-            begin = first_job + len(jobs)
-            more = run.jobs[begin : begin + most]
-
-            def is_known(job: Job) -> bool:
-                wrapped = run.wraps or not is_wrapped(job)
-                return wrapped and (run.hands or not wants_hands(job)) and (run.gives or not gives(job))
-
-            return list(takewhile(is_known, more))
-
-        for outcome in self._run_worlds(run, jobs, waiting, left, following):
+        for outcome in self._run_worlds(run, jobs, run.groups, left):
             row = outcome.job
             outcome.job = numbers[row] if row < len(numbers) else first_job + row
             yield outcome
         run.handover.number(numbers)
 
     def _run_worlds(
-        self, run: Run, jobs: list[Job], waiting: Waiting, left: Left | None = None, following: Sequence[Job] = ()
+        self, run: Run, jobs: list[Job], groups: Groups | None = None, left: Left | None = None
     ) -> Iterator[Outcome]:
         """Worlds of all sizes; outcomes count them from 0.
 
         Args:
+            groups: the run's, if others may join them or follow. Then the last ones are left to those that follow.
             left: those at the end have these states.
-            following: the jobs of the next group, as of ``_run_group``.
         """
         answered: set[int] = set()
         try:
-            for outcome in outcomes_of(self._march(run, jobs, waiting, left, following), jobs, run):
+            for outcome in outcomes_of(self._march(run, jobs, groups, left), jobs, run):
                 answered.add(outcome.job)
                 yield outcome
         except Exception as error:
@@ -219,10 +185,10 @@ class MjxWarpEngine(Engine):
         apart = [lost[sizes == size] for size in np.unique(sizes)]
         for part in apart if len(apart) > 1 else np.array_split(lost, 2):
             if len(jobs) == len(part) == 1:
-                yield from outcomes_of(self._march(run, jobs, _none_waiting, simulate=False), jobs, run)
+                yield from outcomes_of(self._march(run, jobs, simulate=False), jobs, run)
             elif len(part):
                 run.progress.message = f"out of device memory, again with {len(part)} of the worlds"
-                for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()], _none_waiting):
+                for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()]):
                     outcome.job = int(part[outcome.job])
                     yield outcome
 
@@ -230,9 +196,8 @@ class MjxWarpEngine(Engine):
         self,
         run: Run,
         jobs: list[Job],
-        waiting: Waiting,
+        groups: Groups | None = None,
         left: Left | None = None,
-        following: Sequence[Job] = (),
         *,
         simulate: bool = True,
     ) -> Generator[Round]:
@@ -242,10 +207,9 @@ class MjxWarpEngine(Engine):
         arguments: as of ``_run_worlds``."""
         rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
         rows = rows if run.grows else 0
-        next_width = max((run.widths[size_of(job)] for job in following), default=0)
-        run = replace(run, widths={size: run.widths[size] for size in {size_of(job) for job in jobs}})
+        run = replace(run, needs=run.needs.of_sizes(jobs))
         group = self._load_group(run, jobs, rows)
-        queues = Queues(run.sizes, size_of, len(group.table.status))
+        queues = Queues(run.needs.sizes, size_of, len(group.table.status))
         own = len(jobs) - (len(left.jobs) if left else 0)
         if left:
             group.table = left.put_into(group.table, own)
@@ -259,8 +223,6 @@ class MjxWarpEngine(Engine):
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
                 rollout.keep_under_way(at_once, group, queues.order)
-                if following:
-                    run.ahead.begin(following, next_width, run.sim)
             while not emitted[: len(jobs)].all():
                 frames = None
                 if rollout is None:
@@ -276,18 +238,21 @@ class MjxWarpEngine(Engine):
                 emitted[ended] = True
                 picked = pick(ended, group.table, group.worlds, run.sim)
                 if rollout is not None:
-                    self._take(group, queues, waiting)
+                    self._take(group, queues, groups)
                     if not emitted[: len(jobs)].all():
                         rollout.keep_under_way(at_once, group, queues.order)
+                        if groups is not None:
+                            run.ahead.prepare(groups, run.sim)
                     else:
                         rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield Round(ended, picked, group.recorder)
-                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, waiting):
+                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, groups):
                     rollout.keep_under_way(at_once, group, queues.order)
                 rest = np.flatnonzero(~emitted[: len(jobs)])
-                if following and rollout is not None and group.recorder.idle and 0 < len(rest) <= run.handover.most:
+                few = group.recorder.idle and 0 < len(rest) <= run.handover.most
+                if few and rollout is not None and groups is not None and groups.following():
                     rollout.finish(group)
                     run.handover.left = Left.of(rest, jobs, group.table, run.handover.most)
                     return
@@ -295,18 +260,18 @@ class MjxWarpEngine(Engine):
             self._drop()  # the memory of a call that did not come back is gone
             raise
 
-    def _take(self, group: Group, queues: Queues, waiting: Waiting) -> bool:
+    def _take(self, group: Group, queues: Queues, groups: Groups | None) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
 
         def fits(job: Job) -> bool:
             known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            has_blocks = job.scene.n_boxes <= group.run.widths.get(size_of(job), 0)
+            has_blocks = job.scene.n_boxes <= group.run.needs.widths.get(size_of(job), 0)
             has_blocks &= len(job.scene.carrier.half_size) <= group.boards
             has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
             return known and has_blocks and has_times and job.record is None and group.recorder.idle
 
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
-        taken = list(takewhile(fits, waiting(free)))
+        taken = list(takewhile(fits, groups.waiting(group.jobs, free))) if groups is not None else []
         if not taken:
             return False
         queues.add(taken, len(group.jobs), group.run.sim)
@@ -340,8 +305,8 @@ class MjxWarpEngine(Engine):
         """The programs for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. What
         says that memory is short is raised if these are blocks of two sizes."""
         run = group.run
-        fleets = tuple(self._fleet(run, size, group.boards) for size in run.sizes)
-        smallest = run.sizes[-1]
+        fleets = tuple(self._fleet(run, size, group.boards) for size in run.needs.sizes)
+        smallest = run.needs.sizes[-1]
         usual = self._room.get((run.sim.physics.cone, smallest), 1) == 1
         # not with larger buffers of all lanes, and not in stiff contacts: there a step takes five times as many
         # iterations, in some worlds many more, for which the others of their block would wait
@@ -379,12 +344,12 @@ class MjxWarpEngine(Engine):
     def _boxes_of_room(self, run: Run, size: int) -> int:
         """Boxes for which a world of a size has contacts and pairs, as far as buffers have grown."""
         growth = self._room.get((run.sim.physics.cone, size), 1)
-        return min(growth * (run.widths[size] + MORE_BOXES), _most_room(size))
+        return min(growth * (run.needs.widths[size] + MORE_BOXES), _most_room(size))
 
     def _fleet(self, run: Run, size: int, boards: int) -> Fleet:
         """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
-        n_boxes = run.widths[size]
-        launch = Launch.here(n_boxes, run.hands, run.gives, run.wraps)
+        n_boxes = run.needs.widths[size]
+        launch = Launch.here(n_boxes, run.needs.hands, run.needs.gives, run.needs.wraps)
         shapes = self._boxes_of_room(run, size) + boards - 1
         return Fleet(launch, self._blocks(launch), n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
 

@@ -10,13 +10,15 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.base import GrowingJobs, Progress
+from petmjx.engines.base import Progress
 from petmjx.engines.batch.state import State, Status
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.upload import Batch
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp.ahead import Ahead
+from petmjx.engines.warp.groups import Groups
 from petmjx.engines.warp.handover import Handover, put_from
+from petmjx.engines.warp.needs import Needs
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
@@ -32,34 +34,24 @@ class Run:
     """What the groups of a run have in common.
 
     Attributes:
-        widths: most boxes of a size (``launch.Size``) → boxes for which blocks of that size have room in this run.
-        jobs: all of the run, to which more may be appended: ``GrowingJobs``.
-        hands: whether its kernels let a hand carry boxes, or drop them.
-        gives, wraps: whether its kernels know boxes that give, and film that holds them.
+        needs: what its kernels know and have room for.
+        groups: the run's jobs; None: those of one group.
         handover: from each group to the next one.
         ahead: the tables of the next one.
     """
 
     sim: Simulation
     timetable: Timetable
-    widths: dict[int, int]
+    needs: Needs
     progress: Progress
-    jobs: Sequence[Job] = ()
-    hands: bool = False
-    gives: bool = False
-    wraps: bool = False
+    groups: Groups | None = None
     handover: Handover = field(default_factory=Handover)
     ahead: Ahead = field(default_factory=Ahead)
 
     @property
-    def sizes(self) -> list[int]:
-        """The sizes of the run's worlds, the largest first."""
-        return sorted(self.widths, reverse=True)
-
-    @property
     def grows(self) -> bool:
-        """Whether more jobs may be appended, which follow from outcomes."""
-        return isinstance(self.jobs, GrowingJobs)
+        """Whether more jobs may be appended."""
+        return self.groups is not None and self.groups.grows
 
     def waits_for_host(self, jobs: Sequence[Job]) -> bool:
         """Whether the next slice of a group of jobs waits until the host has made outcomes of the last one: more jobs

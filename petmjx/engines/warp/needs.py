@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from petmjx.basics.errors import InputError
 from petmjx.engines.batch.upload import round_up
@@ -31,8 +32,62 @@ def size_of(job: Job) -> int:
     return size_for(job.scene.n_boxes).most_boxes
 
 
-def widths_of(jobs: Sequence[Job], granule: int) -> dict[int, int]:
-    """``Run.widths`` for some jobs."""
+@dataclass(frozen=True)
+class Needs:
+    """What jobs need.
+
+    Attributes:
+        widths: most boxes of a size (``launch.Size``) → boxes for which blocks of that size have room.
+        hands: that kernels let a hand carry boxes, or drop them.
+        gives, wraps: that they know boxes that give, and film that holds them.
+    """
+
+    widths: Mapping[int, int]
+    hands: bool = False
+    gives: bool = False
+    wraps: bool = False
+
+    @classmethod
+    def of(cls, jobs: Sequence[Job], granule: int) -> Needs:
+        """Those of some jobs.
+
+        Args:
+            granule: widths are multiples of it.
+
+        Raises:
+            InputError: there is no room for one of them.
+        """
+        return cls(_widths_of(jobs, granule), *(any(map(trait, jobs)) for trait in (wants_hands, gives, is_wrapped)))
+
+    @property
+    def sizes(self) -> list[int]:
+        """The sizes of worlds, the largest first."""
+        return sorted(self.widths, reverse=True)
+
+    @property
+    def most_boxes(self) -> int:
+        """For which there is room in a world."""
+        return max(self.widths.values())
+
+    def __or__(self, other: Needs) -> Needs:
+        """Those of both."""
+        widest = {
+            size: max(each.widths.get(size, 0) for each in (self, other)) for size in {*self.widths, *other.widths}
+        }
+        kinds = (self.hands or other.hands, self.gives or other.gives, self.wraps or other.wraps)
+        return Needs(widest, *kinds)
+
+    def of_sizes(self, jobs: Sequence[Job]) -> Needs:
+        """The same for the sizes of some of the jobs."""
+        return replace(self, widths={size: self.widths[size] for size in set(map(size_of, jobs))})
+
+    def know(self, job: Job) -> bool:
+        """Whether kernels that meet them know what a job has, if there is room for it."""
+        traits = ((self.hands, wants_hands), (self.gives, gives), (self.wraps, is_wrapped))
+        return all(known or not has(job) for known, has in traits)
+
+
+def _widths_of(jobs: Sequence[Job], granule: int) -> dict[int, int]:
     largest = max(job.scene.n_boxes for job in jobs)
     if largest > MAX_BOXES:
         raise InputError(
