@@ -90,7 +90,7 @@ class Outcome:
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
-    """Which engine made this attempt; filled in where outcomes arrive (petmjx.engines.retry)."""
+    """Which engine made this attempt; filled in where outcomes arrive (petmjx.engines.making)."""
     state: KeptState | EngineState | None = None
     """The settled state, if the job asked for it: a ``KeptState`` where outcomes have arrived."""
     margin: float = math.nan

@@ -14,8 +14,7 @@ from typing import Any
 
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.chunks import DEFAULT_CHUNK_WORLDS
-from petmjx.engines.retry import score_worlds
+from petmjx.engines.retry import DEFAULT_CHUNK_WORLDS, score_worlds
 from petmjx.engines.worlds import AnyWorld, World, WorldResult
 from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan

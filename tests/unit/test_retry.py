@@ -12,8 +12,8 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack
 
-import petmjx.engines.chunks as chunks
 import petmjx.engines.looked_at as looked_at
+import petmjx.engines.retry as retry_module
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.base import Engine, JobsInParts, Progress
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -235,7 +235,7 @@ def test_an_engine_may_take_the_next_chunk_before_it_is_through_with_this_one(mo
     assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(10))
     assert [len(jobs) for _, jobs in engine.calls] == [10]
     assert engine.parts == [4, 4, 2]
-    monkeypatch.setattr("petmjx.engines.retry.MOST_TOGETHER", 1)
+    monkeypatch.setattr("petmjx.engines.making.MOST_TOGETHER", 1)
     engine = InParts()
     results = list(score_worlds(worlds_failing(*[1] * 10), Simulation(), engine, chunk_worlds=4))
     assert sorted(len(r.attempts) for r in results) == [2] * 10
@@ -269,9 +269,9 @@ def test_an_error_of_the_source_is_none_of_the_engine() -> None:
 
 def test_chunks_of_larger_worlds_have_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     """A chunk is full with the world that has its last box."""
-    monkeypatch.setattr(chunks, "CHUNK_BOXES", 6)
+    monkeypatch.setattr(retry_module, "CHUNK_BOXES", 6)
     worlds = [make_world(make_plan("p", stack(n))) for n in (1, 2, 1, 3, 4, 2, 5, 1, 1, 1, 1)]
-    source = chunks.Chunks(iter(worlds), 4)
+    source = retry_module.Chunks(iter(worlds), 4)
     taken = [[world.job.scene.n_boxes for world in source.take()] for _ in range(6)]
     source.close()
     assert taken == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]

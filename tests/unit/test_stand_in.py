@@ -14,7 +14,7 @@ from support.plans import make_plan, make_world, stack
 
 import petmjx
 from petmjx.basics.errors import InputError
-from petmjx.engines import attempts, retry
+from petmjx.engines import attempts, making, retry
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.beside.looker import Look
@@ -120,7 +120,7 @@ def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypat
     """Before the engine of the run has answered the next world. The kernel on CPU threads makes them in stiffer
     contacts, and C MuJoCo the others; checks at half the timestep, of which there may be many, wait for a GPU."""
     told: list[str] = []
-    monkeypatch.setattr(retry, "MOST_TOGETHER", 1)
+    monkeypatch.setattr(making, "MOST_TOGETHER", 1)
 
     @dataclass
     class Telling(Scripted):
@@ -207,7 +207,7 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
                 super()._take(looker, wait=True)
 
     monkeypatch.setattr(retry, "LARGE", WORLDS)
-    monkeypatch.setattr(retry, "MOST_TOGETHER", 1)
+    monkeypatch.setattr(making, "MOST_TOGETHER", 1)
     monkeypatch.setattr(retry.Lookers, "here", lambda: Slow(1))
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = score_worlds(worlds, Simulation(physics="reference"), Scripted("mjx-warp", never))

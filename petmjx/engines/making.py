@@ -1,0 +1,206 @@
+"""One attempt at a batch of worlds: asks an engine, or its stand-in, and makes of answers what is looked at."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Final, Generic
+
+from petmjx.basics.errors import PetmjxError
+from petmjx.basics.text import one_line
+from petmjx.engines.attempts import AttemptRecipe, Engines, ready_for
+from petmjx.engines.base import Engine, GrowingJobs, JobsInParts
+from petmjx.engines.beside.lookers import Lookers
+from petmjx.engines.failing import failed_outcome
+from petmjx.engines.looked_at import MOST_TOGETHER, looked_at
+from petmjx.engines.worlds import AnyWorld
+from petmjx.options.config import Simulation
+from petmjx.verdict import Attempt, Flag, Outcome
+from petmjx.world.job import Job, KeptState
+
+MOST_DELAY_S: Final = 0.1
+"""Up to ``MOST_TOGETHER`` answers are looked at together. If an engine says how many are at hand, it is these; else
+those that come within so many seconds, or, if more worlds may follow from them, each alone."""
+
+Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
+"""A world between two attempts: with the outcome of the last one, and the records of all before."""
+
+
+@dataclass(eq=False)
+class _Asked(Generic[AnyWorld]):
+    """What an engine was asked in one run: how many worlds, and those of them that it has not answered, by the number
+    of their job."""
+
+    count: int = 0
+    unanswered: dict[int, Pending[AnyWorld]] = field(default_factory=dict)
+
+    def add(self, batch: Sequence[Pending[AnyWorld]]) -> None:
+        """It is asked more."""
+        self.unanswered.update(enumerate(batch, self.count))
+        self.count += len(batch)
+
+
+@dataclass(eq=False)
+class Making(Generic[AnyWorld]):
+    """One attempt at a batch of worlds.
+
+    Attributes:
+        sim: the run's options with the attempt's changes.
+        more: worlds that follow from the results so far, if they may be added to the batch.
+        next_chunk: other worlds that may be added once they are made; None as long as they are not, and no worlds at
+            the end.
+        aside: those of all of them that another engine simulates are put here.
+        lookers: look at answers beside the run, if there are any.
+    """
+
+    attempt: AttemptRecipe
+    sim: Simulation
+    engines: Engines
+    more: Callable[[], Iterable[AnyWorld]] | None
+    aside: list[AnyWorld]
+    lookers: Lookers[Pending[AnyWorld]] | None = None
+    next_chunk: Callable[[], list[AnyWorld] | None] | None = None
+    _message: str = ""
+    """Of the last error of an engine."""
+
+    def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+        """Yield world, outcome, and its records with this attempt's record.
+
+        Args:
+            batch: is emptied, since worlds that have ended would take memory.
+        """
+        own = self.engines.own
+        left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
+        for pending in batch:
+            (left if self._engine_for(pending[0]) is own else others).append(pending)
+        batch.clear()
+        if left:
+            left = yield from self._run_on(own, left)
+        yield from self.stood_in(left + others)
+
+    def stood_in(self, left: list[Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+        """The same of worlds that the stand-in takes over, if there is one."""
+        maker = self.engines.own
+        if left and self.engines.stand_in is not None:
+            maker = self.engines.stand_in
+            left = yield from self._run_on(maker, left)
+        failed = [failed_outcome(0, pending[0].job, self.sim, self._message) for pending in left]
+        yield from self.made(list(zip(left, failed, strict=True)), maker.name)
+
+    def _engine_for(self, world: AnyWorld) -> Engine:
+        return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles, soft=self.is_soft(world))
+
+    def is_soft(self, world: AnyWorld) -> bool:
+        """Whether boxes of a world are soft at this attempt."""
+        return self.attempt.soft or world.job.scene.soft is not None
+
+    def _run_on(
+        self, engine: Engine, batch: list[Pending[AnyWorld]]
+    ) -> Generator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]], None, list[Pending[AnyWorld]]]:
+        """Yield what an engine made of worlds; return those that an error of the engine left unanswered.
+
+        Args:
+            batch: is emptied, as of ``run``.
+        """
+        asked = _Asked[AnyWorld]()
+        jobs = self._jobs_of(batch, asked, engine)
+        batch.clear()
+        takes_more = self.more is not None and engine.takes_more
+        if takes_more:
+            jobs = GrowingJobs(jobs)
+        elif self.next_chunk is not None and engine is self.engines.own:
+            jobs = JobsInParts(jobs, partial(self._next_part, asked, engine))
+        answers = iter(engine.run(jobs, self.sim, self.engines.progress))
+        came: list[tuple[Pending[AnyWorld], Outcome]] = []
+        looked_s = -math.inf
+        while True:
+            try:
+                answer = next(answers, None)
+            except BaseException as error:  # ctrl-C, too, loses nothing that has come
+                yield from self.made(came, engine.name, looks=engine.looks)
+                if not isinstance(error, Exception):
+                    raise
+                refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
+                if self.attempt.number == 1 and refused:
+                    raise  # the user's to change: what the engine refuses, or the user's own engine
+                self._message = one_line(error)
+                self.engines.note_failure(engine.name, self.attempt.number, len(asked.unanswered), self._message)
+                return list(asked.unanswered.values())
+            if answer is None:
+                break
+            if answer.job not in asked.unanswered:
+                raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
+            came.append((asked.unanswered.pop(answer.job), answer))
+            at_hand = self.engines.progress.at_hand if engine is self.engines.own else None
+            soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
+            idle = not (soon if at_hand is None else at_hand > 0)
+            if len(came) == MOST_TOGETHER or idle:
+                yield from self.made(came, engine.name, looks=engine.looks, wait=idle)
+                came, looked_s = [], time.monotonic()
+            if takes_more:
+                assert self.more is not None
+                jobs += self._jobs_of(self._own_of(self.more(), engine), asked, engine)
+        yield from self.made(came, engine.name, looks=engine.looks)
+        if asked.unanswered:
+            raise RuntimeError(f"engine {engine.name} did not answer {len(asked.unanswered)} of {asked.count} jobs")
+        return []
+
+    def _next_part(self, asked: _Asked[AnyWorld], engine: Engine) -> Sequence[Job] | None:
+        """As of ``JobsInParts``."""
+        assert self.next_chunk is not None
+        chunk = self.next_chunk()
+        return None if chunk is None else self._jobs_of(self._own_of(chunk, engine), asked, engine)
+
+    def _own_of(self, worlds: Iterable[AnyWorld], engine: Engine) -> list[Pending[AnyWorld]]:
+        """Those that an engine simulates. The others are put aside."""
+        own: list[Pending[AnyWorld]] = []
+        for world in worlds:
+            if self._engine_for(world) is engine:
+                own.append((world, None, ()))
+            else:
+                self.aside.append(world)
+        return own
+
+    def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
+        """The jobs of worlds of which an engine is asked now."""
+        asked.add(batch)
+        return self.attempt.apply_to_jobs([ready_for(engine.name, pending[0].job) for pending in batch])
+
+    def made(
+        self, came: list[tuple[Pending[AnyWorld], Outcome]], engine: str, *, looks: bool = False, wait: bool = True
+    ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+        """What becomes of the answers of many worlds.
+
+        Args:
+            looks: the engine has looked at them itself.
+            wait: for those that are looked at beside the run; else some of them follow in later calls.
+        """
+        if looks:
+            found = came
+        elif self.lookers is not None:
+            found = self.lookers.exchanged(came, [world.job for (world, _, _), _ in came], self.sim, wait=wait)
+        else:
+            jobs = [world.job for (world, _, _), _ in came]
+            jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
+            outcomes = looked_at([answer for _, answer in came], jobs, self.sim)
+            found = [(pending, outcome) for (pending, _), outcome in zip(came, outcomes, strict=True)]
+        for (world, before, records), outcome in found:
+            outcome.attempt, outcome.engine = self.attempt.number, engine
+            outcome.solver = self.sim.solver.value
+            if outcome.state is not None and not isinstance(outcome.state, KeptState):
+                outcome.state = KeptState(engine, outcome.state)
+            records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
+            if self.attempt.checks and before is not None:
+                outcome = self._checked(world, before, outcome)
+            yield world, outcome, records
+
+    def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
+        """The outcome of a world that was checked at half the timestep: the one before, which says so if it changed."""
+        if checked.verdict is before.verdict:
+            return before
+        name = f"{world.plan.plan_id}, variant {world.variant}" if world.variant else world.plan.plan_id
+        self.engines.note(f"{name}: {before.verdict}, and {checked.verdict} at half the timestep")
+        return replace(before, flags=before.flags | Flag.TIMESTEP)
