@@ -25,8 +25,8 @@ from petmjx.options.physics import Cone
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 
-DEFAULT_CHUNK_WORLDS: Final = 2 * GROUP_WORLDS["mjx-warp"]
-"""Most worlds that are made at once."""
+DEFAULT_CHUNK_WORLDS: Final = 7 * GROUP_WORLDS["mjx-warp"] // 4
+"""Most worlds that are made at once: two groups of mjx-warp, beside what each may have of the one before."""
 
 CHUNK_BOXES: Final = 1 << 20
 """Boxes of a chunk to which no more worlds are added: 130 MB of scenes, and as much for the next chunk."""

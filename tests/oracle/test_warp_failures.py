@@ -143,7 +143,7 @@ def poisoned(monkeypatch: pytest.MonkeyPatch, poison: Callable[[Group, int], Gro
     """Put what is no number into the tables of jobs with the most boxes."""
     plain = MjxWarpEngine._load_group
 
-    def load(self: MjxWarpEngine, run: Any, jobs: list[Job], most: int = 0) -> Group:
+    def load(self: MjxWarpEngine, run: Any, jobs: list[Job], *args: Any) -> Group:
         group = plain(self, run, jobs)
         return poison(group, int(np.argmax([job.scene.n_boxes for job in jobs])))
 

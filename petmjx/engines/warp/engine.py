@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 from itertools import takewhile
 
@@ -16,18 +17,18 @@ from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, Run
 from petmjx.engines.batch.outcomes import pick
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
-from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, tables
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.ahead import Ahead
+from petmjx.engines.warp.course import Begun, Course
 from petmjx.engines.warp.few import fleet_for_few
 from petmjx.engines.warp.frames import hand_over, pick_frames
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
 from petmjx.engines.warp.groups import Groups
-from petmjx.engines.warp.handover import Handover, Left
+from petmjx.engines.warp.handover import Left
 from petmjx.engines.warp.launch import FEW_BOXES, Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
-from petmjx.engines.warp.needs import size_of
+from petmjx.engines.warp.needs import Needs, size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
@@ -46,8 +47,9 @@ the others."""
 MORE_AT_ONCE = 64
 """Jobs that are put into a table at the same time. XLA compiles a program for each number."""
 
-LEFT_SHARE = 16
-"""A group that another one follows ends when a world in so many is left, which goes on there."""
+LEFT_SHARE, READY_SHARE = 16, 2
+"""A group that another one follows ends when a world in so many is left, which goes on there. Tables for these are made
+when so many times as many are left: the device has work for a second."""
 
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
@@ -125,99 +127,98 @@ class MjxWarpEngine(Engine):
         """
         if not jobs:
             return
-        progress = progress or Progress()
-        handover = Handover(0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE)
-        groups, ahead = Groups(jobs, self.group_size, handover.most, self.granule), Ahead()
         with self._running:
-            try:
-                for group in groups:
-                    timetable = build_timetable(sim, groups.needs.most_boxes)
-                    run = Run(sim, timetable, groups.needs, progress, groups, handover, ahead)
-                    yield from self._run_group(run, group)
-            finally:
-                ahead.close()
+            yield from self._outcomes(self._course(jobs, sim, progress or Progress()))
 
-    def _load_group(self, run: Run, jobs: list[Job], most: int = 0) -> Group:
-        """The tables of a group. ``most``: rows for as many jobs, if there are fewer now."""
-        rows, width = 1 << (max(len(jobs), most) - 1).bit_length(), run.needs.most_boxes
-        batch = load(jobs, rows, width, run.sim, run.timetable, run.ahead.take(jobs, width))
-        return Group(**vars(batch), run=run)
+    def _course(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Course:
+        most_left = 0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE
+        alone = len(jobs) == 1 and type(jobs) is list
+        groups = Groups.of(jobs, self.group_size, READY_SHARE * most_left, self.granule)
+        return Course(groups, sim, progress, most_left, alone)
 
-    def _run_group(self, run: Run, own: list[Job]) -> Iterator[Outcome]:
-        """Outcomes of a group of jobs, and of those that the group before has left. It may take more of the run's jobs
-        behind its own; these are appended to it."""
-        assert run.groups is not None
-        first_job, left = run.groups.first, run.handover.take()
-        jobs, numbers = own, list(range(first_job, first_job + len(own)))
-        if left is not None:
-            jobs, numbers = own + left.jobs, numbers + left.numbers
-        for outcome in self._run_worlds(run, jobs, run.groups, left):
-            row = outcome.job
-            outcome.job = numbers[row] if row < len(numbers) else first_job + row
-            yield outcome
-        run.handover.number(numbers)
+    def _outcomes(self, course: Course) -> Iterator[Outcome]:
+        """Outcomes of all jobs of a course."""
+        with closing(course):
+            while course.groups:
+                waits = course.waits_for_host
+                try:
+                    for outcome in outcomes_of(self._rounds(course), course.sim, course.progress, waits=waits):
+                        del course.asked[outcome.job]
+                        yield outcome
+                except Exception as error:
+                    if not is_out_of_memory(error):
+                        raise
+                    self._drop()
+                    yield from self._again(course)
 
-    def _run_worlds(
-        self, run: Run, jobs: list[Job], groups: Groups | None = None, left: Left | None = None
-    ) -> Iterator[Outcome]:
-        """Worlds of all sizes; outcomes count them from 0.
-
-        Args:
-            groups: the run's, if others may join them or follow. Then the last ones are left to those that follow.
-            left: those at the end have these states.
-        """
-        answered: set[int] = set()
-        try:
-            for outcome in outcomes_of(self._march(run, jobs, groups, left), jobs, run):
-                answered.add(outcome.job)
-                yield outcome
-        except Exception as error:
-            if not is_out_of_memory(error):
-                raise
-            self._drop()
-            run.handover.take()  # the host may run out of it only then, with outcomes to make
-        if run.handover.left is not None:  # they are not lost
+    def _again(self, course: Course) -> Iterator[Outcome]:
+        """Memory ran out, and the states of all worlds are lost with it: those without an outcome once more, one size
+        or half of them at a time. A world that has been alone is given up."""
+        lost, sim, progress = course.lose(), course.sim, course.progress
+        if course.alone:
+            needs = Needs.of([*lost.values()], self.granule)
+            begun = Begun(Run.of(needs, sim, progress), [*lost.values()], [*lost])
+            yield from outcomes_of(self._march(begun, simulate=False), sim, progress, waits=True)
             return
-        # if memory ran out, the states of all worlds are lost with it: the others again, one size or half of them at a
-        # time
-        lost = np.array([row for row in range(len(jobs)) if row not in answered], int)
-        sizes = np.array([size_of(jobs[row]) for row in lost.tolist()])
-        apart = [lost[sizes == size] for size in np.unique(sizes)]
-        for part in apart if len(apart) > 1 else np.array_split(lost, 2):
-            if len(jobs) == len(part) == 1:
-                yield from outcomes_of(self._march(run, jobs, simulate=False), jobs, run)
-            elif len(part):
-                run.progress.message = f"out of device memory, again with {len(part)} of the worlds"
-                for outcome in self._run_worlds(run, [jobs[row] for row in part.tolist()]):
+        numbers = np.array([*lost], int)
+        sizes = np.array([size_of(job) for job in lost.values()])
+        apart = [numbers[sizes == size] for size in np.unique(sizes)]
+        for part in apart if len(apart) > 1 else np.array_split(numbers, 2):
+            if len(part):
+                progress.message = f"out of device memory, again with {len(part)} of the worlds"
+                for outcome in self._outcomes(self._course([lost[number] for number in part.tolist()], sim, progress)):
                     outcome.job = int(part[outcome.job])
                     yield outcome
 
+    def _rounds(self, course: Course) -> Generator[Round]:
+        """Of one group after the other, up to one that waits for the host while these do not, or the reverse."""
+        waits = course.waits_for_host
+        while course.groups and course.waits_for_host == waits:
+            yield from self._march(course.begin(), course, waits=waits)
+
+    def _load_group(self, run: Run, jobs: list[Job], most: int = 0, ahead: Ahead | None = None) -> Group:
+        """The tables of a group.
+
+        Args:
+            most: rows for as many jobs, if there are fewer now.
+            ahead: may have begun them.
+        """
+        rows, width = 1 << (max(len(jobs), most) - 1).bit_length(), run.needs.most_boxes
+        ready = ahead.take(jobs, width) if ahead is not None else None
+        return Group(**vars(load(jobs, rows, width, run.sim, run.timetable, ready)), run=run)
+
     def _march(
-        self,
-        run: Run,
-        jobs: list[Job],
-        groups: Groups | None = None,
-        left: Left | None = None,
-        *,
-        simulate: bool = True,
+        self, begun: Begun, course: Course | None = None, *, waits: bool = False, simulate: bool = True
     ) -> Generator[Round]:
-        """Slices of time until all worlds have ended. While the device works on one, the host makes outcomes of the
-        worlds that have ended, and from these more jobs may follow. Where none can, and no world is recorded, the next
-        slice is under way already. With ``simulate`` off all worlds are given up, since memory has run out. Other
-        arguments: as of ``_run_worlds``."""
-        rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size)
-        rows = rows if run.grows else 0
+        """Slices of time until all worlds of a group have ended. While the device works on one, the host makes outcomes
+        of the worlds that have ended, and from these more jobs may follow. Where none can, and no world is recorded,
+        the next slice is under way already.
+
+        Args:
+            course: from which jobs may join, or to whose next group the last worlds are left.
+            waits: the next slice waits for the host.
+            simulate: off if memory has run out: all worlds are given up.
+        """
+        run, jobs, numbers, left = begun
+        grows = course is not None and course.groups.grows
+        rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if grows else 0
         run = replace(run, needs=run.needs.of_sizes(jobs))
-        group = self._load_group(run, jobs, rows)
+        if left is not None and left.group is not None:
+            group = left.group
+        else:
+            group = self._load_group(run, jobs, rows, course.ahead if course is not None else None)
         queues = Queues(run.needs.sizes, size_of, len(group.table.status))
-        own = len(jobs) - (len(left.jobs) if left else 0)
-        if left:
+        emitted = np.zeros(len(group.table.status), bool)
+        own = len(jobs)
+        if left is not None:
+            own -= len(left.jobs)
+            emitted[own : len(jobs)] = left.emitted
             group.table = left.put_into(group.table, own)
             queues.add(left.jobs, own, run.sim)  # first: they may go on for long
         queues.add(jobs[:own], 0, run.sim)
-        emitted = np.zeros(len(group.table.status), bool)
         rollout = self._rollout(group) if simulate else None
-        at_once = 1 if run.waits_for_host(jobs) else 2
+        at_once = 1 if waits else 2
+        leaving: Left | None = None
         try:
             if rollout is None:
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
@@ -238,29 +239,49 @@ class MjxWarpEngine(Engine):
                 emitted[ended] = True
                 picked = pick(ended, group.table, group.worlds, run.sim)
                 if rollout is not None:
-                    self._take(group, queues, groups)
+                    self._take(group, numbers, queues, course)
                     if not emitted[: len(jobs)].all():
                         rollout.keep_under_way(at_once, group, queues.order)
-                        if groups is not None:
-                            run.ahead.prepare(groups, run.sim)
                     else:
                         rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                yield Round(ended, picked, group.recorder)
-                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, queues, groups):
+                yield Round(ended, picked, group.recorder, jobs, numbers)
+                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, numbers, queues, course):
                     rollout.keep_under_way(at_once, group, queues.order)
+                if rollout is None or course is None or not group.recorder.idle:
+                    continue
                 rest = np.flatnonzero(~emitted[: len(jobs)])
-                few = group.recorder.idle and 0 < len(rest) <= run.handover.most
-                if few and rollout is not None and groups is not None and groups.following():
+                leaving = leaving or self._leaving(course, jobs, numbers, rest)
+                if leaving is not None and 0 < len(rest) <= course.most_left:
                     rollout.finish(group)
-                    run.handover.left = Left.of(rest, jobs, group.table, run.handover.most)
+                    leaving.leave(group.table, emitted, READY_SHARE * course.most_left)
+                    course.left = leaving
                     return
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
 
-    def _take(self, group: Group, queues: Queues, groups: Groups | None) -> bool:
+    def _leaving(self, course: Course, jobs: list[Job], numbers: list[int], rest: NDArray[np.int64]) -> Left | None:
+        """What a group will leave to the one that follows, with the tables of that; None as long as it is early.
+
+        Args:
+            rest: rows of the worlds that have not ended.
+        """
+        course.ahead.prepare(course.groups, course.sim)
+        following = course.groups.following()
+        if not following or not 0 < len(rest) <= READY_SHARE * course.most_left:
+            return None
+        left = Left([jobs[row] for row in rest.tolist()], [numbers[row] for row in rest.tolist()], rest)
+        together, run = [*following, *left.jobs], course.next_run()
+        try:
+            left.group = self._load_group(replace(run, needs=run.needs.of_sizes(together)), together, 0, course.ahead)
+        except Exception as error:
+            if not is_out_of_memory(error):
+                raise
+        return left
+
+    def _take(self, group: Group, numbers: list[int], queues: Queues, course: Course | None) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
 
         def fits(job: Job) -> bool:
@@ -271,8 +292,8 @@ class MjxWarpEngine(Engine):
             return known and has_blocks and has_times and job.record is None and group.recorder.idle
 
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
-        taken = list(takewhile(fits, groups.waiting(group.jobs, free))) if groups is not None else []
-        if not taken:
+        taken = list(takewhile(fits, course.groups.waiting(free))) if course is not None else []
+        if course is None or not taken:
             return False
         queues.add(taken, len(group.jobs), group.run.sim)
         for first in range(0, len(taken), MORE_AT_ONCE):
@@ -280,6 +301,7 @@ class MjxWarpEngine(Engine):
             width, run = group.table.qpos.shape[1], group.run
             made = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
             group.add(some, *made)
+            course.join(some, numbers)
         return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:

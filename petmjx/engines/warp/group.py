@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.engines.base import Progress
-from petmjx.engines.batch.state import State, Status
-from petmjx.engines.batch.timetable import Timetable
+from petmjx.engines.batch.state import State, Status, put_rows
+from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.engines.batch.upload import Batch
-from petmjx.engines.batch.worlds import Worlds
-from petmjx.engines.warp.ahead import Ahead
-from petmjx.engines.warp.groups import Groups
-from petmjx.engines.warp.handover import Handover, put_from
+from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.warp.needs import Needs
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag
@@ -28,35 +26,37 @@ MAX_GROWTH = 8
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
+Table = TypeVar("Table", State, Worlds)
+
+_put = jax.jit(put_rows)
+
+
+def put_from(table: Table, first_row: int, count: int, values: Table) -> Table:
+    """A table of a group in which the rows from this one on are the first ``count`` of ``values``."""
+    length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
+    rows = np.full(length, end, np.int32)  # beyond the end: they are dropped
+    rows[:count] = first_row + np.arange(count)
+    put: Table = _put(table, uploaded(rows), values)
+    return put
+
 
 @dataclass
 class Run:
-    """What the groups of a run have in common.
+    """What the worlds of a group have in common.
 
     Attributes:
         needs: what its kernels know and have room for.
-        groups: the run's jobs; None: those of one group.
-        handover: from each group to the next one.
-        ahead: the tables of the next one.
     """
 
     sim: Simulation
     timetable: Timetable
     needs: Needs
     progress: Progress
-    groups: Groups | None = None
-    handover: Handover = field(default_factory=Handover)
-    ahead: Ahead = field(default_factory=Ahead)
 
-    @property
-    def grows(self) -> bool:
-        """Whether more jobs may be appended."""
-        return self.groups is not None and self.groups.grows
-
-    def waits_for_host(self, jobs: Sequence[Job]) -> bool:
-        """Whether the next slice of a group of jobs waits until the host has made outcomes of the last one: more jobs
-        may follow from these, or the host takes frames of recorded worlds away."""
-        return self.grows or any(job.record is not None for job in jobs)
+    @classmethod
+    def of(cls, needs: Needs, sim: Simulation, progress: Progress) -> Run:
+        """For worlds with these needs."""
+        return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress)
 
 
 @dataclass

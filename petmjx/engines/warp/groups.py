@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import takewhile
 
 from petmjx.engines.base import GrowingJobs, JobsInParts
@@ -12,7 +12,7 @@ from petmjx.world.job import Job
 
 
 class Groups:
-    """Deals jobs in their order, in groups of equal size.
+    """Deals jobs in their order, in groups of equal size. It is true as long as there are more.
 
     Args:
         size: most worlds of a group.
@@ -22,59 +22,94 @@ class Groups:
     Attributes:
         needs: of all jobs that are known, so that groups have the same kernels.
         first: the number of the first job of the group that was dealt last.
-        grows: whether jobs may be appended (``GrowingJobs``).
     """
 
-    def __init__(self, jobs: Sequence[Job], size: int, left: int, granule: int) -> None:
-        self.grows = isinstance(jobs, GrowingJobs)
-        self.needs, self.first = Needs({}), 0
-        self._jobs, self._size, self._left, self._granule = jobs, size, left, granule
-        self._next: Sequence[Job] = ()
-        self._next_part: Sequence[Job] = ()
+    grows = False
+    """Whether jobs may be appended (``GrowingJobs``)."""
 
-    def __iter__(self) -> Iterator[list[Job]]:
-        """Each group. Meanwhile jobs that are ``waiting`` may be appended to it."""
-        self._meet(self._jobs[:])
-        if isinstance(self._jobs, JobsInParts):
-            self._jobs.clear()
-        while part := self._next_part:
-            self._next_part = ()
-            begin, each = self.first, self._each(part)
-            while (at := self.first - begin) < len(part):
-                group = list(part[at : at + each])
-                self._next = () if self.grows else part[at + each : at + 2 * each]
-                yield group
-                self.first += len(group)
-            if self.grows:
-                self.needs = Needs({})
-                self._meet(self._jobs[self.first :])
-            else:
-                self.following()
+    def __init__(self, jobs: Sequence[Job], size: int, left: int, granule: int) -> None:
+        self.needs, self.first = Needs({}), 0
+        self._size, self._left, self._granule = size, left, granule
+        self._more = jobs.next_part if isinstance(jobs, JobsInParts) else None
+        self._dealt: list[Job] = []
+        self._known: Sequence[Job] = ()
+        self._next: Sequence[Job] = ()
+        self._each = 0
+        self._meet(jobs[:])
+
+    @staticmethod
+    def of(jobs: Sequence[Job], size: int, left: int, granule: int) -> Groups:
+        """For these jobs. Those that come in parts are taken out of their list."""
+        groups = (GrowingGroups if isinstance(jobs, GrowingJobs) else Groups)(jobs, size, left, granule)
+        if isinstance(jobs, JobsInParts):
+            jobs.clear()
+        return groups
+
+    def __bool__(self) -> bool:
+        return bool(self._find_next())
+
+    @property
+    def recorded(self) -> bool:
+        """Whether a world of the next group is."""
+        return any(job.record is not None for job in self._find_next())
+
+    def take(self) -> list[Job]:
+        """The next group. Jobs that are ``waiting`` may be appended to it before another one is dealt."""
+        group = list(self._find_next())
+        self.first += len(self._dealt)
+        self._dealt, self._next = group, ()
+        return group
 
     def following(self) -> Sequence[Job]:
-        """The jobs of the next group: none at the end, as long as they are being made, and where jobs may be
+        """The jobs of the next group; none at the end, as long as they are being made, and where jobs may be
         appended."""
-        if not self._next and not self.grows:
-            if not self._next_part and isinstance(self._jobs, JobsInParts):
-                self._meet(self._jobs.next_part() or ())
-            self._next = self._next_part[: self._each(self._next_part)]
+        return self._find_next()
+
+    def waiting(self, most: int) -> list[Job]:
+        """Jobs that may join the group that was dealt last, at most so many. They follow its own."""
+        return []
+
+    def _find_next(self) -> Sequence[Job]:
+        if not self._next:
+            if not self._known and self._more is not None:
+                self._meet(self._more() or ())
+            self._next, self._known = self._known[: self._each], self._known[self._each :]
         return self._next
 
-    def waiting(self, group: Sequence[Job], most: int) -> list[Job]:
-        """Jobs that follow those of the group and may join them, at most so many."""
-        if not self.grows:
-            return []
-        begin = self.first + len(group)
+    def _meet(self, jobs: Sequence[Job]) -> None:
+        """Jobs that are known from now on; all others have been dealt."""
+        self._known = jobs
+        if jobs:
+            self.needs |= Needs.of(jobs, self._granule)
+            most = self._size - (self._left if len(jobs) > self._size or self._more is not None else 0)
+            self._each = math.ceil(len(jobs) / math.ceil(len(jobs) / most))
+
+
+class GrowingGroups(Groups):
+    """Jobs may be appended, and join a group whose kernels know what they have."""
+
+    grows = True
+
+    def __init__(self, jobs: Sequence[Job], size: int, left: int, granule: int) -> None:
+        self._jobs = jobs
+        self._end = 0
+        """Jobs of all kinds that ``needs`` is of are before this one."""
+        super().__init__(jobs, size, left, granule)
+
+    def following(self) -> Sequence[Job]:
+        return ()
+
+    def waiting(self, most: int) -> list[Job]:
+        begin = self.first + len(self._dealt)
         return list(takewhile(self.needs.know, self._jobs[begin : begin + most]))
 
-    def _meet(self, part: Sequence[Job]) -> None:
-        """Jobs that are known now."""
-        self._next_part = part
-        if part:
-            self.needs |= Needs.of(part, self._granule)
+    def _find_next(self) -> Sequence[Job]:
+        begin = self.first + len(self._dealt)
+        if begin >= self._end:
+            self.needs = Needs({})
+            self._meet(self._jobs[begin:])
+        return self._jobs[begin : min(begin + self._each, self._end)]
 
-    def _each(self, part: Sequence[Job]) -> int:
-        """Jobs of a group."""
-        several = len(part) > self._size or isinstance(self._jobs, JobsInParts)
-        most = self._size - (self._left if several else 0)
-        return math.ceil(len(part) / max(math.ceil(len(part) / most), 1))
+    def _meet(self, jobs: Sequence[Job]) -> None:
+        self._end = len(self._jobs)
+        super()._meet(jobs)

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.run_ahead import run_ahead
+from petmjx.engines.base import Progress
 from petmjx.engines.batch.outcomes import outcomes
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.running import Measured
 from petmjx.engines.batch.state import State
-from petmjx.engines.warp.group import Run
+from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
@@ -28,28 +29,33 @@ class Round(NamedTuple):
     """The worlds that have ended in a time slice.
 
     Attributes:
-        rows: of the group.
+        rows: of a group.
         picked: their states and metrics, on the device (``batch.outcomes.pick``).
         recorder: has their histories.
+        jobs, numbers: of all worlds of the group, and their numbers in the run.
     """
 
     rows: NDArray[np.int64]
     picked: Sequence[tuple[State, Measured]]
     recorder: Recorder
+    jobs: Sequence[Job]
+    numbers: Sequence[int]
 
 
-def outcomes_of(rounds: Generator[Round], jobs: Sequence[Job], run: Run) -> Iterator[Outcome]:
-    """The outcomes of a group's worlds.
+def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *, waits: bool) -> Iterator[Outcome]:
+    """The outcomes of worlds, with their numbers in the run.
 
-    Where no slice has to wait for them, a thread runs the slices: the host may take longer for small worlds than the
-    device.
+    Args:
+        waits: each slice waits for them. Else a thread runs the slices: the host may take longer for small worlds than
+            the device.
     """
     waiting: SimpleQueue[Round] = SimpleQueue()
-    if not run.waits_for_host(jobs):
+    if not waits:
         rounds = run_ahead(rounds, MOST_AHEAD, waiting)
     with closing(rounds):
-        for rows, picked, recorder in rounds:
-            found = outcomes(rows, picked, jobs, 0, run.sim, recorder)
+        for rows, picked, recorder, jobs, numbers in rounds:
+            found = outcomes(rows, picked, jobs, 0, sim, recorder)
             for left, outcome in zip(reversed(range(len(rows))), found, strict=True):
-                run.progress.at_hand = left + (not waiting.empty())
+                outcome.job = numbers[outcome.job]
+                progress.at_hand = left + (not waiting.empty())
                 yield outcome
