@@ -157,7 +157,7 @@ def judge(
         placement: of a world that was shaken, what it was before. What did not stand then has not passed, even if it
             ends where the plan has it.
     """
-    for bits, reason in INVALID_FLAGS:
+    for bits, reason in INVALID_FLAGS if flags else ():
         if flags & bits:
             return Verdict.INVALID, reason
     if sank:

@@ -245,8 +245,11 @@ class BoxMetrics:
         Raises:
             TypeError: there is no metric of that name.
         """
-        found: dict[str, Any] = {metric.attribute: metric.nothing(*n) for metric in box_metrics()}
-        return cls(**found | values)
+        of_boxes = (metric for metric in METRICS if isinstance(metric, BoxMetric))
+        missing: dict[str, Any] = {
+            metric.attribute: metric.nothing(*n) for metric in of_boxes if metric.attribute not in values
+        }
+        return cls(**missing, **values)
 
 
 FORCE_INTERVAL: Final = tuple(

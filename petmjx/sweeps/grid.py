@@ -11,6 +11,7 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, shown
 from petmjx.basics.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.engines.cost import Work, rest_steps
+from petmjx.history import Record
 from petmjx.options.config import Check, Schedule
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
@@ -163,10 +164,13 @@ class SweepPlan(Design):
             nominal = build_scene(plan, self.sweep.simulation)
             yield from zip(these, apply_all(nominal, plan.plan_id, placements, self.sweep.seed), strict=True)
 
-    def job(self, group: PlacementGroup, scene: Scene) -> Job:
+    def job(
+        self, group: PlacementGroup, scene: Scene, *, keep_state: bool = False, record: Record | None = None
+    ) -> Job:
         """What is simulated of a group's placement. One with random errors is asked whether it stands: it ends when a
         box is lost."""
-        return Job(scene, has_errors=group.placement.placement.random)
+        has_errors = group.placement.placement.random
+        return Job(scene, keep_state=keep_state, record=record, has_errors=has_errors)
 
     # Drives.
 

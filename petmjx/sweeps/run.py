@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -212,7 +212,7 @@ class SweepRun:
         self.tally.placement_s += time.perf_counter() - begin
 
     def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
-        return replace(self.plan.job(group, scene), keep_state=keep_state, record=self.recording.of(group.plan))
+        return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Worlds without a drive: they have the placement's outcome, with rest window."""

@@ -123,11 +123,12 @@ def _changed(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], st
     placing = change.placing(scene.placing, errors=has_errors)
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
-    each = (half_size, mass, target, start_pos, start_quat)
-    for k in range(len(keys)):
-        half, kg, planned, place, turn = (values[k if len(values) > 1 else 0] for values in each)
+    each = (slippery, half_size, mass, target, start_pos, start_quat)
+    # one and the same object where worlds do not differ: pickles and tables have it once
+    columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in each)
+    for _, base, half, kg, planned, place, turn in zip(keys, *columns, strict=False):
         yield replace(
-            slippery[k if len(slippery) > 1 else 0],
+            base,
             half_size=half,
             mass=kg,
             target=planned,

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 
@@ -125,7 +126,7 @@ class PlacementChange:
         chosen = placing.for_errors if errors else placing
         return chosen.changed(**given) if given else chosen
 
-    @property
+    @cached_property
     def random(self) -> bool:
         """Whether two replicates differ."""
         values = (getattr(self, entry.name) for entry in fields(self))

@@ -89,7 +89,7 @@ def _outcomes(
             pos=job.scene.middles(pose[:, :3], pose[:, 3:]),
             quat=pose[:, 3:],
         )
-        flags = Flag(int(host.flags[i])) | (Flag.FORKED if job.start is not None else Flag.NONE)
+        flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.start is not None else 0))
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
         known = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
