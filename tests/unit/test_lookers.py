@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import pickle
 import signal
 from collections.abc import Iterator
 from copy import deepcopy
@@ -11,7 +13,8 @@ from typing import Any
 import pytest
 from support.plans import make_plan, make_world, stack
 
-from petmjx.engines.beside.lookers import MOST_WAITING, Lookers
+from petmjx.engines.beside.child import next_of
+from petmjx.engines.beside.lookers import LOOK_S, MOST_WAITING, Lookers
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.looked_at import looked_at
 from petmjx.options.config import Simulation
@@ -85,6 +88,26 @@ def test_the_run_looks_itself_where_they_do_not(lookers: Lookers[Any], raw: list
     found |= lookers.exchanged(given(raw, "none is left"), JOBS, SIM, wait=False)
     for key in ("unsendable", *range(6), "none is left"):
         assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
+
+
+def test_a_process_that_hangs_is_not_waited_for_without_end(
+    lookers: Lookers[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, other = pids(lookers)
+    lookers.exchanged(given(raw, "started"), JOBS, SIM, wait=True)
+    monkeypatch.setattr("petmjx.engines.beside.lookers.HANGS_S", 2 * LOOK_S)
+    os.kill(one, signal.SIGSTOP)
+    lookers.exchanged(given(raw, 0), JOBS, SIM, wait=False)
+    found = dict(lookers.exchanged([], [], SIM, wait=True))
+    assert told([found[0, job] for job in range(len(JOBS))]) == expected(raw)
+    assert pids(lookers) == [other]
+    with pytest.raises(ProcessLookupError):
+        os.kill(one, 0)
+
+
+@pytest.mark.parametrize("sent", [b"", pickle.dumps(range(9))[:-3], b"cno_such_module\nname\n.", b"\x80\x04]K\x01R."])
+def test_what_cannot_be_read_is_the_end_of_a_pipe(sent: bytes) -> None:
+    assert next_of(io.BytesIO(sent)) is None
 
 
 def test_an_error_is_raised_in_the_run(lookers: Lookers[Any], raw: list[Outcome]) -> None:

@@ -89,8 +89,9 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object of a pipe; None at its end."""
+    """The next object of a pipe; None at its end, and where it cannot be read: the pipe ends in the middle of it, there
+    is no memory for it, or its class cannot be imported."""
     try:
         return pickle.load(pipe)
-    except (EOFError, OSError, pickle.UnpicklingError):
+    except Exception:  # a thread that ended without a word would be waited for without end
         return None

@@ -29,6 +29,10 @@ MOST_WAITING: Final = 8
 LOOK_S: Final = 0.25
 """Longest wait for an answer, s: a signal is noticed after it."""
 
+HANGS_S: Final = 60.0
+"""A process that is waited for and has not answered for so long hangs, s. It starts in a few seconds, and a look takes
+less than one."""
+
 Key = TypeVar("Key")
 
 
@@ -94,14 +98,18 @@ class Lookers(Generic[Key]):
         self._found += zip(keys, looked_at(*look), strict=True)
 
     def _take(self, looker: _Looker[Key], *, wait: bool) -> None:
-        """Take the answers of a process, with ``wait`` one at least."""
+        """Take the answers of a process, with ``wait`` one at least. One that died or hangs is done without."""
+        waits = 0  # not the time: while this process is stopped itself (Ctrl-Z), no answer is late
         while looker.unanswered:
             try:
                 answer = looker.child.answers.get(timeout=LOOK_S) if wait else looker.child.answers.get_nowait()
             except queue.Empty:
-                if wait:
+                if not wait:
+                    return
+                waits += 1
+                if waits * LOOK_S < HANGS_S:
                     continue
-                return
+                answer = None
             wait = False
             if answer is None:
                 self._lookers.remove(looker)
