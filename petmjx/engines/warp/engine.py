@@ -155,7 +155,7 @@ class MjxWarpEngine(Engine):
         """Memory ran out, and the states of all worlds are lost with it: those without an outcome once more, one size
         or half of them at a time. A world that has been alone is given up."""
         lost, sim, progress = course.lose(), course.sim, course.progress
-        if course.alone:
+        if course.alone and lost:
             needs = Needs.of([*lost.values()], self.granule)
             begun = Begun(Run.of(needs, sim, progress), [*lost.values()], [*lost])
             yield from outcomes_of(self._march(begun, simulate=False), sim, progress, waits=True)
@@ -199,23 +199,8 @@ class MjxWarpEngine(Engine):
             waits: the next slice waits for the host.
             simulate: off if memory has run out: all worlds are given up.
         """
-        run, jobs, numbers, left = begun
-        grows = course is not None and course.groups.grows
-        rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if grows else 0
-        run = replace(run, needs=run.needs.of_sizes(jobs))
-        if left is not None and left.group is not None:
-            group = left.group
-        else:
-            group = self._load_group(run, jobs, rows, course.ahead if course is not None else None)
-        queues = Queues(run.needs.sizes, size_of, len(group.table.status))
-        emitted = np.zeros(len(group.table.status), bool)
-        own = len(jobs)
-        if left is not None:
-            own -= len(left.jobs)
-            emitted[own : len(jobs)] = left.emitted
-            group.table = left.put_into(group.table, own)
-            queues.add(left.jobs, own, run.sim)  # first: they may go on for long
-        queues.add(jobs[:own], 0, run.sim)
+        jobs, numbers, sim = begun.jobs, begun.numbers, begun.run.sim
+        group, queues, emitted = self._begin(begun, course)
         rollout = self._rollout(group) if simulate else None
         at_once = 1 if waits else 2
         leaving: Left | None = None
@@ -237,7 +222,7 @@ class MjxWarpEngine(Engine):
                     status = group.status()
                 ended = np.flatnonzero(group.handed_on(status) & ~emitted[: len(jobs)])
                 emitted[ended] = True
-                picked = pick(ended, group.table, group.worlds, run.sim)
+                picked = pick(ended, group.table, group.worlds, sim)
                 if rollout is not None:
                     self._take(group, numbers, queues, course)
                     if not emitted[: len(jobs)].all():
@@ -261,6 +246,28 @@ class MjxWarpEngine(Engine):
         except BaseException:
             self._drop()  # the memory of a call that did not come back is gone
             raise
+
+    def _begin(self, begun: Begun, course: Course | None) -> tuple[Group, Queues, NDArray[np.bool_]]:
+        """The tables of a group, its queues, and which of its rows have given their outcomes, where the group before
+        had them."""
+        run, jobs, _, left = begun
+        run = replace(run, needs=run.needs.of_sizes(jobs))
+        if left is not None and left.group is not None:
+            group = left.group
+        elif course is None:
+            group = self._load_group(run, jobs)
+        else:
+            rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if course.groups.grows else 0
+            group = self._load_group(run, jobs, rows, course.ahead)
+        queues = Queues(run.needs.sizes, size_of, len(group.table.status))
+        emitted = np.zeros(len(group.table.status), bool)
+        own = len(jobs) - (len(left.jobs) if left is not None else 0)
+        if left is not None:
+            emitted[own : len(jobs)] = left.emitted
+            group.table = left.put_into(group.table, own)
+            queues.add(left.jobs, own, run.sim)  # first: they may go on for long
+        queues.add(jobs[:own], 0, run.sim)
+        return group, queues, emitted
 
     def _leaving(self, course: Course, jobs: list[Job], numbers: list[int], rest: NDArray[np.int64]) -> Left | None:
         """What a group will leave to the one that follows, with the tables of that; None as long as it is early.
