@@ -15,7 +15,7 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import GROUP_WORLDS, Engine, Progress
-from petmjx.engines.beside.lookers import Lookers
+from petmjx.engines.beside.lookers import LARGE, Lookers
 from petmjx.engines.beside.process import READY, Answer, Task
 from petmjx.engines.making import Making, Pending
 from petmjx.engines.sinking import may_sink
@@ -30,9 +30,6 @@ DEFAULT_CHUNK_WORLDS: Final = 7 * GROUP_WORLDS["mjx-warp"] // 4
 
 CHUNK_BOXES: Final = 1 << 20
 """Boxes of a chunk to which no more worlds are added: 130 MB of scenes, and as much for the next chunk."""
-
-LARGE: Final = 1000
-"""Worlds of a run that is worth processes beside it."""
 
 
 def score_worlds(

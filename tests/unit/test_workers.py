@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from support.fake_stepper import fake_scene
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
+from support.plans import make_plan, make_world, stack
 
 import petmjx
 from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
@@ -265,6 +266,28 @@ def test_a_worker_reports_progress_and_errors() -> None:
     broken.error = _Unpicklable(1, 2)
     told = [pickle.loads(report) for report in worker.simulate(chunk)]
     assert repr(told[-1].error) == "RuntimeError('_Unpicklable: 1 and 2')"
+
+
+def test_processes_beside_a_worker_look_at_the_outcomes_of_large_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(actor, "LARGE", 3)
+    worker = Worker(MUJOCO, None, 1, lookers=1)
+    alone = Worker(MUJOCO, None, 1)
+    for each in (worker, alone):
+        each.hello()
+    for count in (2, 3, 3):
+        chunk = pickle.dumps(([make_world(make_plan(boxes=stack(1 + k))).job for k in range(count)], SHORT))
+        beside, here = (
+            {outcome.job: outcome for report in each.simulate(chunk) for outcome in pickle.loads(report).outcomes}
+            for each in (worker, alone)
+        )
+        assert sorted(beside) == sorted(here) == list(range(count))
+        for job, outcome in beside.items():
+            assert (outcome.margin, outcome.rest_edge_m) == (here[job].margin, here[job].rest_edge_m)
+            assert outcome.rest_edge_m > 0
+        assert (worker._lookers is None) == (count == 2)
+    assert alone._lookers is None
+    assert worker._lookers is not None
+    worker._lookers.close()
 
 
 def test_auto_counts_what_the_cluster_has(tmp_path: Path) -> None:

@@ -17,6 +17,9 @@ from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
+LARGE: Final = 1000
+"""Worlds that are worth processes beside them."""
+
 MOST: Final = 3
 """Processes. With three the run has more to do itself than each of them."""
 
@@ -34,6 +37,11 @@ HANGS_S: Final = 60.0
 less than one."""
 
 Key = TypeVar("Key")
+
+
+def most_lookers(threads: int) -> int:
+    """Processes beside a run that has so many CPU threads."""
+    return min(threads // THREADS_EACH, MOST)
 
 
 @dataclass(eq=False)
@@ -57,7 +65,7 @@ class Lookers(Generic[Key]):
     @classmethod
     def here(cls) -> Lookers[Key]:
         """As many as this machine has CPU threads for."""
-        return cls(min(cpu_threads() // THREADS_EACH, MOST))
+        return cls(most_lookers(cpu_threads()))
 
     def exchanged(
         self, came: Sequence[tuple[Key, Outcome]], jobs: Sequence[Job], sim: Simulation, *, wait: bool

@@ -16,8 +16,9 @@ from petmjx.basics.garbage import collect_rarely
 from petmjx.basics.machine import device_name, package_versions
 from petmjx.basics.text import one_line
 from petmjx.engines.base import Progress
+from petmjx.engines.beside.lookers import LARGE, Lookers
 from petmjx.engines.choose import make_engine
-from petmjx.engines.looked_at import MOST_TOGETHER, looked_at
+from petmjx.engines.looked_at import MOST_TOGETHER
 from petmjx.engines.start import start_gpu
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
@@ -58,15 +59,20 @@ class Recipe:
 class Worker:
     """Builds an engine once and runs chunks of jobs on it. Several chunks may run in threads side by side.
 
+    Args:
+        threads: of its engine, as it says them.
+        lookers: processes that look at the outcomes of large chunks beside it, of which one runs at a time.
+
     Everything goes as pickled bytes: what came through Ray's store of objects would be read-only, and would hold the
     store's memory.
     """
 
-    def __init__(self, recipe: Recipe, cache_dir: str | None, threads: int | None) -> None:
+    def __init__(self, recipe: Recipe, cache_dir: str | None, threads: int | None, lookers: int = 0) -> None:
         collect_rarely()
         if cache_dir is not None:
             os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
-        self._recipe, self._threads = recipe, threads
+        self._recipe, self._threads, self._most_lookers = recipe, threads, lookers
+        self._lookers: Lookers[None] | None = None
         self._starting = threading.Thread(target=start_gpu, daemon=True) if recipe.name == "mjx-warp" else None
 
     def hello(self) -> bytes:
@@ -85,6 +91,7 @@ class Worker:
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
         """Run a pickled (jobs, sim); yield pickled reports, whose outcomes are looked at and count jobs from 0."""
         jobs, sim = pickle.loads(chunk)
+        lookers = self._lookers_for(jobs)
         if self._starting is not None:
             self._starting.join()
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
@@ -95,13 +102,20 @@ class Worker:
         going, said = True, ""
         while going:
             came, going = _gather(news)
-            outcomes = _looked_at(came, jobs, sim)
+            outcomes = _looked_at(came, jobs, sim, lookers, wait=not going)
             if outcomes or not going or progress.message != said:
                 said = progress.message
                 # a copy: the engine writes into it meanwhile
                 so_far = replace(progress, extra=dict(progress.extra))
                 yield pickle.dumps(Report(outcomes, so_far, ended[0] if ended else None))
         runner.join()
+
+    def _lookers_for(self, jobs: Sequence[Job]) -> Lookers[None]:
+        """Of a large chunk: they stay as long as the worker. Without processes it looks itself."""
+        if self._most_lookers == 0 or len(jobs) < LARGE:
+            return Lookers(0)
+        self._lookers = self._lookers or Lookers(self._most_lookers)
+        return self._lookers
 
     def _run(
         self,
@@ -135,13 +149,21 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
     return outcomes, True
 
 
-def _looked_at(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """All of them, some at a time."""
-    found: list[Outcome] = []
+def _looked_at(
+    outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, lookers: Lookers[None], *, wait: bool
+) -> list[Outcome]:
+    """Give outcomes to be looked at, some at a time, and take those that have been.
+
+    Args:
+        wait: for all of them.
+    """
+    found: list[tuple[None, Outcome]] = []
     for first in range(0, len(outcomes), MOST_TOGETHER):
         some = outcomes[first : first + MOST_TOGETHER]
-        found += looked_at(some, [jobs[outcome.job] for outcome in some], sim)
-    return found
+        asked = [jobs[outcome.job] for outcome in some]
+        found += lookers.exchanged([(None, outcome) for outcome in some], asked, sim, wait=False)
+    found += lookers.exchanged([], [], sim, wait=wait)
+    return [outcome for _, outcome in found]
 
 
 def _sendable(error: BaseException) -> BaseException:

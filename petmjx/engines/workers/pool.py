@@ -90,13 +90,14 @@ class WorkerPool(Engine):
     Args:
         places: of the workers, one each. They begin to start at once.
         cluster: used until :meth:`close`, which closes it.
+        lookers: processes beside each worker (petmjx/engines/beside/lookers.py).
     """
 
     looks = True
 
-    def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster) -> None:
+    def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, lookers: int = 0) -> None:
         self.name = recipe.name
-        self._recipe, self._cluster, self._ray = recipe, cluster, cluster.ray
+        self._recipe, self._cluster, self._ray, self._lookers = recipe, cluster, cluster.ray, lookers
         self._running = RunLock(self.name)
         # As `_Ours.thread`: what a handler of signals raises while Ray waits in the main thread would be lost.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="petmjx-workers")
@@ -216,7 +217,7 @@ class WorkerPool(Engine):
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
-        actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads)
+        actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, self._lookers)
         return _Hand(place, actor, actor.hello.remote())
 
     def _kill(self, hand: _Hand) -> None:

@@ -8,6 +8,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 
 from petmjx.basics.text import counted
+from petmjx.engines.beside.lookers import most_lookers
 from petmjx.engines.choose import Choice, check_options, choose, options_of
 from petmjx.engines.cost import Costs, Work
 from petmjx.engines.workers.actor import Recipe
@@ -166,4 +167,6 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
         limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
     elif name == "mjx-warp-cpu":
         limits["threads"] = min(place.cpus for place in found)
-    return WorkerPool(Recipe(name, limits), found, cluster)
+    # where a GPU simulates; all workers may be on the machine that has the fewest CPUs
+    threads = min(node.cpus for node in cluster.nodes) // len(found) if name == "mjx-warp" else 0
+    return WorkerPool(Recipe(name, limits), found, cluster, most_lookers(threads))

@@ -1,0 +1,98 @@
+"""Which jobs of a run are in which group of mjx-warp."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from support.worlds import make_scene
+
+from petmjx.engines.base import GrowingJobs, JobsInParts
+from petmjx.engines.warp.groups import Groups
+from petmjx.engines.warp.needs import Needs
+from petmjx.engines.warp.records import MAX_BOXES
+from petmjx.history import Record
+from petmjx.options.placing import Placing
+from petmjx.world.job import Job
+
+SMALL, LARGE = Job(make_scene(2)), Job(make_scene(9))
+BY_HAND = Job(replace(SMALL.scene, placing=Placing(name="hand")))
+
+
+def groups_of(jobs: list[Job], size: int = 8, left: int = 2) -> Groups:
+    return Groups.of(jobs, size, left, granule=4)
+
+
+def sizes_of(groups: Groups) -> list[tuple[int, int]]:
+    """The number of the first job of each group, and how many it has."""
+    found = []
+    while groups:
+        group = groups.take()
+        found.append((groups.first, len(group)))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("n_jobs", "groups"), [(1, [(0, 1)]), (8, [(0, 8)]), (9, [(0, 5), (5, 4)]), (13, [(0, 5), (5, 5), (10, 3)])]
+)
+def test_groups_are_equal_and_leave_room_for_what_the_one_before_leaves(
+    n_jobs: int, groups: list[tuple[int, int]]
+) -> None:
+    assert sizes_of(groups_of([SMALL] * n_jobs)) == groups
+
+
+def test_parts_follow_each_other_once_they_are_made() -> None:
+    parts = [None, [SMALL] * 3, None, None, [LARGE] * 2]
+    jobs = JobsInParts([SMALL] * 8, lambda: parts.pop(0) if parts else [])
+    groups = groups_of(jobs)
+    assert jobs == []  # what has ended is not kept
+    assert len(groups.take()) == 4
+    assert len(groups.following()) == 4
+    assert groups.following() is groups.following()
+    assert len(groups.take()) == 4
+    assert [len(groups.following()) for _ in range(2)] == [0, 3]
+    assert (len(groups.take()), groups.first) == (3, 8)
+    assert groups.needs == Needs({96: 4})
+    assert [len(groups.following()) for _ in range(3)] == [0, 0, 2]
+    assert groups.needs == Needs({96: 12})
+    assert (len(groups.take()), groups.first) == (2, 11)
+    assert not groups
+
+
+def test_jobs_that_are_appended_join_the_group_whose_kernels_know_them() -> None:
+    jobs = GrowingJobs([SMALL])
+    groups = groups_of(jobs)
+    group = groups.take()
+    jobs += [SMALL, SMALL, BY_HAND, SMALL]
+    assert groups.following() == ()
+    assert groups.waiting(1) == [SMALL]
+    assert groups.waiting(9) == [SMALL, SMALL]
+    group += groups.waiting(9)
+    assert groups.waiting(9) == []
+    assert groups
+    assert [job is BY_HAND for job in groups.take()] == [True, False]
+    assert groups.needs.hands
+    assert not groups
+    jobs += [LARGE]
+    assert groups
+    assert (groups.take(), groups.first) == ([LARGE], 5)
+    assert groups.needs == Needs({96: 12})
+
+
+def test_a_group_with_recorded_worlds_says_so() -> None:
+    groups = groups_of([SMALL] * 5 + [replace(SMALL, record=Record(0.1))] * 4)
+    said = []
+    while groups:
+        said.append(groups.recorded)
+        groups.take()
+    assert said == [False, True]
+
+
+def test_needs_of_both_and_of_some() -> None:
+    both = Needs({96: 8}, hands=True) | Needs({96: 12, MAX_BOXES: 100}, wraps=True)
+    assert both == Needs({96: 12, MAX_BOXES: 100}, hands=True, wraps=True)
+    assert both.sizes == [MAX_BOXES, 96]
+    assert both.most_boxes == 100
+    assert both.of_sizes([SMALL]) == Needs({96: 12}, hands=True, wraps=True)
+    assert both.know(BY_HAND)
+    assert not Needs({96: 12}).know(BY_HAND)
