@@ -25,7 +25,7 @@ from petmjx.options.physics import Cone
 from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 
-DEFAULT_CHUNK_WORLDS: Final = 7 * GROUP_WORLDS["mjx-warp"] // 4
+DEFAULT_CHUNK_WORLDS: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
 """Most worlds that are made at once: two groups of mjx-warp, beside what each may have of the one before."""
 
 CHUNK_BOXES: Final = 1 << 20

@@ -125,6 +125,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     """Three groups of four worlds, and one of the next part; each may leave two. The tables of the next are made
     when four are left, of which some end before they would go on."""
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
+    monkeypatch.setattr(mjx_warp, "READY_SHARE", 2)
     going_on: list[int] = []
     ended: list[int] = []
     ready: list[int] = []
@@ -133,7 +134,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     def watched(self: Left, table: Any, first_row: int) -> Any:
         found = put_into(self, table, first_row)
         assert found is not table
-        assert self.group is not None
+        assert self.next_group is not None
         going_on.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if not emitted)
         ended.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if emitted)
         steps = np.asarray(found.step)

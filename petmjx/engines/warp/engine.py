@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from itertools import takewhile
 
 import numpy as np
@@ -47,9 +48,13 @@ the others."""
 MORE_AT_ONCE = 64
 """Jobs that are put into a table at the same time. XLA compiles a program for each number."""
 
-LEFT_SHARE, READY_SHARE = 16, 2
+LEFT_SHARE, READY_SHARE = 16, 3
 """A group that another one follows ends when a world in so many is left, which goes on there. Tables for these are made
-when so many times as many are left: the device has work for a second."""
+when so many times as many are left: that takes as long as the device has enough of them."""
+
+WHILE_LOADING = 4
+"""Slices under way while the tables of the next group are made: a second, in which the thread that makes them cannot
+begin others."""
 
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
@@ -237,7 +242,9 @@ class MjxWarpEngine(Engine):
                 if rollout is None or course is None or not group.recorder.idle:
                     continue
                 rest = np.flatnonzero(~emitted[: len(jobs)])
-                leaving = leaving or self._leaving(course, jobs, numbers, rest)
+                if leaving is None:
+                    keep_busy = partial(rollout.keep_under_way, WHILE_LOADING, group, queues.order)
+                    leaving = self._leaving(course, begun, rest, keep_busy)
                 if leaving is not None and 0 < len(rest) <= course.most_left:
                     rollout.finish(group)
                     leaving.leave(group.table, emitted, READY_SHARE * course.most_left)
@@ -251,38 +258,49 @@ class MjxWarpEngine(Engine):
         """The tables of a group, its queues, and which of its rows have given their outcomes, where the group before
         had them."""
         run, jobs, _, left = begun
+        if left is not None and left.next_group is not None and left.queues is not None:
+            group, queues = left.next_group, left.queues
+        else:
+            group, queues = self._load(run, jobs, len(left.jobs) if left is not None else 0, course)
+        emitted = np.zeros(len(group.table.status), bool)
+        if left is not None:
+            own = len(jobs) - len(left.jobs)
+            emitted[own : len(jobs)] = left.emitted
+            group.table = left.put_into(group.table, own)
+        return group, queues, emitted
+
+    def _load(self, run: Run, jobs: list[Job], n_left: int, course: Course | None) -> tuple[Group, Queues]:
+        """The tables of a group and its queues. The last ``n_left`` jobs come first: they may go on for long."""
         run = replace(run, needs=run.needs.of_sizes(jobs))
-        if left is not None and left.group is not None:
-            group = left.group
-        elif course is None:
+        if course is None:
             group = self._load_group(run, jobs)
         else:
             rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if course.groups.grows else 0
             group = self._load_group(run, jobs, rows, course.ahead)
-        queues = Queues(run.needs.sizes, size_of, len(group.table.status))
-        emitted = np.zeros(len(group.table.status), bool)
-        own = len(jobs) - (len(left.jobs) if left is not None else 0)
-        if left is not None:
-            emitted[own : len(jobs)] = left.emitted
-            group.table = left.put_into(group.table, own)
-            queues.add(left.jobs, own, run.sim)  # first: they may go on for long
+        queues, own = Queues(run.needs.sizes, size_of, len(group.table.status)), len(jobs) - n_left
+        if n_left:
+            queues.add(jobs[own:], own, run.sim)
         queues.add(jobs[:own], 0, run.sim)
-        return group, queues, emitted
+        return group, queues
 
-    def _leaving(self, course: Course, jobs: list[Job], numbers: list[int], rest: NDArray[np.int64]) -> Left | None:
+    def _leaving(
+        self, course: Course, begun: Begun, rest: NDArray[np.int64], keep_busy: Callable[[], None]
+    ) -> Left | None:
         """What a group will leave to the one that follows, with the tables of that; None as long as it is early.
 
         Args:
             rest: rows of the worlds that have not ended.
+            keep_busy: begins slices for as long as it takes.
         """
         course.ahead.prepare(course.groups, course.sim)
         following = course.groups.following()
         if not following or not 0 < len(rest) <= READY_SHARE * course.most_left:
             return None
-        left = Left([jobs[row] for row in rest.tolist()], [numbers[row] for row in rest.tolist()], rest)
-        together, run = [*following, *left.jobs], course.next_run()
+        keep_busy()
+        left = Left([begun.jobs[row] for row in rest.tolist()], [begun.numbers[row] for row in rest.tolist()], rest)
         try:
-            left.group = self._load_group(replace(run, needs=run.needs.of_sizes(together)), together, 0, course.ahead)
+            together = [*following, *left.jobs]
+            left.next_group, left.queues = self._load(course.next_run(), together, len(rest), course)
         except Exception as error:
             if not is_out_of_memory(error):
                 raise
@@ -290,16 +308,8 @@ class MjxWarpEngine(Engine):
 
     def _take(self, group: Group, numbers: list[int], queues: Queues, course: Course | None) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
-
-        def fits(job: Job) -> bool:
-            known = job.drive is None or id(job.drive.excitation) in group.profile_rows
-            has_blocks = job.scene.n_boxes <= group.run.needs.widths.get(size_of(job), 0)
-            has_blocks &= len(job.scene.carrier.half_size) <= group.boards
-            has_times = job.scene.n_boxes < len(group.run.timetable.one_by_one_end)
-            return known and has_blocks and has_times and job.record is None and group.recorder.idle
-
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
-        taken = list(takewhile(fits, course.groups.waiting(free))) if course is not None else []
+        taken = list(takewhile(group.fits, course.groups.waiting(free))) if course is not None else []
         if course is None or not taken:
             return False
         queues.add(taken, len(group.jobs), group.run.sim)

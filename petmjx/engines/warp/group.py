@@ -16,7 +16,7 @@ from petmjx.engines.batch.state import State, Status, put_rows
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.engines.batch.upload import Batch
 from petmjx.engines.batch.worlds import Worlds, uploaded
-from petmjx.engines.warp.needs import Needs
+from petmjx.engines.warp.needs import Needs, size_of
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag
 from petmjx.world.job import Job
@@ -79,6 +79,14 @@ class Group(Batch):
     def driven(self) -> NDArray[np.bool_]:
         """Jobs with a drive."""
         return np.array([job.drive is not None for job in self.jobs], bool)
+
+    def fits(self, job: Job) -> bool:
+        """Whether the tables and the blocks of its size have room for a job."""
+        known = job.drive is None or id(job.drive.excitation) in self.profile_rows
+        has_blocks = job.scene.n_boxes <= self.run.needs.widths.get(size_of(job), 0)
+        has_blocks &= len(job.scene.carrier.half_size) <= self.boards
+        has_times = job.scene.n_boxes < len(self.run.timetable.one_by_one_end)
+        return known and has_blocks and has_times and job.record is None and self.recorder.idle
 
     def add(self, jobs: Sequence[Job], worlds: Worlds, table: State) -> None:
         """Put more jobs into the rows behind those that are taken. Tables have a row for each of them at least."""

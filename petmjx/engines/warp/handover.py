@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from petmjx.engines.batch.state import State, take_rows
 from petmjx.engines.batch.worlds import uploaded
 from petmjx.engines.warp.group import Group, put_from
+from petmjx.engines.warp.queues import Queues
 from petmjx.world.job import Job
 
 _take = jax.jit(take_rows)
@@ -24,7 +25,8 @@ class Left:
         jobs: of these worlds.
         numbers: of the jobs in their run.
         rows: of the worlds in the group.
-        group: the next one, where they are the last, loaded while this one goes on; None: there was no room for both.
+        next_group, queues: of the group in which they are the last, made while this one goes on; None: there was no
+            room for the tables of both.
         emitted: those whose outcomes are known.
         table: their states, a row each; rows beyond them are of no world.
     """
@@ -32,7 +34,8 @@ class Left:
     jobs: list[Job]
     numbers: list[int]
     rows: NDArray[np.int64]
-    group: Group | None = None
+    next_group: Group | None = None
+    queues: Queues | None = None
     emitted: NDArray[np.bool_] = field(init=False)
     table: State = field(init=False)
 
