@@ -109,10 +109,12 @@ class Engine(Simulates, Protocol):
     Attributes:
         takes_more: whether jobs may be appended while it runs (``GrowingJobs``).
         looks: whether it has looked at its outcomes (petmjx/engines/looked_at.py).
+        devices: GPUs that simulate at the same time: it is given so many times as many worlds at once.
     """
 
     takes_more: bool = False
     looks: bool = False
+    devices: int = 1
 
     @property
     def device(self) -> str:

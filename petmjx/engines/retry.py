@@ -44,7 +44,7 @@ def score_worlds(
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
-    ``chunk_worlds`` worlds are given to an engine at a time, and the next ones are made meanwhile; an engine may take
+    ``chunk_worlds`` worlds are given to a device at a time, and the next ones are made meanwhile; an engine may take
     these before all others have ended (``JobsInParts``). Invalid ones are collected and simulated again together, at
     the end or when they are as many. So memory does not grow with the number of worlds. Attempts that CPU threads make
     beside a GPU (petmjx/engines/attempts.py) begin at once.
@@ -66,7 +66,8 @@ def score_worlds(
     progress = progress or Progress()
     engines = Engines(engine, progress)
     first, *retries = attempts
-    source = Chunks[AnyWorld](iter(worlds), chunk_worlds)
+    chunk_worlds *= engine.devices
+    source = Chunks[AnyWorld](iter(worlds), chunk_worlds, CHUNK_BOXES * engine.devices)
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
     besides = _Besides[AnyWorld](sim, engines)
@@ -146,13 +147,15 @@ class Chunks(Generic[AnyWorld]):
 
     Args:
         most: worlds of a chunk.
+        most_boxes: of a chunk to which no more worlds are added.
 
     Attributes:
         ended: whether the chunk that was taken last is the last one.
     """
 
     source: Iterator[AnyWorld]
-    most: int = DEFAULT_CHUNK_WORLDS
+    most: int
+    most_boxes: int = CHUNK_BOXES
     ended: bool = False
     _maker: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-worlds"))
     _next: Future[list[AnyWorld]] | None = None
@@ -175,7 +178,7 @@ class Chunks(Generic[AnyWorld]):
         for world in self.source:
             chunk.append(world)
             boxes += world.job.scene.n_boxes
-            if self.ended or len(chunk) == self.most or boxes >= CHUNK_BOXES:
+            if self.ended or len(chunk) == self.most or boxes >= self.most_boxes:
                 return chunk
         self.ended = True
         return chunk

@@ -267,11 +267,10 @@ def test_an_error_of_the_source_is_none_of_the_engine() -> None:
     assert engine.parts == [4]
 
 
-def test_chunks_of_larger_worlds_have_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_chunks_of_larger_worlds_have_fewer() -> None:
     """A chunk is full with the world that has its last box."""
-    monkeypatch.setattr(retry_module, "CHUNK_BOXES", 6)
     worlds = [make_world(make_plan("p", stack(n))) for n in (1, 2, 1, 3, 4, 2, 5, 1, 1, 1, 1)]
-    source = retry_module.Chunks(iter(worlds), 4)
+    source = retry_module.Chunks(iter(worlds), 4, 6)
     taken = [[world.job.scene.n_boxes for world in source.take()] for _ in range(6)]
     source.close()
     assert taken == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]
@@ -295,7 +294,8 @@ def test_a_run_that_is_cut_off_does_not_wait_for_the_rest_of_a_chunk() -> None:
 
 def test_invalid_worlds_of_several_chunks_gather() -> None:
     engine = FailingEngine()
-    results = list(score_worlds(worlds_failing(1, 0, 1, 0, 0, 1), Simulation(), engine, chunk_worlds=2))
+    engine.devices = 2
+    results = list(score_worlds(worlds_failing(1, 0, 1, 0, 0, 1), Simulation(), engine, chunk_worlds=1))
     assert [len(jobs) for _, jobs in engine.calls] == [2, 2, 2, 2, 1]
     assert sorted(r.world.plan.plan_id for r in results) == ["p0", "p1", "p2", "p3", "p4", "p5"]
 

@@ -106,6 +106,7 @@ class WorkerPool(Engine):
         self._false_starts = self._deaths = 0
         self._deadly: dict[int, Scene] = {}
         self._places = list(places)
+        self.devices = max(round(sum(place.gpus for place in places)), 1)
         self._hands += (self._start(place) for place in places)
 
     def wait_for_first(self) -> None:
