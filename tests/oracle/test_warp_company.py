@@ -122,19 +122,21 @@ def in_parts(*parts: list[Job], polls: int = 3) -> JobsInParts:
 def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Three groups of four worlds, and one of the next part; each may leave two. The tables of the next are made
-    when four are left, of which some end before they would go on."""
-    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
+    """Two groups of twelve worlds, and one of three of the next part; each may leave two. The tables of the next are
+    made when four are left, of which some end before they would go on."""
+    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 8)
     monkeypatch.setattr(mjx_warp, "READY_SHARE", 2)
     going_on: list[int] = []
     ended: list[int] = []
     ready: list[int] = []
+    rows: list[int] = []
     put_into, take = Left.put_into, Ahead.take
 
     def watched(self: Left, table: Any, first_row: int) -> Any:
         found = put_into(self, table, first_row)
         assert found is not table
         assert self.next_group is not None
+        rows.append(len(table.step))
         going_on.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if not emitted)
         ended.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if emitted)
         steps = np.asarray(found.step)
@@ -150,14 +152,15 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     monkeypatch.setattr(Ahead, "take", taken)
     scenes = tiny_scenes(TINY[:3])
     jobs = [Job(scene) for scene in scenes.values()]
-    run = engine(group_size=8, slice_ns=STEP_NS).run(in_parts(jobs * 4, jobs), SHORT)
+    run = engine(group_size=16, slice_ns=STEP_NS).run(in_parts(jobs * 8, jobs), SHORT)
     found = {outcome.job: outcome for outcome in run}
-    for first in range(0, 15, 3):
+    for first in range(0, 27, 3):
         assert_equal_worlds({name: found.pop(first + k) for k, name in enumerate(scenes)}, crowd)
     assert not found
-    assert min(going_on) < 8 <= max(going_on)
+    assert min(going_on) < 12 <= max(going_on)
     assert ended
-    assert ready == [0, 4, 4, 3]
+    assert ready == [0, 12, 3]
+    assert rows == [16, 16]  # also in the last group, for which no other programs are compiled
 
 
 @pytest.mark.slow

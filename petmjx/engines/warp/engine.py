@@ -244,7 +244,7 @@ class MjxWarpEngine(Engine):
                 rest = np.flatnonzero(~emitted[: len(jobs)])
                 if leaving is None:
                     keep_busy = partial(rollout.keep_under_way, WHILE_LOADING, group, queues.order)
-                    leaving = self._leaving(course, begun, rest, keep_busy)
+                    leaving = self._leaving(course, begun, rest, len(group.table.status), keep_busy)
                 if leaving is not None and 0 < len(rest) <= course.most_left:
                     rollout.finish(group)
                     leaving.leave(group.table, emitted, READY_SHARE * course.most_left)
@@ -261,7 +261,9 @@ class MjxWarpEngine(Engine):
         if left is not None and left.next_group is not None and left.queues is not None:
             group, queues = left.next_group, left.queues
         else:
-            group, queues = self._load(run, jobs, len(left.jobs) if left is not None else 0, course)
+            grows = course is not None and course.groups.grows
+            rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if grows else 0
+            group, queues = self._load(run, jobs, len(left.jobs) if left is not None else 0, rows, course)
         emitted = np.zeros(len(group.table.status), bool)
         if left is not None:
             own = len(jobs) - len(left.jobs)
@@ -269,14 +271,11 @@ class MjxWarpEngine(Engine):
             group.table = left.put_into(group.table, own)
         return group, queues, emitted
 
-    def _load(self, run: Run, jobs: list[Job], n_left: int, course: Course | None) -> tuple[Group, Queues]:
-        """The tables of a group and its queues. The last ``n_left`` jobs come first: they may go on for long."""
+    def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: Course | None) -> tuple[Group, Queues]:
+        """The tables of a group, with so many rows at least, and its queues. The last ``n_left`` jobs come first: they
+        may go on for long."""
         run = replace(run, needs=run.needs.of_sizes(jobs))
-        if course is None:
-            group = self._load_group(run, jobs)
-        else:
-            rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if course.groups.grows else 0
-            group = self._load_group(run, jobs, rows, course.ahead)
+        group = self._load_group(run, jobs, rows, course.ahead if course is not None else None)
         queues, own = Queues(run.needs.sizes, size_of, len(group.table.status)), len(jobs) - n_left
         if n_left:
             queues.add(jobs[own:], own, run.sim)
@@ -284,12 +283,13 @@ class MjxWarpEngine(Engine):
         return group, queues
 
     def _leaving(
-        self, course: Course, begun: Begun, rest: NDArray[np.int64], keep_busy: Callable[[], None]
+        self, course: Course, begun: Begun, rest: NDArray[np.int64], rows: int, keep_busy: Callable[[], None]
     ) -> Left | None:
         """What a group will leave to the one that follows, with the tables of that; None as long as it is early.
 
         Args:
             rest: rows of the worlds that have not ended.
+            rows: of the group's tables. Those of the next one have as many, for which programs are compiled.
             keep_busy: begins slices for as long as it takes.
         """
         course.ahead.prepare(course.groups, course.sim)
@@ -300,7 +300,7 @@ class MjxWarpEngine(Engine):
         left = Left([begun.jobs[row] for row in rest.tolist()], [begun.numbers[row] for row in rest.tolist()], rest)
         try:
             together = [*following, *left.jobs]
-            left.next_group, left.queues = self._load(course.next_run(), together, len(rest), course)
+            left.next_group, left.queues = self._load(course.next_run(), together, len(rest), rows, course)
         except Exception as error:
             if not is_out_of_memory(error):
                 raise
