@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import itertools
+import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -247,12 +248,12 @@ class FailingRollout(Rollout):
     """Fails in its third time slice if it has more than ``holds`` worlds."""
 
     holds = 2
-    error: Exception = out_of_memory()
+    error: Callable[[], Exception] = staticmethod(out_of_memory)
 
     def wait(self, group: Group) -> Any:
         self.waits = getattr(self, "waits", 0) + 1
         if len(group.jobs) > self.holds and self.waits >= 3:
-            raise self.error
+            raise self.error()
         return super().wait(group)
 
 
@@ -261,6 +262,22 @@ def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
     found = run_all(engine(slice_ns=SOME_NS), [Job(scene) for scene in tiny_scenes().values()], SHORT)
     assert_equal_worlds(dict(zip(TINY, found, strict=True)), crowd)
+
+
+@pytest.mark.slow
+def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With each half the tables of the whole would be in memory, too, and with each quarter those of both."""
+    load, groups, alive = MjxWarpEngine._load_group, list[weakref.ref[Group]](), []
+
+    def watched(self: MjxWarpEngine, *args: Any) -> Group:
+        alive.append(sum(group() is not None for group in groups))
+        groups.append(weakref.ref(group := load(self, *args)))
+        return group
+
+    monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
+    monkeypatch.setattr(MjxWarpEngine, "_load_group", watched)
+    run_all(engine(slice_ns=STEP_NS), [Job(tiny("hand-one-box"))] * 6, SHORT)
+    assert alive == [0] * 7
 
 
 @pytest.mark.slow
@@ -299,7 +316,7 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     class Broken(FailingRollout):
-        error = RuntimeError("INTERNAL: illegal memory access")
+        error = staticmethod(lambda: RuntimeError("INTERNAL: illegal memory access"))
 
     begun = engine(slice_ns=STEP_NS)
     with monkeypatch.context() as patch:

@@ -153,8 +153,10 @@ class MjxWarpEngine(Engine):
                 except Exception as error:
                     if not is_out_of_memory(error):
                         raise
-                    self._drop()
-                    yield from self._again(course)
+                else:
+                    continue
+                self._drop()
+                yield from self._again(course)  # not before the error is gone: its traceback holds the tables
 
     def _again(self, course: Course) -> Iterator[Outcome]:
         """Memory ran out, and the states of all worlds are lost with it: those without an outcome once more, one size
