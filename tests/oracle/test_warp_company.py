@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import weakref
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -130,7 +131,8 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     ended: list[int] = []
     ready: list[int] = []
     rows: list[int] = []
-    put_into, take = Left.put_into, Ahead.take
+    before: list[weakref.ref[Left]] = []
+    put_into, take, leave = Left.put_into, Ahead.take, Left.leave
 
     def watched(self: Left, table: Any, first_row: int) -> Any:
         found = put_into(self, table, first_row)
@@ -143,12 +145,18 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
         assert steps[first_row] > steps[0]  # which has not begun
         return found
 
+    def leaves(self: Left, *args: Any) -> None:
+        assert all(left() is None for left in before)  # with their tables
+        before.append(weakref.ref(self))
+        leave(self, *args)
+
     def taken(self: Ahead, jobs: Sequence[Job], width: int) -> Rows | None:
         rows = take(self, jobs, width)
         ready.append(0 if rows is None else len(rows["n_boxes"]))
         return rows
 
     monkeypatch.setattr(Left, "put_into", watched)
+    monkeypatch.setattr(Left, "leave", leaves)
     monkeypatch.setattr(Ahead, "take", taken)
     scenes = tiny_scenes(TINY[:3])
     jobs = [Job(scene) for scene in scenes.values()]

@@ -208,6 +208,7 @@ class MjxWarpEngine(Engine):
         """
         jobs, numbers, sim = begun.jobs, begun.numbers, begun.run.sim
         group, queues, emitted = self._begin(begun, course)
+        begun = begun._replace(left=None)  # its table is not needed any more
         rollout = self._rollout(group) if simulate else None
         at_once = 1 if waits else 2
         leaving: Left | None = None

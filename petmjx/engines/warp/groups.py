@@ -16,7 +16,7 @@ class Groups:
 
     Args:
         size: most worlds of a group.
-        left: so many of them may have been left by the group before (``Handover``).
+        left: so many of them may have been left by the group before (``handover.Left``).
         granule: as of ``Needs``.
 
     Attributes:
