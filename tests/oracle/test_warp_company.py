@@ -137,7 +137,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     def watched(self: Left, table: Any, first_row: int) -> Any:
         found = put_into(self, table, first_row)
         assert found is not table
-        assert self.next_group is not None
+        assert self.ready is not None
         rows.append(len(table.step))
         going_on.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if not emitted)
         ended.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if emitted)

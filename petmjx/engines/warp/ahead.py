@@ -14,8 +14,8 @@ from petmjx.world.job import Job
 
 @dataclass(eq=False)
 class Ahead:
-    """Rows of some jobs' scenes, made before these are loaded. They are on the host: the device has room for the tables
-    of one group."""
+    """Rows of some jobs' scenes, made before these are loaded. They are on the host: on the device they are loaded when
+    the group before is down to its last worlds."""
 
     _thread: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-tables"))
     _begun: tuple[Sequence[Job], int, Future[Rows]] | None = None

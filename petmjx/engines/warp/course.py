@@ -28,7 +28,7 @@ class Course:
     """The groups of a run.
 
     Attributes:
-        most_left: worlds that a group may leave to the next one: as many as the device has lanes. 0: it leaves none.
+        most_left: worlds that a group may leave to the next one. 0: it leaves none.
         alone: whether there is one job in all.
         left: what the last group has left.
         ahead: tables of the next one.
@@ -53,6 +53,16 @@ class Course:
     def next_run(self) -> Run:
         """Of the next group."""
         return Run.of(self.groups.needs, self.sim, self.progress)
+
+    def next_is_due(self, rest: int, most: int) -> bool:
+        """Whether the tables of the next group are to be made, of which its rows are begun as soon as it is known.
+
+        Args:
+            rest: worlds of this group that have not ended.
+            most: of them then.
+        """
+        self.ahead.prepare(self.groups, self.sim)
+        return 0 < rest <= most and bool(self.groups.following())
 
     def begin(self) -> Begun:
         """The next group."""

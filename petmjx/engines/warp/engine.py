@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from itertools import takewhile
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import why_no_warp
 from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, Progress, RunLock
+from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock
 from petmjx.engines.batch.outcomes import pick
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
@@ -29,7 +28,7 @@ from petmjx.engines.warp.groups import Groups
 from petmjx.engines.warp.handover import Left
 from petmjx.engines.warp.launch import FEW_BOXES, Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
-from petmjx.engines.warp.needs import Needs, size_of
+from petmjx.engines.warp.needs import size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
@@ -137,7 +136,7 @@ class MjxWarpEngine(Engine):
 
     def _course(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Course:
         most_left = 0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE
-        alone = len(jobs) == 1 and type(jobs) is list
+        alone = len(jobs) == 1 and not isinstance(jobs, GrowingJobs | JobsInParts)
         groups = Groups.of(jobs, self.group_size, READY_SHARE * most_left, self.granule)
         return Course(groups, sim, progress, most_left, alone)
 
@@ -163,9 +162,8 @@ class MjxWarpEngine(Engine):
         or half of them at a time. A world that has been alone is given up."""
         lost, sim, progress = course.lose(), course.sim, course.progress
         if course.alone and lost:
-            needs = Needs.of([*lost.values()], self.granule)
-            begun = Begun(Run.of(needs, sim, progress), [*lost.values()], [*lost])
-            yield from outcomes_of(self._march(begun, simulate=False), sim, progress, waits=True)
+            begun = Begun(course.next_run(), [*lost.values()], [*lost])
+            yield from outcomes_of(self._march(begun, course, waits=True, simulate=False), sim, progress, waits=True)
             return
         numbers = np.array([*lost], int)
         sizes = np.array([size_of(job) for job in lost.values()])
@@ -194,9 +192,7 @@ class MjxWarpEngine(Engine):
         ready = ahead.take(jobs, width) if ahead is not None else None
         return Group(**vars(load(jobs, rows, width, run.sim, run.timetable, ready)), run=run)
 
-    def _march(
-        self, begun: Begun, course: Course | None = None, *, waits: bool = False, simulate: bool = True
-    ) -> Generator[Round]:
+    def _march(self, begun: Begun, course: Course, *, waits: bool, simulate: bool = True) -> Generator[Round]:
         """Slices of time until all worlds of a group have ended. While the device works on one, the host makes outcomes
         of the worlds that have ended, and from these more jobs may follow. Where none can, and no world is recorded,
         the next slice is under way already.
@@ -242,12 +238,12 @@ class MjxWarpEngine(Engine):
                 yield Round(ended, picked, group.recorder, jobs, numbers)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, numbers, queues, course):
                     rollout.keep_under_way(at_once, group, queues.order)
-                if rollout is None or course is None or not group.recorder.idle:
+                if rollout is None or not group.recorder.idle:
                     continue
                 rest = np.flatnonzero(~emitted[: len(jobs)])
-                if leaving is None:
-                    keep_busy = partial(rollout.keep_under_way, WHILE_LOADING, group, queues.order)
-                    leaving = self._leaving(course, begun, rest, len(group.table.status), keep_busy)
+                if leaving is None and course.next_is_due(len(rest), READY_SHARE * course.most_left):
+                    rollout.keep_under_way(WHILE_LOADING, group, queues.order)
+                    leaving = self._leaving(course, begun, rest, len(group.table.status))
                 if leaving is not None and 0 < len(rest) <= course.most_left:
                     rollout.finish(group)
                     leaving.leave(group.table, emitted, READY_SHARE * course.most_left)
@@ -257,15 +253,14 @@ class MjxWarpEngine(Engine):
             self._drop()  # the memory of a call that did not come back is gone
             raise
 
-    def _begin(self, begun: Begun, course: Course | None) -> tuple[Group, Queues, NDArray[np.bool_]]:
+    def _begin(self, begun: Begun, course: Course) -> tuple[Group, Queues, NDArray[np.bool_]]:
         """The tables of a group, its queues, and which of its rows have given their outcomes, where the group before
         had them."""
         run, jobs, _, left = begun
-        if left is not None and left.next_group is not None and left.queues is not None:
-            group, queues = left.next_group, left.queues
+        if left is not None and left.ready is not None:
+            group, queues = left.ready
         else:
-            grows = course is not None and course.groups.grows
-            rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if grows else 0
+            rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if course.groups.grows else 0
             group, queues = self._load(run, jobs, len(left.jobs) if left is not None else 0, rows, course)
         emitted = np.zeros(len(group.table.status), bool)
         if left is not None:
@@ -274,46 +269,38 @@ class MjxWarpEngine(Engine):
             group.table = left.put_into(group.table, own)
         return group, queues, emitted
 
-    def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: Course | None) -> tuple[Group, Queues]:
+    def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: Course) -> tuple[Group, Queues]:
         """The tables of a group, with so many rows at least, and its queues. The last ``n_left`` jobs come first: they
         may go on for long."""
         run = replace(run, needs=run.needs.of_sizes(jobs))
-        group = self._load_group(run, jobs, rows, course.ahead if course is not None else None)
+        group = self._load_group(run, jobs, rows, course.ahead)
         queues, own = Queues(run.needs.sizes, size_of, len(group.table.status)), len(jobs) - n_left
         if n_left:
             queues.add(jobs[own:], own, run.sim)
         queues.add(jobs[:own], 0, run.sim)
         return group, queues
 
-    def _leaving(
-        self, course: Course, begun: Begun, rest: NDArray[np.int64], rows: int, keep_busy: Callable[[], None]
-    ) -> Left | None:
-        """What a group will leave to the one that follows, with the tables of that; None as long as it is early.
+    def _leaving(self, course: Course, begun: Begun, rest: NDArray[np.int64], rows: int) -> Left:
+        """What a group will leave to the one that follows, with the tables of that.
 
         Args:
             rest: rows of the worlds that have not ended.
             rows: of the group's tables. Those of the next one have as many, for which programs are compiled.
-            keep_busy: begins slices for as long as it takes.
         """
-        course.ahead.prepare(course.groups, course.sim)
-        following = course.groups.following()
-        if not following or not 0 < len(rest) <= READY_SHARE * course.most_left:
-            return None
-        keep_busy()
         left = Left([begun.jobs[row] for row in rest.tolist()], [begun.numbers[row] for row in rest.tolist()], rest)
         try:
-            together = [*following, *left.jobs]
-            left.next_group, left.queues = self._load(course.next_run(), together, len(rest), rows, course)
+            together = [*course.groups.following(), *left.jobs]
+            left.ready = self._load(course.next_run(), together, len(rest), rows, course)
         except Exception as error:
             if not is_out_of_memory(error):
                 raise
         return left
 
-    def _take(self, group: Group, numbers: list[int], queues: Queues, course: Course | None) -> bool:
+    def _take(self, group: Group, numbers: list[int], queues: Queues, course: Course) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
-        taken = list(takewhile(group.fits, course.groups.waiting(free))) if course is not None else []
-        if course is None or not taken:
+        taken = list(takewhile(group.fits, course.groups.waiting(free)))
+        if not taken:
             return False
         queues.add(taken, len(group.jobs), group.run.sim)
         for first in range(0, len(taken), MORE_AT_ONCE):

@@ -25,7 +25,7 @@ class Left:
         jobs: of these worlds.
         numbers: of the jobs in their run.
         rows: of the worlds in the group.
-        next_group, queues: of the group in which they are the last, made while this one goes on; None: there was no
+        ready: the group in which they are the last, and its queues, made while this one goes on; None: there was no
             room for the tables of both.
         emitted: those whose outcomes are known.
         table: their states, a row each; rows beyond them are of no world.
@@ -34,8 +34,7 @@ class Left:
     jobs: list[Job]
     numbers: list[int]
     rows: NDArray[np.int64]
-    next_group: Group | None = None
-    queues: Queues | None = None
+    ready: tuple[Group, Queues] | None = None
     emitted: NDArray[np.bool_] = field(init=False)
     table: State = field(init=False)
 
