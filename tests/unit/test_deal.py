@@ -13,7 +13,7 @@ from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.basics.units import FloatArray
 from petmjx.engines.cost import MEASURED
 from petmjx.engines.workers.deal import MOST_JOBS, Chunk, Deal
-from petmjx.engines.workers.places import Node, Place, places
+from petmjx.engines.workers.places import Node, Place, places, threads_beside
 from petmjx.options.config import Simulation
 from petmjx.world.job import Drive, Excitation, Job
 
@@ -190,3 +190,20 @@ def test_a_device_engine_without_gpus() -> None:
 def test_more_workers_than_there_is_room_for(engine: str, workers: int | str, threads: int | None, line: str) -> None:
     with pytest.raises(InputError, match=line):
         places(engine, NODES, workers, threads)
+
+
+@pytest.mark.parametrize(
+    ("nodes", "workers", "threads"),
+    [
+        ([Node(32, 2)], 2, 16),
+        ([Node(32, 2)], 1, 32),
+        ([Node(16, 1)], 4, 4),
+        ([Node(0), Node(4), Node(64, 2)], 2, 32),  # a head, and a machine without GPUs
+        ([Node(16, 2)] * 4, 8, 8),
+        ([Node(16, 2), Node(12, 4)], 6, 3),
+    ],
+)
+def test_workers_with_gpus_share_the_threads_of_their_own_machine(
+    nodes: list[Node], workers: int, threads: int
+) -> None:
+    assert threads_beside(nodes, workers) == threads

@@ -99,6 +99,13 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
     return None
 
 
+def threads_beside(nodes: Sequence[Node], workers: int) -> int:
+    """The fewest CPU threads that each of so many workers with GPUs has, where a machine has as many of them as its
+    GPUs have room for."""
+    each = _sharing(sum(node.gpus for node in nodes), workers)
+    return min(node.cpus // min(each * node.gpus, workers) for node in nodes if node.gpus)
+
+
 def _sharing(gpus: int, workers: int) -> int:
     """How many workers share the GPU that has most of them."""
     return -(-workers // gpus)

@@ -13,7 +13,7 @@ from petmjx.engines.choose import Choice, check_options, choose, options_of
 from petmjx.engines.cost import Costs, Work
 from petmjx.engines.workers.actor import Recipe
 from petmjx.engines.workers.cluster import END_S, Cluster
-from petmjx.engines.workers.places import Node, places, why_no_gpus
+from petmjx.engines.workers.places import Node, places, threads_beside, why_no_gpus
 from petmjx.engines.workers.pool import WorkerPool
 from petmjx.options.run_options import AUTO, RunOptions
 
@@ -167,6 +167,6 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
         limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
     elif name == "mjx-warp-cpu":
         limits["threads"] = min(place.cpus for place in found)
-    # where a GPU simulates; all workers may be on the machine that has the fewest CPUs
-    threads = min(node.cpus for node in cluster.nodes) // len(found) if name == "mjx-warp" else 0
+    # on CPUs all threads simulate
+    threads = threads_beside(cluster.nodes, len(found)) if name == "mjx-warp" else 0
     return WorkerPool(Recipe(name, limits), found, cluster, most_lookers(threads))
