@@ -99,7 +99,7 @@ def score_worlds(
         making = Making(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
         if attempt is first and more is None:
             making.lookers, besides.making = besides.lookers, making
-            making.next_chunk = None if source.ended else next_chunk
+            making.next_chunk = next_chunk if source.more else None
         for found in making.run(batch):
             yield from went_on(attempt, found)
             yield from from_beside()
@@ -114,9 +114,9 @@ def score_worlds(
 
     try:
         while True:
-            worlds = aside or source.take() or (more() if more else ())
-            batch: list[Pending[AnyWorld]] = [(world, None, ()) for world in worlds]
-            del worlds
+            taken = aside or source.take() or (more() if more else ())
+            batch: list[Pending[AnyWorld]] = [(world, None, ()) for world in taken]
+            del taken  # worlds that have ended take memory
             aside.clear()
             ended = not batch
             if batch:
@@ -148,22 +148,24 @@ class Chunks(Generic[AnyWorld]):
     Args:
         most: worlds of a chunk.
         most_boxes: of a chunk to which no more worlds are added.
-
-    Attributes:
-        ended: whether the chunk that was taken last is the last one.
     """
 
     source: Iterator[AnyWorld]
     most: int
     most_boxes: int = CHUNK_BOXES
-    ended: bool = False
+    _ended: bool = False
     _maker: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-worlds"))
     _next: Future[list[AnyWorld]] | None = None
+
+    @property
+    def more(self) -> bool:
+        """Whether the next chunk is being made, or is there."""
+        return self._next is not None
 
     def take(self) -> list[AnyWorld]:
         """The next worlds; an empty list at the end."""
         chunk = self._made() if self._next is None else self._next.result()
-        self._next = None if self.ended else self._maker.submit(self._made)
+        self._next = None if self._ended else self._maker.submit(self._made)
         return chunk
 
     def take_made(self) -> list[AnyWorld] | None:
@@ -178,14 +180,14 @@ class Chunks(Generic[AnyWorld]):
         for world in self.source:
             chunk.append(world)
             boxes += world.job.scene.n_boxes
-            if self.ended or len(chunk) == self.most or boxes >= self.most_boxes:
+            if self._ended or len(chunk) == self.most or boxes >= self.most_boxes:
                 return chunk
-        self.ended = True
+        self._ended = True
         return chunk
 
     def close(self) -> None:
         """Make no more worlds; one that is being made is waited for."""
-        self.ended = True
+        self._ended = True
         self._maker.shutdown()
 
 

@@ -276,6 +276,19 @@ def test_chunks_of_larger_worlds_have_fewer() -> None:
     assert taken == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]
 
 
+def test_a_last_chunk_that_is_made_before_it_is_asked_for_is_yet_to_come() -> None:
+    source = retry_module.Chunks(iter(worlds_failing(*[0] * 5)), 3)
+    assert len(source.take()) == 3
+    until = time.monotonic() + 30
+    while source._next is not None and not source._next.done() and time.monotonic() < until:
+        time.sleep(0.001)
+    assert source.more
+    assert len(source.take_made() or []) == 2
+    assert not source.more
+    assert source.take_made() == source.take() == []
+    source.close()
+
+
 def test_a_run_that_is_cut_off_does_not_wait_for_the_rest_of_a_chunk() -> None:
     """With Ctrl-C, for example. The second chunk would take 50 s."""
 
