@@ -1,0 +1,288 @@
+"""Memory that runs out on mjx-warp loses no world, and none is simulated with other results."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from petmjx.engines.base import GrowingJobs
+from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.world.job import Drive, Excitation, Job
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+from support.fake_stepper import assert_same, run_all
+from support.plans import make_scene
+from support.tiny_worlds import (
+    LONG_NS,
+    SHORT,
+    SOME_NS,
+    STEP_NS,
+    TINY,
+    assert_equal_worlds,
+    engine,
+    out_of_memory,
+    sizes_apart,
+    tiny,
+    tiny_scenes,
+    watched_rollouts,
+)
+from support.worlds import simulate
+
+from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.group import Group
+from petmjx.engines.warp.launch import Launch
+from petmjx.engines.warp.march import March
+from petmjx.engines.warp.records import BUFFER_WORDS, axes, buffer_rows
+from petmjx.engines.warp.rollout import Rollout
+
+pytestmark = pytest.mark.usefixtures("ranks_may_differ")
+
+
+@pytest.mark.slow
+def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    """A device that holds blocks of one size, however few of them, but not of two."""
+    tried: list[int] = []
+
+    def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
+        tried.append(len(fleets))
+        if len(fleets) > 1:
+            raise out_of_memory()
+        return Rollout(run, fleets, slice_ns)
+
+    sizes_apart(monkeypatch, 4)
+    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    scenes = {**tiny_scenes(("hand-one-box", "hand-bridge")), "five": make_scene(5)}
+    found = simulate(engine(), scenes, SHORT)
+    assert found.pop("five").reason is not Reason.OUT_OF_MEMORY
+    assert_equal_worlds(found, crowd)
+    assert tried[0] == 2
+    assert tried.count(1) == 2
+
+
+def small_device(monkeypatch: pytest.MonkeyPatch, holds: Callable[[int, int], bool]) -> list[int]:
+    """A device of 256 blocks that says whether it holds so many, with so many contacts each. Returns a list of the
+    numbers of blocks that were tried."""
+    tried = []
+
+    def look(n_boxes: int, nconmax: int, blocks: int) -> None:
+        tried.append(blocks)
+        if not holds(blocks, nconmax):
+            raise out_of_memory()
+
+    here = Launch.here
+    monkeypatch.setattr(Launch, "here", lambda *args, **options: replace(here(*args, **options), blocks=256))
+    watched_rollouts(monkeypatch, look)
+    return tried
+
+
+@pytest.mark.slow
+def test_too_many_blocks_are_halved_until_they_fit(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    tried = small_device(monkeypatch, lambda blocks, _: blocks <= 64)
+    names = ("hand-one-box", "hand-bridge")
+    assert_equal_worlds(simulate(MjxWarpEngine(allow_cpu=True), tiny_scenes(names), SHORT), crowd)
+    assert tried == [256, 128, 64]
+
+
+@pytest.mark.slow
+def test_fewer_blocks_than_are_usually_worth_while_are_as_the_user_wants(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    tried = small_device(monkeypatch, lambda *_: True)
+    few = mjx_warp.MIN_BLOCKS // 4
+    found = simulate(MjxWarpEngine(few, allow_cpu=True), tiny_scenes(("hand-one-box",)), SHORT)
+    assert_equal_worlds(found, crowd)
+    assert tried == [few]
+
+
+def test_a_device_without_any_room_gives_invalid_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = small_device(monkeypatch, lambda *_: False)
+    for outcome in simulate(MjxWarpEngine(allow_cpu=True), tiny_scenes(), SHORT).values():
+        assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OUT_OF_MEMORY)
+    assert tried == [256, 128, 64, 32, 16]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grows", [False, True])
+def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
+    grows: bool, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """One world has its outcome already, one waits for its drive, and one needs more room than there is. If no more
+    jobs may come the slice in which the drive ends is under way when that is seen."""
+    monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 2)
+    small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
+    drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
+    one_box = tiny("hand-one-box")
+    jobs = (GrowingJobs if grows else list)([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
+    large, waits, ended = run_all(MjxWarpEngine(allow_cpu=True, slice_ns=LONG_NS), jobs, SHORT)
+    assert large.reason is Reason.OUT_OF_MEMORY
+    assert (waits.reason is Reason.OUT_OF_MEMORY) == grows
+    assert_same(ended, crowd["hand-one-box"])
+
+
+class FailingRollout(Rollout):
+    """Fails in its third time slice if it has more than ``holds`` worlds."""
+
+    holds = 2
+    error: Callable[[], Exception] = staticmethod(out_of_memory)
+
+    def wait(self, group: Group) -> Any:
+        self.waits = getattr(self, "waits", 0) + 1
+        if len(group.jobs) > self.holds and self.waits >= 3:
+            raise self.error()
+        return super().wait(group)
+
+
+@pytest.mark.slow
+def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
+    found = run_all(engine(slice_ns=SOME_NS), [Job(scene) for scene in tiny_scenes().values()], SHORT)
+    assert_equal_worlds(dict(zip(TINY, found, strict=True)), crowd)
+
+
+@pytest.mark.slow
+def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With each half the tables of the whole would be in memory, too, and with each quarter those of both."""
+    load, groups, alive = MjxWarpEngine._load_group, list[weakref.ref[Group]](), []
+
+    def watched(self: MjxWarpEngine, *args: Any) -> Group:
+        alive.append(sum(group() is not None for group in groups))
+        groups.append(weakref.ref(group := load(self, *args)))
+        return group
+
+    monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
+    monkeypatch.setattr(MjxWarpEngine, "_load_group", watched)
+    run_all(engine(slice_ns=STEP_NS), [Job(tiny("hand-one-box"))] * 6, SHORT)
+    assert alive == [0] * 7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slice_number", [1, 2, 4])
+def test_a_slice_in_which_memory_runs_out_loses_nothing(
+    slice_number: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """The blocks' memory and the tables are lost with it; another slice may have begun behind it."""
+    launch, launched = March.launch, itertools.count(1)
+
+    def fails_once(self: March, arrays: dict[str, Any]) -> None:
+        if next(launched) == slice_number:
+            raise out_of_memory()
+        launch(self, arrays)
+
+    monkeypatch.setattr(March, "launch", fails_once)
+    begun = engine(slice_ns=SOME_NS)
+    assert_equal_worlds(simulate(begun, tiny_scenes(), SHORT), crowd)
+    assert_equal_worlds(simulate(begun, tiny_scenes(TINY[:2]), SHORT), crowd)
+    assert next(launched) > slice_number + 2
+
+
+@pytest.mark.slow
+def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(FailingRollout):
+        holds = 0
+
+    monkeypatch.setattr(mjx_warp, "Rollout", Full)
+    two = [Job(tiny("hand-one-box")), Job(tiny("hand-bridge"))]
+    for outcome in run_all(engine(slice_ns=STEP_NS), two, SHORT):
+        assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OUT_OF_MEMORY)
+
+
+@pytest.mark.slow
+def test_other_errors_are_raised_and_the_engine_goes_on(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    class Broken(FailingRollout):
+        error = staticmethod(lambda: RuntimeError("INTERNAL: illegal memory access"))
+
+    begun = engine(slice_ns=STEP_NS)
+    with monkeypatch.context() as patch:
+        patch.setattr(mjx_warp, "Rollout", Broken)
+        with pytest.raises(RuntimeError, match="illegal memory access"):
+            simulate(begun, tiny_scenes(), SHORT)
+    assert_equal_worlds(simulate(begun, tiny_scenes(TINY[:2]), SHORT), crowd)
+
+
+@pytest.mark.slow
+def test_blocks_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    """Memory for the blocks of one run at a time: with those of the run before gone as many fit as were wanted."""
+    tried = []
+
+    def look(n_boxes: int, nconmax: int, blocks: int) -> None:
+        tried.append((n_boxes, blocks))
+        if any(not other.workspace.is_deleted() for other in made):
+            raise out_of_memory()
+
+    sizes_apart(monkeypatch, 4)
+    made = watched_rollouts(monkeypatch, look)
+    some = engine()
+    assert simulate(some, {"five": make_scene(5)}, SHORT)["five"].reason is not Reason.OUT_OF_MEMORY
+    found = simulate(some, tiny_scenes(("hand-one-box",)), SHORT)
+    assert_same(found["hand-one-box"], crowd["hand-one-box"])
+    assert [n_boxes for n_boxes, _ in tried] == [8, 4, 4]
+    assert len({blocks for _, blocks in tried}) == 1
+
+
+@pytest.mark.gpu
+def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    some = {f"{name} {k}": scene for name, scene in tiny_scenes().items() for k in range(20)}
+    some["large"] = make_scene(120)
+    alone = simulate(MjxWarpEngine(), some, SHORT)
+    gc.collect()  # that engine's memory, which would else become free in the middle of the next run
+    crowded = MjxWarpEngine()
+    blocks, room = Launch.here(120).blocks, 120 + mjx_warp.MORE_BOXES
+    sizes = axes(blocks, 120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
+    whole = 4 * BUFFER_WORDS * buffer_rows(sizes)
+    # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
+    # a piece that is up to 128 MB larger.
+    left = TABLES_BYTES + whole // 2
+    rest = block(left)
+    ballast = []
+    for piece in PIECES:
+        with suppress(jax.errors.JaxRuntimeError):  # what is free may be in smaller pieces
+            while free_bytes() > piece:
+                ballast.append(block(piece))
+    rest.delete()
+    while free_bytes() > left + PIECES[-1]:
+        ballast.append(block(PIECES[-1]))
+    tried = []
+
+    def look(n_boxes: int, nconmax: int, wanted: int) -> None:
+        if n_boxes == 120:
+            tried.append(wanted)
+
+    watched_rollouts(monkeypatch, look)
+    found = simulate(crowded, some, SHORT)
+    for each in ballast:
+        each.delete()
+    assert tried[0] == blocks
+    assert tried[-1] < blocks
+    assert_equal_worlds(found, alone)
+
+
+PIECES = 1 << 30, 1 << 26, 1 << 22
+"""Bytes of the blocks that take a device's memory."""
+
+TABLES_BYTES = 64 << 20
+"""More than the tables of some hundred worlds take, with what JAX needs beside them."""
+
+
+def block(size: int) -> jax.Array:
+    """Device memory of so many bytes."""
+    return jax.block_until_ready(jnp.zeros(size, jnp.uint8))
+
+
+def free_bytes() -> int:
+    """Device memory that JAX can still take."""
+    stats = jax.devices()[0].memory_stats()
+    return stats["bytes_limit"] - stats["bytes_in_use"]
