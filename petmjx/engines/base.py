@@ -85,7 +85,8 @@ class JobsInParts(list[Job]):
     def __init__(self, jobs: Sequence[Job], next_part: Callable[[], Sequence[Job] | None]) -> None:
         super().__init__(jobs)
         self.next_part = next_part
-        """The next part, once; None as long as it is being made, and no jobs where no part follows in this run."""
+        """The next part, once; None as long as it is being made, and no jobs where none follows now. May be called from
+        a thread of the engine."""
 
 
 @runtime_checkable

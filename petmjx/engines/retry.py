@@ -26,7 +26,8 @@ from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 
 DEFAULT_CHUNK_WORLDS: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Most worlds that are made at once: two groups of mjx-warp, beside what each may have of the one before."""
+"""Most worlds that are made at once: two groups of mjx-warp, beside what each may have of the one before
+(``LEFT_SHARE`` and ``READY_SHARE`` in petmjx/engines/warp/engine.py)."""
 
 CHUNK_BOXES: Final = 1 << 20
 """Boxes of a chunk to which no more worlds are added: 130 MB of scenes, and as much for the next chunk."""

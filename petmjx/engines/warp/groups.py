@@ -12,7 +12,8 @@ from petmjx.world.job import Job
 
 
 class Groups:
-    """Deals jobs in their order, in groups of equal size. It is true as long as there are more.
+    """Deals jobs in their order, in groups of equal size. It is true as long as a next group is known; whoever asks for
+    that takes the next part, if it is made.
 
     Args:
         size: most worlds of a group.
@@ -54,7 +55,8 @@ class Groups:
         return any(job.record is not None for job in self._find_next())
 
     def take(self) -> list[Job]:
-        """The next group. Jobs that are ``waiting`` may be appended to it before another one is dealt."""
+        """The next group. Jobs that are ``waiting`` may be appended to it, to this very list, before another one is
+        dealt."""
         group = list(self._find_next())
         self.first += len(self._dealt)
         self._dealt, self._next = group, ()
