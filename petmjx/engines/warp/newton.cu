@@ -3,6 +3,7 @@
 // Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it. Loops are not unrolled where they
 // could be: a GPU waits for instructions more than for results (docs/performance.md).
 
+#include "arrays.cuh"
 #include "block.cuh"
 #include "cholesky.cuh"
 #include "contact.cuh"
