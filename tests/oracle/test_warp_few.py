@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -23,8 +24,9 @@ from petmjx.engines.warp import newton
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.few import fleet_for_few, with_few_first
 from petmjx.engines.warp.group import Group
-from petmjx.engines.warp.launch import SIZES, Launch
+from petmjx.engines.warp.launch import FEW_BOXES, SIZES, Launch
 from petmjx.engines.warp.march import Fleet
+from petmjx.engines.warp.records import PANEL
 from petmjx.engines.warp.rollout import Rollout, Slice
 from petmjx.verdict import Outcome
 
@@ -124,6 +126,33 @@ def test_memory_without_room_for_them_has_room_for_others(
     assert tried == [2, 1]
 
 
+def test_a_solver_that_pauses_takes_the_same_steps(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
+    """Steps of these worlds take up to a dozen iterations. On a GPU their blocks are those of many worlds."""
+    made = Launch.of
+    monkeypatch.setattr(Launch, "of", lambda *of: replace(made(*of), pause_after=2))
+    assert_equal_worlds(simulate(engine(), tiny_scenes(), SHORT), crowd)
+
+
+@pytest.mark.parametrize(
+    ("shared_bytes", "worlds", "tiles"),
+    [
+        (227 << 10, 16, 6),  # H100
+        (163 << 10, 16, 5),  # A100
+        (99 << 10, 16, 1),  # consumer cards
+        (64 << 10, 8, 3),  # Turing
+    ],
+)
+def test_a_block_has_as_many_worlds_as_shared_memory_has_room_for(
+    shared_bytes: int, worlds: int, tiles: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = SimpleNamespace(is_cuda=True, max_shared_memory_per_block=shared_bytes, sm_count=3)
+    monkeypatch.setattr(wp, "get_device", lambda: device)
+    launch = Launch.of(FEW_BOXES)
+    assert (launch.worlds, launch.threads, launch.lanes) == (worlds, 32 * worlds, 3 * worlds)
+    assert launch.shared_words == tiles * PANEL**2
+    assert 4 * launch.tile_words < shared_bytes
+
+
 COUNTS = (1, 31, 32, 33, 96, 127, 128, 129, 300)
 
 
@@ -158,19 +187,19 @@ def test_a_warp_sums_in_the_order_of_a_block(count: int) -> None:
     threads = SIZES[0].threads
     numbers = wp.array(np.random.default_rng(0).normal(size=count), dtype=wp.float64)
     found = {}
-    for worlds in (1, 8):
+    for worlds in (1, 16):
         size = threads if worlds == 1 else 32 * worlds
         kernel = with_cpp(_sums, newton.text_for(6, worlds, threads) + _SUM, threads=size)
         sums = wp.zeros((worlds, threads), dtype=wp.float64)
         wp.launch(kernel, dim=(1, size), inputs=[numbers, count, sums], block_dim=size)
         found[worlds] = sums.numpy()[:, : threads if worlds == 1 else 32]
-    assert np.unique(found[1]).tolist() == np.unique(found[8]).tolist()
+    assert np.unique(found[1]).tolist() == np.unique(found[16]).tolist()
     assert len(np.unique(found[1])) == 1
 
 
 @pytest.mark.gpu
 @pytest.mark.parametrize("check", ["one-by-one", "static"])
-def test_blocks_of_eight_worlds_give_what_blocks_of_one_give(
+def test_blocks_of_many_worlds_give_what_blocks_of_one_give(
     check: str, monkeypatch: pytest.MonkeyPatch, taken: list[list[int]]
 ) -> None:
     """Worlds of 1 to 24 boxes, of which some fall, in company that changes."""

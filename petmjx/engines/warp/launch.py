@@ -4,7 +4,7 @@ A step of forty boxes is latency for the most part, and needs another world besi
 many threads. So there are blocks of two sizes, each with a kernel of its own. A world's size depends on its number of
 boxes alone: the number of threads decides the order of sums, and with it the last bits of results.
 
-A step of few boxes is latency alone, and many worlds have to go through it together: a third kernel has eight of them
+A step of few boxes is latency alone, and many worlds have to go through it together: a third kernel has sixteen of them
 in a block, a warp each. Pallets of all sizes begin there. Its sums have the order of the smaller size, so that a world
 may change between the two at any step.
 """
@@ -12,7 +12,7 @@ may change between the two at any step.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import warp as wp
@@ -35,6 +35,9 @@ from petmjx.engines.warp.records import (
 WARP = wp.constant(32)
 """Threads of a warp of a GPU."""
 
+TILE_BYTES = 4
+"""Shared memory that Warp takes for a thread of a block with tiles."""
+
 
 @dataclass(frozen=True)
 class Size:
@@ -47,6 +50,8 @@ class Size:
         shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
             multiprocessor has for all its blocks the rest is cache.
         worlds: of a block: one of all its threads, or each one of a warp.
+        pause_after: iterations after which the solver of a world pauses, so that the other worlds of its block need not
+            wait for it to end; 0: it does not.
     """
 
     most_boxes: int
@@ -54,12 +59,13 @@ class Size:
     per_sm: int
     shared_bytes: int
     worlds: int = 1
+    pause_after: int = 0
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 """By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured: docs/performance.md."""
 
-FEW_BOXES = Size(15, 256, 2, 48 << 10, worlds=8)
+FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 """For worlds with so few boxes so far: with a carrier that moves they fill six panels."""
 
 
@@ -74,7 +80,7 @@ class Launch:
 
     Attributes:
         blocks: at the same time.
-        threads, per_sm, worlds: as in ``Size``.
+        threads, per_sm, worlds, pause_after: as in ``Size``.
         shared_words: shared memory for rows of a world's factor and its Hessian, in numbers of four bytes.
         panels: of the largest system.
         hands: whether a hand may carry boxes. Without it a kernel has fewer registers to spill.
@@ -90,11 +96,18 @@ class Launch:
     gives: bool = False
     wraps: bool = False
     worlds: int = 1
+    pause_after: int = 0
 
     @property
     def lanes(self) -> int:
         """Worlds at the same time."""
         return self.blocks * self.worlds
+
+    @property
+    def tile_words(self) -> int:
+        """Of the tile in a block's shared memory, numbers of four bytes; 0: it has none."""
+        own = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
+        return self.worlds * (self.shared_words + own)
 
     @classmethod
     def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
@@ -104,24 +117,30 @@ class Launch:
 
     @classmethod
     def of(cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
-        """For blocks of this size."""
+        """For blocks of this size; of fewer worlds where a GPU has not enough shared memory for so many."""
         device = wp.get_device()
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
         panels = most_panels(size.most_boxes)
         own = newton.own_bytes(panels, size.worlds)
-        shared = min(size.shared_bytes, device.max_shared_memory_per_block // size.per_sm - own)
-        tiles = max(shared // size.worlds, 0) // (4 * PANEL**2)
-        words = tiles * PANEL**2 if size.worlds > 1 else shared // 4
+        most = device.max_shared_memory_per_block // size.per_sm
+        traits = hands, gives, wraps
+        if size.worlds > 1:
+            room = most - newton.DRIVER_BYTES - TILE_BYTES * size.threads - size.worlds * own
+            if room < 0:
+                return cls.of(replace(size, threads=size.threads // 2, worlds=size.worlds // 2), *traits)
+            words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2
+        else:
+            words = min(size.shared_bytes, most - own) // 4
         blocks = size.per_sm * device.sm_count
-        return cls(blocks, size.threads, size.per_sm, words, panels, hands, gives, wraps, size.worlds)
+        return cls(blocks, size.threads, size.per_sm, words, panels, *traits, size.worlds, size.pause_after)
 
 
 @functools.cache
 def kernel(launch: Launch) -> Any:
     """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
     shared_words, of_block = launch.shared_words, launch.worlds
-    of_all = of_block * shared_words
+    tile_words = launch.tile_words
     hands, gives, wraps = int(launch.hands), int(launch.gives), int(launch.wraps)
 
     def march(
@@ -141,8 +160,8 @@ def kernel(launch: Launch) -> Any:
     ) -> None:
         block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
         block += first_block
-        if wp.static(shared_words > 0):
-            shared = wp.tile_zeros(shape=of_all, dtype=float, storage="shared")
+        if wp.static(tile_words > 0):
+            shared = wp.tile_zeros(shape=tile_words, dtype=float, storage="shared")
         else:
             shared = work.strip  # type: ignore[assignment]  # never used: there is no shared memory
         if wp.static(of_block > 1):
@@ -160,5 +179,5 @@ def kernel(launch: Launch) -> Any:
             )  # fmt: skip
 
     bounds = launch.threads, launch.per_sm
-    text = newton.text_for(launch.panels, of_block, SIZES[0].threads)
+    text = newton.text_for(launch.panels, of_block, SIZES[0].threads, launch.pause_after)
     return with_cpp(march, text, threads=launch.threads, launch_bounds=bounds)

@@ -16,8 +16,6 @@ namespace petmjx {
 // still decreases there. Smaller shares save no iteration.
 const double ENOUGH_SLOPE = 0.1;
 
-const size_t DRIVER_BYTES = 1024;  // of a block's shared memory (CUDA C++ Programming Guide, "Compute capability 9.0")
-
 const double INFINITE = 1e300;  // what a singular Hessian may make of a step: no NaN
 
 // Gradient g = M·(qacc − qacc_smooth) − Jᵀ·force into grad and rhs, SHARE threads per body. Returns gᵀM⁻¹g.
@@ -129,20 +127,30 @@ struct Own {
     Layout<PANELS> layout;
 };
 
-// Accelerations and contact forces of a block's world. The solver starts from the accelerations that are there. All
-// `threads` of a block must call it, since they wait for one another. PANELS: most panels of a system. PANEL, EFC_WORDS:
+// Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
+// `threads` of a lane must call it, since they wait for one another. PANELS: most panels of a system. PANEL, EFC_WORDS:
 // sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
-// last call. `forces`: those of the accelerations that it ends with are wanted, too. `shared`: shared memory for
-// `shared_words` numbers, where the strip and the Hessian go if they fit.
+// last call. `forces`: those of the accelerations that it ends with are wanted, too. `shared`: shared memory of the block,
+// with `shared_words` numbers for each of its worlds, where the strip and the Hessian go if they fit.
+//
+// With PETMJX_PAUSE_AFTER the solver pauses after so many iterations, and says so in `solver_paused`. The next call goes on
+// with the same system; it takes the same iterations as without a pause.
 template <int PANELS, int PANEL, int EFC_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
     const Model& model, int block, int thread, int threads, int limit, bool changed, bool forces, float* shared,
     int shared_words, const Workspace& work
 ) {
     static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
-    PETMJX_SHARED Own<PANELS> of_worlds[PETMJX_WORLDS];
-    static_assert(sizeof of_worlds + DRIVER_BYTES <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
-    Own<PANELS>& own = of_worlds[place_in_block(block)];
+#if defined(PETMJX_WORLD_OF_A_WARP)
+    // Behind what all worlds of the block have for strips and Hessians.
+    static_assert(sizeof(Own<PANELS>) <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
+    const size_t place = place_in_block(block);
+    Own<PANELS>& own = *(Own<PANELS>*)(shared + PETMJX_WORLDS * shared_words + place * (PETMJX_OWN_BYTES / 4));
+    shared += place * shared_words;
+#else
+    PETMJX_SHARED Own<PANELS> own;
+    static_assert(sizeof own + PETMJX_DRIVER_BYTES <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
+#endif
     Factoring<PANELS>& factoring = own.factoring;
     Layout<PANELS>& layout = own.layout;
     float* rhs = own.rhs;
@@ -187,27 +195,37 @@ inline CUDA_CALLABLE void newton(
     system.base = layout.base;
     system.rhs = rhs;
 
-    if (thread == 0) work.solver_niter.data[at] = 0;
+    int begun = 0;
+    if (PETMJX_PAUSE_AFTER > 0) {
+        begun = work.solver_paused.data[at];
+        wait_for_all();
+        if (thread == 0) work.solver_paused.data[at] = 0;
+    }
+    if (thread == 0) work.solver_niter.data[at] = begun;
     if (nfree == 0) return;
-    #pragma unroll 1
-    for (int i = thread; i < nv; i += threads)
-        if (world.body_conadr[i / 6] == world.body_conadr[i / 6 + 1]) qacc[i] = world.qacc_smooth[i];
+    if (begun == 0) {
+        #pragma unroll 1
+        for (int i = thread; i < nv; i += threads)
+            if (world.body_conadr[i / 6] == world.body_conadr[i / 6 + 1]) qacc[i] = world.qacc_smooth[i];
+    }
     // On a CPU nothing is shared, and so nothing is kept.
-    if (changed || WARP == 1) lay_out(world, low, at_once, layout, partial, thread, threads);
+    if ((begun == 0 && changed) || WARP == 1) lay_out(world, low, at_once, layout, partial, thread, threads);
     else wait_for_all();
     const double enough = model.tolerance * layout.trace;  // MuJoCo measures costs in units of the inertia's trace
     const int strip_words = at_once * layout.widest * TILE, pairs = layout.pairs;
     const bool strip_fits = strip_words <= shared_words, fits = layout.base[system.panels] + strip_words <= shared_words;
     system.strip = strip_fits ? shared : work.strip.data + at * work.strip.shape[1];
     system.A = fits ? shared + strip_words : work.hessian.data + at * work.hessian.shape[1];
-    #pragma unroll 1
-    for (int k = thread; k < ncon; k += threads) {
-        relative(efc + EFC * k, body + 2 * k, qacc, Jaref + 3 * k);
-        for (int r = 0; r < 3; ++r) Jaref[3 * k + r] -= efc[EFC * k + 27 + r];
+    if (begun == 0) {
+        #pragma unroll 1
+        for (int k = thread; k < ncon; k += threads) {
+            relative(efc + EFC * k, body + 2 * k, qacc, Jaref + 3 * k);
+            for (int r = 0; r < 3; ++r) Jaref[3 * k + r] -= efc[EFC * k + 27 + r];
+        }
     }
     bool last = false;
     #pragma unroll 1
-    for (int iteration = 0;; ++iteration) {
+    for (int iteration = begun;; ++iteration) {
         // The forces that are there are of the accelerations before the last iteration: found once more only if wanted.
         const bool ends = last || iteration >= limit;
         if (ends && !forces) break;
@@ -271,6 +289,10 @@ inline CUDA_CALLABLE void newton(
         wait_for_all();
         // The decrease of the cost is about the length × the mean of the two derivatives.
         last = !(-0.5 * length * (start + first) > enough);
+        if (PETMJX_PAUSE_AFTER > 0 && !last && iteration + 1 < limit && iteration + 1 - begun == PETMJX_PAUSE_AFTER) {
+            if (thread == 0) work.solver_paused.data[at] = iteration + 1;
+            break;
+        }
     }
 }
 

@@ -47,27 +47,35 @@ FEW_PANELS = 40
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
+DRIVER_BYTES = 1 << 10
+"""Of a block's shared memory, which the driver keeps for itself (CUDA C++ Programming Guide, "Compute capability
+9.0")."""
+
+
 def own_bytes(panels: int, worlds: int = 1) -> int:
-    """Shared memory that the threads of a block take for systems of up to so many panels, beside the tile of
-    ``kernel.solve.newton``; with what the driver keeps for itself. newton.cu checks that it is enough."""
+    """Shared memory that the threads of a world take for systems of up to so many panels, beside strip and Hessian; in
+    blocks of one world with what the driver keeps. newton.cu checks that it is enough."""
     if worlds > 1:
-        return worlds * (4 * (PANEL + 4) * panels + (4 << 10)) + (1 << 10)
-    return 4 * (PANEL + 4) * panels + ((9 if panels <= FEW_PANELS else 18) << 10)
+        return 4 * (PANEL + 4) * panels + (4 << 10)
+    return 4 * (PANEL + 4) * panels + ((8 if panels <= FEW_PANELS else 17) << 10) + DRIVER_BYTES
 
 
-def text_for(panels: int, worlds: int = 1, threads: int = 32) -> str:
+def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int = 0) -> str:
     """The solver's C++ for systems of up to so many panels.
 
     Args:
         worlds: of a block; each of several has a warp.
         threads: of the blocks of one world in whose order those of several sum.
+        pause_after: iterations after which the solver pauses; 0: it does not.
     """
     numbers = {
         PANELS_MACRO: panels,
         "PETMJX_FEW_PANELS": FEW_PANELS,
         "PETMJX_OWN_BYTES": own_bytes(panels, worlds),
+        "PETMJX_DRIVER_BYTES": DRIVER_BYTES,
         "PETMJX_WORLDS": worlds,
         "PETMJX_THREADS": threads,
+        "PETMJX_PAUSE_AFTER": pause_after,
     }
     return "".join(f"#define {name} {number}\n" for name, number in numbers.items()) + source("newton.cu")
 

@@ -191,6 +191,7 @@ class Workspace:
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # free bodies
     solver_niter: Annotated[wp.array[int], "block"]
+    solver_paused: Annotated[wp.array[int], "block"]  # iterations after which the solver has paused; 0: it has ended
     world: Annotated[wp.array[int], "block"]  # which a block has; negative: none
     frame: Annotated[wp.array[int], "block"]  # which a block writes
 

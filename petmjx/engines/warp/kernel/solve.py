@@ -13,7 +13,7 @@ from petmjx.engines.warp.records import EFC_WORDS, PANEL, Model, Workspace
 @wp.func_native(
     f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
     "(model, block, thread, threads, limit, changed, forces,"
-    " petmjx::begin_of(shared) + petmjx::place_in_block(block) * shared_words, shared_words, work);"
+    " petmjx::begin_of(shared), shared_words, work);"
 )
 def newton(
     # Model:
@@ -30,13 +30,18 @@ def newton(
     # Data out:
     work: Workspace,
 ) -> None:
-    """Accelerations and contact forces of a block's world, by at most ``limit`` iterations.
+    """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
 
     ``changed``: contacts, or the order of bodies, are others than at the last call. ``forces``: those of contacts are
     wanted, too; else ``contact_force`` may be of the accelerations before the last iteration.
 
     Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
-    ``contact_force`` and ``solver_niter``. Uses other arrays of the workspace as scratch, and
-    ``shared``, a tile in shared memory with ``shared_words`` numbers for each world of a block, for rows of the
-    factor and the Hessian if they fit.
+    ``contact_force``, ``solver_niter`` and ``solver_paused``: if that is not zero the solver has paused, and the next
+    call goes on. Uses other arrays of the workspace as scratch, and ``shared``, a tile in shared memory with
+    ``shared_words`` numbers for each world of a block, for rows of the factor and the Hessian if they fit.
     """
+
+
+@wp.func_native("return PETMJX_PAUSE_AFTER > 0 && paused.data[lane] != 0;")
+def in_pause(paused: wp.array[int], lane: int) -> bool:
+    """Whether a lane's solver has paused. ``paused``: ``solver_paused``. The compiler knows if none ever does."""

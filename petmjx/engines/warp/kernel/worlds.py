@@ -1,7 +1,8 @@
 """What the threads of a lane do: they take worlds from the queue, one after the other, and step each one to its end.
 
 A lane is a thread block, or a warp of one. Warps of a block go through the parts of a step together, also those that
-have no world any more (docs/performance.md, "Small worlds").
+have no world any more. Where the solver of one takes longer than those of the others it pauses, they take their next
+step, and it goes on when they are at their solver again (docs/performance.md, "Small worlds").
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from petmjx.engines.warp.kernel.hand import carry
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
-from petmjx.engines.warp.kernel.solve import newton
+from petmjx.engines.warp.kernel.solve import in_pause, newton
 from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 
@@ -94,18 +95,21 @@ def advance(
     frames: FrameBuffer,
     counts: Counts,
 ) -> int:
-    """One step of a lane's world and all that follows from it.
+    """One step of a lane's world and all that follows from it, or a part of one: up to where the solver pauses, or from
+    there on.
 
     Args:
         goes: the lane has a world that goes on. Else its threads wait for the others of their block.
-        shared: a tile in shared memory for ``shared_words`` numbers for each world of the block.
+        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, and more behind them.
         listed: near pairs that are listed; negative: none are.
 
     Returns:
         Near pairs that are listed for the next step; negative: none are.
     """
     on = bool(goes)
+    begins = bool(False)
     anew = bool(False)
+    sample = bool(False)
     measured = bool(False)
     changed = bool(False)
     astray = bool(False)
@@ -114,11 +118,13 @@ def advance(
     npair = int(listed)
     ncon = int(0)
     if on:
-        gravity, push = excitation(model, worlds, state, at.world)
+        begins = not in_pause(work.solver_paused, at.block)
         step = state.step[at.world] + 1
         sample = step > 0 and step % model.sample_every == 0
         every = frames.every[at.world]
         measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
+    if begins:
+        gravity, push = excitation(model, worlds, state, at.world)
         left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
         if at.hands != 0:
             carry(model, worlds, state, at, work)
@@ -136,7 +142,7 @@ def advance(
                 overflow(at, state)
                 on = False
     go_together()
-    if on:
+    if on and begins:
         changed = collide(model, worlds, at, npair, anew, work)
         ncon = work.pair_conadr[at.block, npair]
         if at.thread == 0:
@@ -146,7 +152,7 @@ def advance(
             overflow(at, state)
             on = False
     go_together()
-    if on:
+    if on and begins:
         make_constraint(model, worlds, state, at, ncon, work)
         if step % RENEWED_EVERY == 0:
             renew_order(worlds, at, npair, state, work)
@@ -158,6 +164,8 @@ def advance(
         limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
         newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
         wait_for_all()
+        if in_pause(work.solver_paused, at.block):
+            on = False
     go_together()
     if on:
         astray = any_of_all(end_step(model, at, measured, state, work))
@@ -166,8 +174,7 @@ def advance(
         after_step(model, worlds, at, astray, state, work)
         if every > 0:
             keep_frame(state, at, every, work, frames)
-        return listed
-    return -1
+    return listed
 
 
 @wp.func
@@ -209,7 +216,7 @@ def run_worlds(
         gives: 1 if boxes may give.
         wraps: 1 if film may hold boxes.
         slice_ns: time slice, from the call's first step on, ns. If it is over a lane takes one step more.
-        shared: a tile in shared memory for ``shared_words`` numbers for each world of the block.
+        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, and more behind them.
     """
     at = Thread()
     at.block = block
@@ -262,7 +269,7 @@ def run_worlds(
             stood = at.placed
         if others:
             listed = advance(model, worlds, at, goes, shared, shared_words, listed, state, work, frames, counts)
-        if goes:
+        if goes and not in_pause(work.solver_paused, block):
             steps += 1
             iterations += work.solver_niter[block]
             over = bool(False)
