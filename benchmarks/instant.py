@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
@@ -71,7 +72,8 @@ class InstantWorker(Worker):
 
     def hello(self) -> bytes:
         said = super().hello()
-        self._engine = Lent(Instant(repeats=False), None)
+        self._built = Future()
+        self._built.set_result(Lent(Instant(repeats=False), None))
         return said
 
 

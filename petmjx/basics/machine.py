@@ -127,15 +127,22 @@ def device_name(engine: str, threads: int | None = None) -> str:
     return f"{cpu_name()}, {counted(threads or cpu_threads(), 'thread')}"
 
 
-def why_no_warp() -> str | None:
-    """Why mjx-warp cannot run here; None if it can. The cheapest check comes first.
+def why_no_warp_at_once() -> str | None:
+    """Why mjx-warp cannot run here, as far as that can be told without importing JAX, which takes seconds.
 
-    JAX is imported only if a CUDA device and Warp are present.
+    None: nothing speaks against it so far.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"
     if importlib.util.find_spec("warp") is None:
         return "Warp is not installed: pip install 'petmjx[cuda]'"
+    return None
+
+
+def why_no_warp() -> str | None:
+    """Why mjx-warp cannot run here; None if it can. JAX is imported only if a CUDA device and Warp are present."""
+    if problem := why_no_warp_at_once():
+        return problem
     try:
         jax_devices("cuda")
     except RuntimeError as error:

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from support.plans import make_plan, make_world, stack
 
 import petmjx
 from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.basics.machine import cuda_devices
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
@@ -259,7 +261,9 @@ def test_a_worker_reports_progress_and_errors() -> None:
     reports: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
     assert sorted(outcome.job for report in reports for outcome in report.outcomes) == [0, 1]
     assert reports[-1].progress.world_steps > 0
-    broken = worker._engine = _Broken()
+    broken: Any = _Broken()
+    worker._built = Future()
+    worker._built.set_result(broken)
     told: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
     assert told[0].progress.message == "compiling"
     assert isinstance(told[-1].error, KeyboardInterrupt)
@@ -353,7 +357,14 @@ def test_without_ray_a_line_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) 
         petmjx.score(PLANS[:2], engine="mujoco", workers=1)
 
 
-def test_a_worker_starts_what_a_gpu_needs_while_jobs_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A GPU, as far as a worker asks before it builds its engine."""
+    monkeypatch.setattr(actor, "why_no_warp_at_once", lambda: None)
+
+
+@pytest.mark.usefixtures("gpu")
+def test_the_engine_of_a_gpu_is_built_while_jobs_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     begun, may_end = threading.Event(), threading.Event()
 
     def start() -> None:
@@ -362,10 +373,32 @@ def test_a_worker_starts_what_a_gpu_needs_while_jobs_are_made(monkeypatch: pytes
 
     monkeypatch.setattr(actor, "start_gpu", start)
     monkeypatch.setattr(actor, "make_engine", lambda name: MujocoEngine(1))
-    worker = Worker(Recipe("mjx-warp"), None, 1)
+    worker = Worker(Recipe("mjx-warp"), None, 1, thorough=False)
     assert pickle.loads(worker.hello()).error is None
     assert begun.wait(20.0)
     reports = worker.simulate(pickle.dumps(([Job(fake_scene(1.0))], SHORT)))
     threading.Timer(0.1, may_end.set).start()
     assert sum(len(pickle.loads(report).outcomes) for report in reports) == 1
     assert may_end.is_set()
+
+
+@pytest.mark.usefixtures("gpu")
+@pytest.mark.parametrize("thorough", [False, True])
+def test_an_engine_that_cannot_be_built_on_a_gpu_is_told(thorough: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(name: str) -> None:
+        raise EngineUnavailable("jax sees no CUDA device")
+
+    monkeypatch.setattr(actor, "start_gpu", lambda: None)
+    monkeypatch.setattr(actor, "make_engine", fail)
+    worker = Worker(Recipe("mjx-warp"), None, 1, thorough=thorough)
+    hello: Hello = pickle.loads(worker.hello())
+    assert str(hello.error) == ("jax sees no CUDA device" if thorough else "None")
+    [report] = worker.simulate(pickle.dumps(([Job(fake_scene(1.0))], SHORT)))
+    assert isinstance(pickle.loads(report).error, EngineUnavailable)
+
+
+def test_a_worker_without_a_gpu_says_so_before_jobs_are_made() -> None:
+    if cuda_devices():
+        pytest.skip("this is a GPU")
+    hello: Hello = pickle.loads(Worker(Recipe("mjx-warp"), None, 1, thorough=False).hello())
+    assert str(hello.error) == "engine mjx-warp cannot run here: no CUDA device (or no driver) on this machine"

@@ -9,13 +9,15 @@ import queue
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.garbage import collect_rarely
-from petmjx.basics.machine import device_name, package_versions
+from petmjx.basics.machine import device_name, package_versions, why_no_warp_at_once
 from petmjx.basics.text import one_line
-from petmjx.engines.base import Progress
+from petmjx.engines.base import Engine, Progress
 from petmjx.engines.beside.lookers import LARGE, Lookers
 from petmjx.engines.choose import make_engine
 from petmjx.engines.looked_at import MOST_TOGETHER
@@ -30,7 +32,7 @@ REPORT_S = 0.2
 
 @dataclass(frozen=True)
 class Hello:
-    """What a worker says when its engine is ready; ``error`` if that cannot be built here."""
+    """What a worker says when it is ready; ``error`` if its engine cannot be built here."""
 
     pid: int
     host: str
@@ -62,38 +64,55 @@ class Worker:
     Args:
         threads: of its engine, as it says them.
         lookers: processes that look at the outcomes of large chunks beside it, of which one runs at a time.
+        thorough: it says that it is ready when its engine is built. Else the engine of a GPU is built in a thread while
+            the first jobs are made and sent: that takes seconds.
 
     Everything goes as pickled bytes: what came through Ray's store of objects would be read-only, and would hold the
     store's memory.
     """
 
-    def __init__(self, recipe: Recipe, cache_dir: str | None, threads: int | None, lookers: int = 0) -> None:
+    def __init__(
+        self, recipe: Recipe, cache_dir: str | None, threads: int | None, lookers: int = 0, *, thorough: bool = True
+    ) -> None:
         collect_rarely()
         if cache_dir is not None:
             os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
         self._recipe, self._threads, self._most_lookers = recipe, threads, lookers
         self._lookers: Lookers[None] | None = None
-        self._starting = threading.Thread(target=start_gpu, daemon=True) if recipe.name == "mjx-warp" else None
+        self._on_gpu = recipe.name == "mjx-warp"
+        self._thorough = thorough or not self._on_gpu
+        self._built: Future[Engine] = Future()
 
     def hello(self) -> bytes:
-        """Build the engine. What a GPU needs beside it starts in a thread, while the first jobs are made and sent."""
+        """Build the engine, or begin to, where nothing speaks against it."""
         error: BaseException | None = None
         device = ""
         try:
-            self._engine = make_engine(self._recipe.name, **self._recipe.options)
+            if self._thorough:
+                self._build()
+                self._built.result()
+            elif problem := why_no_warp_at_once():
+                raise EngineUnavailable(f"engine {self._recipe.name} cannot run here: {problem}")
+            else:
+                threading.Thread(target=self._build, daemon=True).start()
             device = device_name(self._recipe.name, self._threads)
-        except Exception as problem:
-            error = _sendable(problem)
-        if error is None and self._starting is not None:
-            self._starting.start()
+        except Exception as raised:
+            error = _sendable(raised)
         return pickle.dumps(Hello(os.getpid(), platform.node(), device, package_versions(), error))
+
+    def _build(self) -> None:
+        """Build the engine, and start what a GPU needs beside it."""
+        try:
+            if self._on_gpu:
+                start_gpu()
+            self._built.set_result(make_engine(self._recipe.name, **self._recipe.options))
+        except BaseException as error:
+            self._built.set_exception(error)
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
         """Run a pickled (jobs, sim); yield pickled reports, whose outcomes are looked at and count jobs from 0."""
         jobs, sim = pickle.loads(chunk)
         lookers = self._lookers_for(jobs)
-        if self._starting is not None:
-            self._starting.join()
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
         progress = Progress()
         ended: list[BaseException] = []
@@ -126,7 +145,7 @@ class Worker:
         ended: list[BaseException],
     ) -> None:
         try:
-            for outcome in self._engine.run(jobs, sim, progress):
+            for outcome in self._built.result().run(jobs, sim, progress):
                 news.put(outcome)
         except BaseException as error:
             ended.append(_sendable(error))

@@ -218,7 +218,9 @@ class WorkerPool(Engine):
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
-        actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, self._lookers)
+        # after a death a device may be broken
+        options = {"lookers": self._lookers, "thorough": self._deaths > 0}
+        actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
         return _Hand(place, actor, actor.hello.remote())
 
     def _kill(self, hand: _Hand) -> None:
