@@ -86,7 +86,7 @@ class JobsInParts(list[Job]):
         super().__init__(jobs)
         self.next_part = next_part
         """The next part, once; None as long as it is being made, and no jobs where none follows now. May be called from
-        a thread of the engine."""
+        a thread of the engine. It raises nothing: an engine could take that for an error of its own."""
 
 
 @runtime_checkable

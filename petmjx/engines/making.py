@@ -65,6 +65,8 @@ class Making(Generic[AnyWorld]):
     next_chunk: Callable[[], list[AnyWorld] | None] | None = None
     _message: str = ""
     """Of the last error of an engine."""
+    _put_back: list[AnyWorld] | None = None
+    """The chunk that could not be made jobs of while an engine had others."""
 
     def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """Yield world, outcome, and its records with this attempt's record.
@@ -79,6 +81,7 @@ class Making(Generic[AnyWorld]):
         batch.clear()
         if left:
             left = yield from self._run_on(own, left)
+        self.aside += self._put_back or ()
         yield from self.stood_in(left + others)
 
     def stood_in(self, left: list[Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
@@ -142,32 +145,44 @@ class Making(Generic[AnyWorld]):
                 came, looked_s = [], time.monotonic()
             if takes_more:
                 assert self.more is not None
-                jobs += self._jobs_of(self._own_of(self.more(), engine), asked, engine)
+                jobs += self._more_jobs(self.more(), asked, engine)
         yield from self.made(came, engine.name, looks=engine.looks)
         if asked.unanswered:
             raise RuntimeError(f"engine {engine.name} did not answer {len(asked.unanswered)} of {asked.count} jobs")
         return []
 
     def _next_part(self, asked: _Asked[AnyWorld], engine: Engine) -> Sequence[Job] | None:
-        """As of ``JobsInParts``."""
+        """As of ``JobsInParts``. The engine would take an error for its own, memory of the host for its device's. So a
+        chunk that meets one is put back, and no other one follows: it is tried again once the engine is through with
+        what it has, and the run ends with the error if it comes again."""
         assert self.next_chunk is not None
-        chunk = self.next_chunk()
-        return None if chunk is None else self._jobs_of(self._own_of(chunk, engine), asked, engine)
+        if self._put_back:
+            return ()
+        chunk: list[AnyWorld] | None = None
+        try:
+            chunk = self.next_chunk()
+            return None if chunk is None else self._more_jobs(chunk, asked, engine)
+        except Exception:
+            self._put_back = chunk  # for which no memory is needed
+            return ()
 
-    def _own_of(self, worlds: Iterable[AnyWorld], engine: Engine) -> list[Pending[AnyWorld]]:
-        """Those that an engine simulates. The others are put aside."""
-        own: list[Pending[AnyWorld]] = []
+    def _more_jobs(self, worlds: Iterable[AnyWorld], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
+        """The jobs of those worlds that an engine simulates, of which it is asked, too. The others are put aside."""
+        own, others = list[Pending[AnyWorld]](), list[AnyWorld]()
         for world in worlds:
             if self._engine_for(world) is engine:
                 own.append((world, None, ()))
             else:
-                self.aside.append(world)
-        return own
+                others.append(world)
+        jobs = self._jobs_of(own, asked, engine)
+        self.aside += others
+        return jobs
 
     def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
-        """The jobs of worlds of which an engine is asked now."""
+        """The jobs of worlds of which an engine is asked now. After an error it is asked of none."""
+        jobs = self.attempt.apply_to_jobs([ready_for(engine.name, pending[0].job) for pending in batch])
         asked.add(batch)
-        return self.attempt.apply_to_jobs([ready_for(engine.name, pending[0].job) for pending in batch])
+        return jobs
 
     def made(
         self, came: list[tuple[Pending[AnyWorld], Outcome]], engine: str, *, looks: bool = False, wait: bool = True
