@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from petmjx.basics.errors import InputError
+from petmjx.engines.base import JobsInParts
 from petmjx.engines.batch.upload import GRANULE
 from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -20,6 +21,8 @@ from support.fake_stepper import assert_same
 from support.plans import make_scene
 from support.tiny_worlds import (
     SHORT,
+    STEP_NS,
+    TINY,
     assert_equal_worlds,
     devices,
     engine,
@@ -140,9 +143,24 @@ def test_a_world_that_turns_into_no_number_harms_no_other(
     assert_equal_worlds(found, healthy)
 
 
+TOO_MANY = [((10.0, 10.0, 10.0), (20.0 * (k % 32), 20.0 * (k // 32), 0.0), 1.0) for k in range(MAX_BOXES + 1)]
+
+
 def test_a_plan_with_more_bodies_than_the_solver_has_room_for_is_refused() -> None:
-    size, pitch = (10.0, 10.0, 10.0), 20.0
-    boxes = [(size, (pitch * (k % 32), pitch * (k // 32), 0.0), 1.0) for k in range(MAX_BOXES + 1)]
-    run = engine().run([Job(make_scene(boxes))], Simulation())
+    run = engine().run([Job(make_scene(TOO_MANY))], Simulation())
     with pytest.raises(InputError, match=rf"up to {MAX_BOXES} boxes, and one has {MAX_BOXES + 1}: choose the engine"):
         next(run)
+
+
+@pytest.mark.slow
+def test_a_plan_that_is_refused_in_a_next_part_takes_no_outcome_from_the_part_before(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
+    jobs, found = [Job(scene) for scene in tiny_scenes().values()], list[Outcome]()
+    parts = [[jobs[0], Job(make_scene(TOO_MANY))]]
+    run = engine(group_size=8, slice_ns=STEP_NS).run(JobsInParts(jobs, lambda: parts.pop() if parts else []), SHORT)
+    with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
+        found.extend(run)
+    assert_equal_worlds({TINY[outcome.job]: outcome for outcome in found}, crowd)
+    assert len(found) == len(TINY)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from support.worlds import make_scene
 
+from petmjx.basics.errors import InputError
 from petmjx.engines.base import GrowingJobs, JobsInParts
 from petmjx.engines.warp.groups import Groups
 from petmjx.engines.warp.needs import Needs
@@ -16,6 +17,7 @@ from petmjx.options.placing import Placing
 from petmjx.world.job import Job
 
 SMALL, LARGE = Job(make_scene(2)), Job(make_scene(9))
+REFUSED = Job(make_scene([((10, 10, 10), (20 * (k % 32), 20 * (k // 32), 0), 1.0) for k in range(MAX_BOXES + 1)]))
 BY_HAND = Job(replace(SMALL.scene, placing=Placing(name="hand")))
 
 
@@ -57,6 +59,18 @@ def test_parts_follow_each_other_once_they_are_made() -> None:
     assert groups.needs == Needs({96: 12})
     assert (len(groups.take()), groups.first) == (2, 11)
     assert not groups
+
+
+def test_a_part_that_is_refused_is_so_once_the_group_before_has_ended() -> None:
+    """Until then it is as one that is not made yet: the outcomes of that group come first."""
+    parts = [[SMALL], [SMALL, REFUSED]]
+    groups = groups_of(JobsInParts([SMALL] * 2, lambda: parts.pop(0) if parts else []))
+    assert [len(groups.take()), len(groups.following()), len(groups.take())] == [2, 1, 1]
+    assert [groups.following() for _ in range(2)] == [(), ()]
+    assert (groups.first, groups.needs) == (2, Needs({96: 4}))
+    for ask in (groups.__bool__, groups.take, groups.__bool__):
+        with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
+            ask()
 
 
 def test_jobs_that_are_appended_join_the_group_whose_kernels_know_them() -> None:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from itertools import takewhile
 
+from petmjx.basics.errors import InputError
 from petmjx.engines.base import GrowingJobs, JobsInParts
 from petmjx.engines.warp.needs import Needs
 from petmjx.world.job import Job
@@ -13,7 +14,7 @@ from petmjx.world.job import Job
 
 class Groups:
     """Deals jobs in their order, in groups of equal size. It is true as long as a next group is known; whoever asks for
-    that takes the next part, if it is made.
+    that takes the next part, if it is made, and meets the ``InputError`` of one that is refused.
 
     Args:
         size: most worlds of a group.
@@ -32,6 +33,8 @@ class Groups:
         self.needs, self.first = Needs({}), 0
         self._size, self._left, self._granule = size, left, granule
         self._more = jobs.next_part if isinstance(jobs, JobsInParts) else None
+        self._part: Sequence[Job] = ()
+        """The next part, until it is known that there is room for its jobs."""
         self._dealt: list[Job] = []
         self._known: Sequence[Job] = ()
         self._next: Sequence[Job] = ()
@@ -63,9 +66,12 @@ class Groups:
         return group
 
     def following(self) -> Sequence[Job]:
-        """The jobs of the next group; none at the end, as long as they are being made, and where jobs may be
-        appended."""
-        return self._find_next()
+        """The jobs of the next group; none at the end, as long as they are being made, and where jobs may be appended.
+        Nor if they are refused: that is raised where they are taken, when the group before has given its outcomes."""
+        try:
+            return self._find_next()
+        except InputError:
+            return ()
 
     def waiting(self, most: int) -> list[Job]:
         """Jobs that may join the group that was dealt last, at most so many. They follow its own."""
@@ -74,17 +80,19 @@ class Groups:
     def _find_next(self) -> Sequence[Job]:
         if not self._next:
             if not self._known and self._more is not None:
-                self._meet(self._more() or ())
+                self._part = self._part or self._more() or ()
+                self._meet(self._part)
+                self._part = ()
             self._next, self._known = self._known[: self._each], self._known[self._each :]
         return self._next
 
     def _meet(self, jobs: Sequence[Job]) -> None:
         """Jobs that are known from now on; all others have been dealt."""
-        self._known = jobs
         if jobs:
             self.needs |= Needs.of(jobs, self._granule)
             most = self._size - (self._left if len(jobs) > self._size or self._more is not None else 0)
             self._each = math.ceil(len(jobs) / math.ceil(len(jobs) / most))
+        self._known = jobs
 
 
 class GrowingGroups(Groups):
