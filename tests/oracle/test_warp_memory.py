@@ -41,7 +41,7 @@ from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.group import Group
+from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.march import March
 from petmjx.engines.warp.records import BUFFER_WORDS, axes, buffer_rows
@@ -196,6 +196,23 @@ def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: p
     two = [Job(tiny("hand-one-box")), Job(tiny("hand-bridge"))]
     for outcome in run_all(engine(slice_ns=STEP_NS), two, SHORT):
         assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OUT_OF_MEMORY)
+
+
+@pytest.mark.parametrize("n_jobs", [1, 2])
+def test_memory_that_is_short_before_a_group_has_begun_ends_the_run(
+    n_jobs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not tried for ever."""
+    tried = itertools.count(1)
+
+    def none_left(*_: object) -> Run:
+        if next(tried) > 20:
+            pytest.fail("tried for ever")
+        raise MemoryError("no room for times")
+
+    monkeypatch.setattr(Run, "of", none_left)
+    with pytest.raises(MemoryError, match="no room for times"):
+        run_all(engine(), [Job(tiny("hand-one-box"))] * n_jobs, SHORT)
 
 
 @pytest.mark.slow

@@ -66,9 +66,10 @@ class Course:
 
     def begin(self) -> Begun:
         """The next group."""
-        run, jobs = self.next_run(), self.groups.take()
+        jobs = self.groups.take()
         numbers = list(range(self.groups.first, self.groups.first + len(jobs)))
         self.asked.update(zip(numbers, jobs, strict=True))
+        run = self.next_run()  # after that: where memory runs out for it, these are lost, and not begun again for ever
         left, self.left = self.left, None
         if left is not None:
             jobs, numbers = jobs + left.jobs, numbers + left.numbers
