@@ -18,15 +18,11 @@ class _End:
     error: BaseException | None
 
 
-def run_ahead(items: Generator[Item], most: int, came: SimpleQueue[Any] | None = None) -> Generator[Item]:
+def run_ahead(items: Generator[Item], most: int) -> Generator[Item]:
     """What a generator yields, in its order. From the first item on that is asked for, it is run until so many wait and
     one more is made. Its error is raised when all that came before has been taken. Closing the result closes it, in
-    its thread, and returns when that has ended.
-
-    Args:
-        came: where items wait, for a caller who wants to know whether one does, or the end.
-    """
-    came = SimpleQueue() if came is None else came
+    its thread, and returns when that has ended."""
+    came: SimpleQueue[Any] = SimpleQueue()
     room, closed, ended = threading.Semaphore(most), threading.Event(), threading.Event()
 
     def run() -> None:

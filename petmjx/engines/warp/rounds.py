@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
-from queue import SimpleQueue
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -49,13 +48,20 @@ def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *
         waits: each slice waits for them. Else a thread runs the slices: the host may take longer for small worlds than
             the device.
     """
-    waiting: SimpleQueue[Round] = SimpleQueue()
-    if not waits:
-        rounds = run_ahead(rounds, MOST_AHEAD, waiting)
-    with closing(rounds):
-        for rows, picked, recorder, jobs, numbers in rounds:
+    ended = taken = 0
+
+    def counted() -> Generator[Round]:
+        nonlocal ended
+        with closing(rounds):
+            for each in rounds:
+                ended += len(each.rows)
+                yield each
+
+    with closing(counted() if waits else run_ahead(counted(), MOST_AHEAD)) as each_slice:
+        for rows, picked, recorder, jobs, numbers in each_slice:
+            taken += len(rows)
             found = outcomes(rows, picked, jobs, 0, sim, recorder)
             for left, outcome in zip(reversed(range(len(rows))), found, strict=True):
                 outcome.job = numbers[outcome.job]
-                progress.at_hand = left + (not waiting.empty())
+                progress.at_hand = left + ended - taken  # a slice that waits may have none
                 yield outcome
