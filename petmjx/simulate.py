@@ -215,9 +215,7 @@ class _Run:
             )
 
     def _start(self, recorded: int) -> RunStart:
-        left = 1 - recorded / max(self.study.n_worlds, 1)
-        seconds = self.choice.seconds
-        size = self.study.size(None if seconds is None else seconds * left)
+        size = self.study.size(self.choice.seconds, recorded)
         return RunStart(self.study.what, self.study.total, size, self.choice, self.progress, recorded)
 
     def _write(self, writer: RunWriter, world: FinishedWorld) -> None:

@@ -104,10 +104,17 @@ class Study(ABC):
         """Number of worlds; None if it is not known."""
         return self.n_worlds if self.known else None
 
-    def size(self, seconds: float | None) -> str:
-        """One line with the number of worlds and steps, and the expected time (``seconds``; None: not known)."""
-        long = "" if seconds is None else f", about {duration(seconds)}"
-        return f"{self.amount}, about {rounded(float(self.work.steps.sum()))} steps{long}"
+    def size(self, seconds: float | None, recorded: int = 0) -> str:
+        """One line with the number of worlds, and how many steps and how much time they are expected to take.
+
+        Args:
+            seconds: for all of them; None: not known.
+            recorded: worlds that the run has already. Steps and time are those of the others.
+        """
+        share = 1 - recorded / max(self.n_worlds, 1)
+        left = " left" if recorded else ""
+        long = "" if seconds is None else f", about {duration(share * seconds)}"
+        return f"{self.amount}, about {rounded(share * float(self.work.steps.sum()))} steps{left}{long}"
 
     @abstractmethod
     def worlds(

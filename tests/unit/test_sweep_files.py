@@ -317,3 +317,4 @@ def test_estimates_count_placements_once(tmp_path: Path) -> None:
     also_nominal = sweep_study(tmp_path, "nominal = true\n" + text.format(count=64)).size(None)
     assert also_nominal.startswith("65 worlds (1 plan × 65 variants) from 2 placements, about ")
     assert said.endswith(" steps, about 2 min")
+    assert many.size(100.0, recorded=48).endswith(" steps left, about 25 s")

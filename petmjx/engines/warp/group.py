@@ -46,17 +46,19 @@ class Run:
 
     Attributes:
         needs: what its kernels know and have room for.
+        message: of the progress while its worlds are simulated.
     """
 
     sim: Simulation
     timetable: Timetable
     needs: Needs
     progress: Progress
+    message: str = ""
 
     @classmethod
     def of(cls, needs: Needs, sim: Simulation, progress: Progress) -> Run:
         """For worlds with these needs."""
-        return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress)
+        return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message)
 
 
 @dataclass

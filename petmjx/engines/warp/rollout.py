@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
-from petmjx.engines.batch.state import Status
 from petmjx.engines.warp.frames import room_for
 from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.march import SLICE_NS, Fleet
@@ -88,8 +87,7 @@ class Rollout:
         progress = group.run.progress
         counts = jax.device_get(ended.counts)  # whole: to pick an element on the device takes longer than all of them
         steps, iterations, contacts = (int(counts[name][0]) for name in ("steps", "iterations", "contacts"))
-        running = int((status == Status.RUNNING).sum())
-        progress.message = f"{running} worlds to go"
+        progress.message = group.run.message
         progress.world_steps += steps
         extra = progress.extra
         sums = {"seconds": self._last_end - began, "steps": steps, "iterations": iterations}
