@@ -30,7 +30,7 @@ QUIET_STEPS = 220
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with it fixed in
-21 s. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
+21 s on the same machine. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes, over whole runs: of plans with
@@ -77,7 +77,8 @@ ERROR_STEPS = Errors(displaced=2.1, carried=4.0)
 many."""
 
 ON_DEVICE = Errors(displaced=2.8, carried=4.5)
-"""Their cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s."""
+"""Their cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s, where 10,003 without
+errors took 17 s."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
@@ -207,7 +208,7 @@ class Costs:
     kernel: ThreadCosts = ThreadCosts(4e-7, 6e-6, 9e-7, 6e-8, Errors(5.5, 5.5))
     kernel_start_s: float = 10.0
     jax_step_s: float = 1.1e-5
-    gpu_step_s: float = 3.3e-6
+    gpu_step_s: float = 2.6e-6
     full_worlds: int = 264
     tail_worlds: int = 900
     gpu_start_s: float = 17.0
@@ -257,5 +258,5 @@ five times as long. Physics ``reference`` is not fitted, and other CPUs are slow
 again with finer steps are not estimated.
 
 Devices: one H100 without start and compilation, adaptive if nothing else is said: 10,003 generated plans, 4,000 with
-the schedule fixed, 500 and 250 plans with confidence 16, placed exactly and by hand, 128,000 worlds of 12 boxes with
-errors. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier run)."""
+the schedule fixed, 500 and 1,000 plans with confidence 16, placed exactly, 250 by hand, 128,000 worlds of 12 boxes with
+errors and a million. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier run)."""
