@@ -99,6 +99,20 @@ def test_only_unanswered_jobs_of_a_dead_worker_are_dealt_again() -> None:
         deal.answered(2)
 
 
+def test_jobs_of_a_worker_that_dies_as_it_starts_are_not_to_blame() -> None:
+    deal = Deal(np.ones(6), slots=1, group=4, deadly=[5])
+    for _ in range(4):
+        chunk = deal.take(idle=True)
+        assert chunk is not None
+        assert len(chunk.jobs) > 1
+        deal.put_back([chunk])
+    pieces = taken(deal)
+    assert sorted(job for piece in pieces for job in piece.jobs) == list(range(6))
+    assert [piece.alone for piece in pieces] == [False] * (len(pieces) - 1) + [True]
+    deal.put_back([pieces[-1]])
+    assert deal.take(idle=True) == Chunk((5,), alone=True)
+
+
 @pytest.mark.parametrize("group", [None, 100])
 def test_a_job_that_workers_die_of_is_given_up_and_no_other(group: int | None) -> None:
     deal, deadly = Deal(np.ones(100), slots=2, group=group), 37

@@ -384,17 +384,24 @@ def test_the_engine_of_a_gpu_is_built_while_jobs_are_made(monkeypatch: pytest.Mo
 
 @pytest.mark.usefixtures("gpu")
 @pytest.mark.parametrize("thorough", [False, True])
-def test_an_engine_that_cannot_be_built_on_a_gpu_is_told(thorough: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [EngineUnavailable("jax sees no CUDA device"), PermissionError("no cache")])
+def test_an_engine_that_cannot_be_built_on_a_gpu_is_told(
+    thorough: bool, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not as an error of the engine, for which others would stand in."""
+
     def fail(name: str) -> None:
-        raise EngineUnavailable("jax sees no CUDA device")
+        raise error
 
     monkeypatch.setattr(actor, "start_gpu", lambda: None)
     monkeypatch.setattr(actor, "make_engine", fail)
     worker = Worker(Recipe("mjx-warp"), None, 1, thorough=thorough)
     hello: Hello = pickle.loads(worker.hello())
-    assert str(hello.error) == ("jax sees no CUDA device" if thorough else "None")
     [report] = worker.simulate(pickle.dumps(([Job(fake_scene(1.0))], SHORT)))
-    assert isinstance(pickle.loads(report).error, EngineUnavailable)
+    for told in [pickle.loads(report).error, *([hello.error] if thorough else [])]:
+        assert isinstance(told, EngineUnavailable)
+        assert str(error) in str(told)
+    assert thorough == (hello.error is not None)
 
 
 def test_a_worker_without_a_gpu_says_so_before_jobs_are_made() -> None:

@@ -13,7 +13,7 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from petmjx.basics.errors import EngineUnavailable
+from petmjx.basics.errors import EngineUnavailable, PetmjxError
 from petmjx.basics.garbage import collect_rarely
 from petmjx.basics.machine import device_name, package_versions, why_no_warp_at_once
 from petmjx.basics.text import one_line
@@ -101,13 +101,16 @@ class Worker:
         return pickle.dumps(Hello(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Build the engine, and start what a GPU needs beside it."""
+        """Build the engine, and start what a GPU needs beside it. Whatever is in the way is not for a stand-in."""
+        name = self._recipe.name
         try:
             if self._on_gpu:
                 start_gpu()
-            self._built.set_result(make_engine(self._recipe.name, **self._recipe.options))
-        except BaseException as error:
+            self._built.set_result(make_engine(name, **self._recipe.options))
+        except PetmjxError as error:
             self._built.set_exception(error)
+        except BaseException as error:
+            self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
         """Run a pickled (jobs, sim); yield pickled reports, whose outcomes are looked at and count jobs from 0."""

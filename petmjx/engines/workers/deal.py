@@ -113,7 +113,7 @@ class Deal:
         again: list[int] = []
         twice: list[int] = []
         for chunk in held:
-            left = [job for job in chunk.jobs if job in self.unanswered]
+            left = self._left(chunk)
             self._deaths.update(left)
             if not chunk.alone:
                 again += [job for job in left if self._deaths[job] < 2]
@@ -123,8 +123,24 @@ class Deal:
             else:
                 self._suspects += [(job,) for job in left]
         self.unanswered.difference_update(given_up)
-        self._cost_left += float(self._costs[again].sum())
-        self._pending = sorted(self._pending + again, key=lambda job: (-self._costs[job], job))
+        self._wait_again(again)
         size = math.isqrt(max(len(twice) - 1, 0)) + 1
         self._suspects += [tuple(twice[first : first + size]) for first in range(0, len(twice), size)]
         return given_up
+
+    def put_back(self, held: Iterable[Chunk]) -> None:
+        """A worker has died with some chunks before it simulated any of them. Their jobs wait again."""
+        for chunk in held:
+            left = self._left(chunk)
+            if chunk.alone:
+                self._suspects.appendleft(tuple(left))
+            else:
+                self._wait_again(left)
+
+    def _left(self, chunk: Chunk) -> list[int]:
+        """Jobs of a chunk that are not answered."""
+        return [job for job in chunk.jobs if job in self.unanswered]
+
+    def _wait_again(self, jobs: list[int]) -> None:
+        self._cost_left += float(self._costs[jobs].sum())
+        self._pending = sorted(self._pending + jobs, key=lambda job: (-self._costs[job], job))

@@ -30,8 +30,8 @@ LOOK_S = 0.25
 """Longest wait for news, s: a signal is noticed after it, and progress is brought up to date."""
 
 START_S = 30.0
-"""Time that the first worker is waited for while the engine is made, s: what it cannot do is then known before a run
-begins. A cluster that is busy may need longer; then the run begins, and waits."""
+"""Time that the first worker is waited for while the engine is made, s: what it cannot do at all is then known before a
+run begins. A cluster that is busy may need longer; then the run begins, and waits."""
 
 FALSE_STARTS = 3
 """So many workers in a row that do not get ready end the run, or the attempts to replace one that died."""
@@ -58,6 +58,7 @@ class _Hand:
 
     Attributes:
         hello: its first answer, until that is there.
+        working: its engine is there: it was built before the first answer, or has reported.
         streams: the reports of its chunks, as Ray gives them.
         said: its last message.
     """
@@ -66,6 +67,7 @@ class _Hand:
     actor: Any
     hello: Any
     pid: int = 0
+    working: bool = False
     streams: dict[Any, _Stream] = field(default_factory=dict)
     compile_s: float = 0.0
     said: str = ""
@@ -160,7 +162,8 @@ class WorkerPool(Engine):
         """Simulate each job once; outcomes come as they do from the engine itself.
 
         Raises:
-            EngineUnavailable: workers die as they start, or one has other versions than this process.
+            EngineUnavailable: workers die as they start, one has other versions than this process, or cannot build its
+                engine.
             PetmjxError: Ray has died.
             Exception: what the engine raised in a worker.
         """
@@ -198,6 +201,7 @@ class WorkerPool(Engine):
                         continue  # it was lost a moment ago, with another chunk of its worker
                     report = self._next_report(ref)
                     if isinstance(report, Report):
+                        hand.working = True
                         yield from self._take(hand, hand.streams[ref], report, deal, progress)
                         progress.compile_s = compiled_s + max(each.compile_s for each in self._hands)
                     elif report is None:
@@ -218,10 +222,10 @@ class WorkerPool(Engine):
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
-        # after a death a device may be broken
-        options = {"lookers": self._lookers, "thorough": self._deaths > 0}
+        thorough = self.name != "mjx-warp" or self._deaths > 0  # a device may be broken
+        options = {"lookers": self._lookers, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
-        return _Hand(place, actor, actor.hello.remote())
+        return _Hand(place, actor, actor.hello.remote(), working=thorough)
 
     def _kill(self, hand: _Hand) -> None:
         hand.streams.clear()
@@ -280,11 +284,14 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes of the jobs that are given up."""
+        """Replace a dead worker. Yields outcomes of the jobs that are given up: none if its engine was not there."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)
         self._hands[self._hands.index(hand)] = self._start(hand.place)
+        if not hand.working:
+            deal.put_back(held)
+            return
         for index in deal.died(held):
             self._deadly[id(jobs[index].scene)] = jobs[index].scene
             progress.worlds_done += 1
