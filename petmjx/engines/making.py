@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final, Generic
@@ -38,8 +39,13 @@ class _Asked(Generic[AnyWorld]):
     unanswered: dict[int, Pending[AnyWorld]] = field(default_factory=dict)
 
     def add(self, batch: Sequence[Pending[AnyWorld]]) -> None:
-        """It is asked more."""
-        self.unanswered.update(enumerate(batch, self.count))
+        """It is asked more. After an error it is not."""
+        try:
+            self.unanswered.update(enumerate(batch, self.count))
+        except BaseException:
+            for number in range(self.count, self.count + len(batch)):
+                self.unanswered.pop(number, None)
+            raise
         self.count += len(batch)
 
 
@@ -162,8 +168,10 @@ class Making(Generic[AnyWorld]):
         try:
             chunk = self.next_chunk()
             return None if chunk is None else self._more_jobs(chunk, asked, engine)
-        except Exception:
+        except Exception as error:
             self._put_back = chunk  # for which no memory is needed
+            with suppress(Exception):
+                self.engines.note(f"worlds were made again after an error: {one_line(error)}")
             return ()
 
     def _more_jobs(self, worlds: Iterable[AnyWorld], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
@@ -174,9 +182,13 @@ class Making(Generic[AnyWorld]):
                 own.append((world, None, ()))
             else:
                 others.append(world)
-        jobs = self._jobs_of(own, asked, engine)
+        before = len(self.aside)
         self.aside += others
-        return jobs
+        try:
+            return self._jobs_of(own, asked, engine)
+        except BaseException:
+            del self.aside[before:]
+            raise
 
     def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
         """The jobs of worlds of which an engine is asked now. After an error it is asked of none."""

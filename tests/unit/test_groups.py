@@ -9,7 +9,7 @@ from support.worlds import make_scene
 
 from petmjx.basics.errors import InputError
 from petmjx.engines.base import GrowingJobs, JobsInParts
-from petmjx.engines.warp.groups import Groups
+from petmjx.engines.warp.groups import Groups, GrowingGroups
 from petmjx.engines.warp.needs import Needs
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.history import Record
@@ -110,3 +110,23 @@ def test_needs_of_both_and_of_some() -> None:
     assert both.of_sizes([SMALL]) == Needs({96: 12}, hands=True, wraps=True)
     assert both.know(BY_HAND)
     assert not Needs({96: 12}).know(BY_HAND)
+
+
+def test_growing_jobs_that_could_not_be_looked_at_are_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    groups = groups_of(GrowingJobs([SMALL]))
+    assert isinstance(groups, GrowingGroups)
+    jobs = groups._jobs
+    assert isinstance(jobs, GrowingJobs)
+    assert groups.take() == [SMALL]
+    jobs += [LARGE]
+    with monkeypatch.context() as short:
+        short.setattr(Needs, "of", lambda *_: _no_memory())
+        with pytest.raises(MemoryError):
+            groups.take()
+    assert groups.needs.know(SMALL)
+    assert groups.take() == [LARGE]
+    assert groups.needs.know(LARGE)
+
+
+def _no_memory() -> Needs:
+    raise MemoryError

@@ -16,6 +16,7 @@ from support.plans import make_plan, make_world, stack
 
 from petmjx.engines.attempts import Engines, ready_for
 from petmjx.engines.base import Engine, JobsInParts, Progress
+from petmjx.engines.making import _Asked
 from petmjx.engines.retry import score_worlds
 from petmjx.engines.worlds import World
 from petmjx.options.config import Simulation
@@ -122,6 +123,21 @@ def test_memory_of_the_host_that_stays_short_is_raised_after_the_outcomes_of_the
         found_by(engine, worlds_of(3 * CHUNK), found)
     assert sorted(found) == sorted(f"p{k}" for k in range(CHUNK))
     assert engine.parts == [CHUNK]
+
+
+class Full(dict[int, Any]):
+    """Takes one number, and has no room for the next."""
+
+    def update(self, *_: Any) -> None:
+        self[0] = None
+        raise MemoryError
+
+
+def test_what_an_engine_could_not_be_asked_is_not_missed_from_it() -> None:
+    asked = _Asked[World](unanswered=Full())
+    with pytest.raises(MemoryError):
+        asked.add([(world, None, ()) for world in worlds_of(2)])
+    assert (asked.count, asked.unanswered) == (0, {})
 
 
 @pytest.mark.parametrize("fails", [False, True])

@@ -116,10 +116,14 @@ class GrowingGroups(Groups):
     def _find_next(self) -> Sequence[Job]:
         begin = self.first + len(self._dealt)
         if begin >= self._end:
-            self.needs = Needs({})
             self._meet(self._jobs[begin:])
         return self._jobs[begin : min(begin + self._each, self._end)]
 
     def _meet(self, jobs: Sequence[Job]) -> None:
-        self._end = len(self._jobs)
-        super()._meet(jobs)
+        before, self.needs = self.needs, Needs({})
+        try:
+            super()._meet(jobs)
+        except BaseException:
+            self.needs = before
+            raise
+        self._end = self.first + len(self._dealt) + len(jobs)
