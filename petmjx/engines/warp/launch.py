@@ -45,7 +45,7 @@ class Size:
 
     Attributes:
         most_boxes: of a world.
-        threads: of a block: a multiple of 32, from 64 to 256.
+        threads: of a block: a multiple of 32, from 64 to 512.
         per_sm: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
         shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
             multiprocessor has for all its blocks the rest is cache.

@@ -287,9 +287,10 @@ def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ..
 
 
 def filled(kind: Any, values: Mapping[str, Any]) -> Any:
-    """A record with its fields from ``values``, which may have more entries."""
+    """A record with its fields from ``values``, which may have more entries. Arrays are rows (arrays.cuh)."""
     instance = kind()
     for name in kind.vars:
+        assert getattr(values[name], "is_contiguous", True), name
         setattr(instance, name, values[name])
     return instance
 

@@ -1,0 +1,45 @@
+"""How kernels of mjx-warp find numbers of arrays: rows side by side, and no index from the end (arrays.cuh)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+import warp as wp
+
+from petmjx.basics.warp_cpp import with_cpp
+from petmjx.basics.warp_setup import set_up_warp
+from petmjx.engines.warp import newton
+from petmjx.engines.warp.records import FrameBuffer, filled
+
+set_up_warp()
+
+
+def _read(row: wp.array[float], rows: wp.array2d[float], blocks: wp.array3d[float], found: wp.array[float]) -> None:
+    found[0] = row[2]
+    found[1] = rows[1, 2]
+    found[2] = blocks[1, 2, 3]
+    rows[0, 1] = 7.0
+    blocks[0, 1, 2] = 8.0
+
+
+def test_numbers_are_found_by_rows() -> None:
+    """A row with gaps is not read as Warp would: so these are the functions that the kernel uses."""
+    kernel = with_cpp(_read, newton.source("arrays.cuh"))
+    numbers = np.arange(60, dtype=np.float32)
+    row = wp.array(numbers, dtype=float)
+    rows, blocks = (wp.array(numbers.reshape(shape), dtype=float) for shape in ((12, 5), (3, 4, 5)))
+    found = wp.zeros(3, dtype=float)
+    wp.launch(kernel, dim=1, inputs=[row, rows, blocks, found])
+    assert found.numpy().tolist() == [2, 7, 33]
+    assert (rows.numpy()[0, 1], blocks.numpy()[0, 1, 2]) == (7, 8)
+    wp.launch(kernel, dim=1, inputs=[row[4:12:2], rows, blocks, found])
+    assert found.numpy()[0] == 6, "Warp's own functions would find 8"
+
+
+def test_arrays_with_gaps_are_refused() -> None:
+    values = dict.fromkeys(FrameBuffer.vars, wp.zeros(8, dtype=int)[::2])
+    with pytest.raises(AssertionError):
+        filled(FrameBuffer, values)
