@@ -14,7 +14,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 from support.plans import heap, make_scene
-from support.tiny_worlds import SHORT, SOME_NS, TINY, assert_equal_worlds, engine, tiny_scenes
+from support.tiny_worlds import SHORT, SOME_NS, TINY, assert_equal_worlds, engine, room_for_one_fleet, tiny_scenes
 from support.worlds import simulate
 
 from petmjx.basics.warp_cpp import with_cpp
@@ -112,15 +112,7 @@ def test_on_a_cpu_there_are_none() -> None:
 def test_memory_without_room_for_them_has_room_for_others(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    tried: list[int] = []
-
-    def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
-        tried.append(len(fleets))
-        if len(fleets) > 1:
-            raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory")
-        return Rollout(run, fleets, slice_ns)
-
-    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    tried = room_for_one_fleet(monkeypatch)
     monkeypatch.setattr(mjx_warp, "fleet_for_few", lambda fleet, *_: replace(fleet, n_boxes=1, least=1))
     assert_equal_worlds(simulate(engine(), tiny_scenes(TINY[:1]), SHORT), crowd)
     assert tried == [2, 1]

@@ -32,6 +32,7 @@ from support.tiny_worlds import (
     assert_equal_worlds,
     engine,
     out_of_memory,
+    room_for_one_fleet,
     sizes_apart,
     tiny,
     tiny_scenes,
@@ -52,17 +53,8 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
 @pytest.mark.slow
 def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
-    """A device that holds blocks of one size, however few of them, but not of two."""
-    tried: list[int] = []
-
-    def rollout(run: Any, fleets: Any, slice_ns: int) -> Rollout:
-        tried.append(len(fleets))
-        if len(fleets) > 1:
-            raise out_of_memory()
-        return Rollout(run, fleets, slice_ns)
-
     sizes_apart(monkeypatch, 4)
-    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    tried = room_for_one_fleet(monkeypatch)
     scenes = {**tiny_scenes(("hand-one-box", "hand-bridge")), "five": make_scene(5)}
     found = simulate(engine(), scenes, SHORT)
     assert found.pop("five").reason is not Reason.OUT_OF_MEMORY

@@ -79,6 +79,21 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
     return made
 
 
+def room_for_one_fleet(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """A device that holds blocks of one size, however few of them, but not of two. Returns a list of how many sizes
+    were tried."""
+    tried: list[int] = []
+
+    def rollout(run: Run, fleets: Sequence[Fleet], slice_ns: int) -> Rollout:
+        tried.append(len(fleets))
+        if len(fleets) > 1:
+            raise out_of_memory()
+        return Rollout(run, fleets, slice_ns)
+
+    monkeypatch.setattr(mjx_warp, "Rollout", rollout)
+    return tried
+
+
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
     """Blocks of two sizes also for tiny worlds, with as many threads each."""
     small, large = launch.SIZES
