@@ -39,7 +39,7 @@ class Groups:
         self._known: Sequence[Job] = ()
         self._next: Sequence[Job] = ()
         self._each = 0
-        self._meet(jobs[:])
+        self._meet(jobs[:], self.needs)
 
     @staticmethod
     def of(jobs: Sequence[Job], size: int, left: int, granule: int) -> Groups:
@@ -81,18 +81,19 @@ class Groups:
         if not self._next:
             if not self._known and self._more is not None:
                 self._part = self._part or self._more() or ()
-                self._meet(self._part)
+                self._meet(self._part, self.needs)
                 self._part = ()
             self._next, self._known = self._known[: self._each], self._known[self._each :]
         return self._next
 
-    def _meet(self, jobs: Sequence[Job]) -> None:
-        """Jobs that are known from now on; all others have been dealt."""
+    def _meet(self, jobs: Sequence[Job], needs: Needs) -> None:
+        """Jobs that are known from now on; all others have been dealt. ``needs``: of those that count beside them.
+        After an error all is as before."""
         if jobs:
-            self.needs |= Needs.of(jobs, self._granule)
+            needs |= Needs.of(jobs, self._granule)
             most = self._size - (self._left if len(jobs) > self._size or self._more is not None else 0)
             self._each = math.ceil(len(jobs) / math.ceil(len(jobs) / most))
-        self._known = jobs
+        self.needs, self._known = needs, jobs
 
 
 class GrowingGroups(Groups):
@@ -101,10 +102,10 @@ class GrowingGroups(Groups):
     grows = True
 
     def __init__(self, jobs: Sequence[Job], size: int, left: int, granule: int) -> None:
-        self._jobs = jobs
-        self._end = 0
-        """Jobs of all kinds that ``needs`` is of are before this one."""
         super().__init__(jobs, size, left, granule)
+        self._jobs = jobs
+        self._end = len(jobs)
+        """Jobs of all kinds that ``needs`` is of are before this one."""
 
     def following(self) -> Sequence[Job]:
         return ()
@@ -116,14 +117,7 @@ class GrowingGroups(Groups):
     def _find_next(self) -> Sequence[Job]:
         begin = self.first + len(self._dealt)
         if begin >= self._end:
-            self._meet(self._jobs[begin:])
+            jobs = self._jobs[begin:]
+            self._meet(jobs, Needs({}))
+            self._end = begin + len(jobs)
         return self._jobs[begin : min(begin + self._each, self._end)]
-
-    def _meet(self, jobs: Sequence[Job]) -> None:
-        before, self.needs = self.needs, Needs({})
-        try:
-            super()._meet(jobs)
-        except BaseException:
-            self.needs = before
-            raise
-        self._end = self.first + len(self._dealt) + len(jobs)
