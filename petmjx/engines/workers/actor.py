@@ -64,8 +64,8 @@ class Worker:
     Args:
         threads: of its engine, as it says them.
         lookers: processes that look at the outcomes of large chunks beside it, of which one runs at a time.
-        thorough: it says that it is ready when its engine is built. Else the engine of a GPU is built in a thread while
-            the first jobs are made and sent: that takes seconds.
+        thorough: it says that it is ready when its engine is built. Else, for ``mjx-warp`` alone, that is done in a
+            thread while the first jobs are made and sent: it takes seconds.
 
     Everything goes as pickled bytes: what came through Ray's store of objects would be read-only, and would hold the
     store's memory.
@@ -79,8 +79,7 @@ class Worker:
             os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
         self._recipe, self._threads, self._most_lookers = recipe, threads, lookers
         self._lookers: Lookers[None] | None = None
-        self._on_gpu = recipe.name == "mjx-warp"
-        self._thorough = thorough or not self._on_gpu
+        self._thorough = thorough
         self._built: Future[Engine] = Future()
 
     def hello(self) -> bytes:
@@ -104,7 +103,7 @@ class Worker:
         """Build the engine, and start what a GPU needs beside it. Whatever is in the way is not for a stand-in."""
         name = self._recipe.name
         try:
-            if self._on_gpu:
+            if name == "mjx-warp":
                 start_gpu()
             self._built.set_result(make_engine(name, **self._recipe.options))
         except PetmjxError as error:
