@@ -123,10 +123,10 @@ class Launch:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
         panels = most_panels(size.most_boxes)
         own = newton.own_bytes(panels, size.worlds)
-        most = device.max_shared_memory_per_block // size.per_sm
+        most = device.max_shared_memory_per_block // size.per_sm - newton.DRIVER_BYTES
         traits = hands, gives, wraps
         if size.worlds > 1:
-            room = most - newton.DRIVER_BYTES - TILE_BYTES * size.threads - size.worlds * own
+            room = most - TILE_BYTES * size.threads - size.worlds * own
             if room < 0:
                 return cls.of(replace(size, threads=size.threads // 2, worlds=size.worlds // 2), *traits)
             words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2

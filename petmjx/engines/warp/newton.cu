@@ -141,15 +141,14 @@ inline CUDA_CALLABLE void newton(
     int shared_words, const Workspace& work
 ) {
     static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
+    static_assert(sizeof(Own<PANELS>) <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
 #if defined(PETMJX_WORLD_OF_A_WARP)
     // Behind what all worlds of the block have for strips and Hessians.
-    static_assert(sizeof(Own<PANELS>) <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
     const size_t place = place_in_block(block);
     Own<PANELS>& own = *(Own<PANELS>*)(shared + PETMJX_WORLDS * shared_words + place * (PETMJX_OWN_BYTES / 4));
     shared += place * shared_words;
 #else
     PETMJX_SHARED Own<PANELS> own;
-    static_assert(sizeof own + PETMJX_DRIVER_BYTES <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
 #endif
     Factoring<PANELS>& factoring = own.factoring;
     Layout<PANELS>& layout = own.layout;

@@ -53,11 +53,10 @@ DRIVER_BYTES = 1 << 10
 
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
-    """Shared memory that the threads of a world take for systems of up to so many panels, beside strip and Hessian; in
-    blocks of one world with what the driver keeps. newton.cu checks that it is enough."""
-    if worlds > 1:
-        return 4 * (PANEL + 4) * panels + (4 << 10)
-    return 4 * (PANEL + 4) * panels + ((8 if panels <= FEW_PANELS else 17) << 10) + DRIVER_BYTES
+    """Shared memory that the threads of a world take for systems of up to so many panels, beside strip and Hessian, in
+    blocks of so many worlds. newton.cu checks that it is enough."""
+    parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
+    return 4 * (PANEL + 4) * panels + (parts << 10)
 
 
 def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int = 0) -> str:
@@ -72,7 +71,6 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
         PANELS_MACRO: panels,
         "PETMJX_FEW_PANELS": FEW_PANELS,
         "PETMJX_OWN_BYTES": own_bytes(panels, worlds),
-        "PETMJX_DRIVER_BYTES": DRIVER_BYTES,
         "PETMJX_WORLDS": worlds,
         "PETMJX_THREADS": threads,
         "PETMJX_PAUSE_AFTER": pause_after,
