@@ -40,6 +40,8 @@ def solver(panels: int, as_block: bool) -> Any:
     @wp.func_native("""
         PETMJX_SHARED petmjx::Factoring<PETMJX_MOST_PANELS> shared;
         const petmjx::System system{A.data, strip.data, (int)top.shape[0], top.data, base.data, rhs.data};
+        shared.know(system.top, system.panels, thread, threads);
+        petmjx::wait_for_all();
         petmjx::factor_and_solve(system, shared, thread, threads);
     """)
     def factor_and_solve(

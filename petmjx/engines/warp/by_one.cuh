@@ -11,21 +11,39 @@
 
 namespace petmjx {
 
+#if defined(PETMJX_WORLD_OF_A_WARP)
+typedef ByPairs Elimination;
+const int ONE_SPREAD = 1;
+#else
+typedef ByFours Elimination;
+const int ONE_SPREAD = 2;
+#endif
+
 // What the threads of a block share. MOST: panels of the largest system.
 template <int MOST>
 struct ByOne {
     static const int AT_ONCE = 1;  // panels
-    static const int SPREAD = 1;  // how often code of substitution back stands there
+    static const int SPREAD = ONE_SPREAD;  // how often code of substitution back stands there
     Diagonal diagonal;
     alignas(16) float W[B * PITCH];  // inverse of the diagonal tile's factor
     alignas(16) float solved[B];  // the panel's part of y
     alignas(16) float solutions[MOST_WARPS * 3 * B];
-    int reached[2][MOST];  // panels whose columns reach up to a panel: of this one, and of the next one
-    int reached_count[2];
+    unsigned char reached[MOST][MOST];  // of each panel, those behind it whose columns reach up to it
+    unsigned char reached_count[MOST];
+
+    // To be called once for an envelope (`top`, as in System) by all threads, which wait for one another after it.
+    inline CUDA_CALLABLE void know(const int* top, int panels, int thread, int threads) {
+        const int lane = thread % WARP;
+        #pragma unroll 1
+        for (int K = thread / WARP; K < panels; K += threads / WARP) {
+            const int found = list_reaching(top, panels, K, reached[K], lane);
+            if (lane == 0) reached_count[K] = (unsigned char)found;
+        }
+    }
 };
 
 // Subtracts the product of panel K's row from rows below, for a warp's share of the pairs of the panels that it reaches.
-inline CUDA_CALLABLE void update_below(const System& system, const int* reached, Share share, int lane) {
+inline CUDA_CALLABLE void update_below(const System& system, const unsigned char* reached, Share share, int lane) {
     if (share.first >= share.end) return;
     Pair pair(share.first);
     int left = pair.left;
@@ -48,9 +66,9 @@ template <int MOST>
 inline CUDA_CALLABLE void update_rhs(
     const System& system, const ByOne<MOST>& shared, int K, int first, int stride
 ) {
-    const int* reached = shared.reached[K & 1];
+    const unsigned char* reached = shared.reached[K];
     #pragma unroll 1
-    for (int c = first; c < shared.reached_count[K & 1] * B; c += stride) {
+    for (int c = first; c < shared.reached_count[K] * B; c += stride) {
         const int J = reached[c / B];
         system.rhs[J * B + c % B] -= dot(system.tile(K, J) + c % B, B, shared.solved);
     }
@@ -62,18 +80,17 @@ inline CUDA_CALLABLE void forward(const System& system, ByOne<MOST>& shared, int
     const int others = warps > 1 ? warps - 1 : 1, other = warps > 1 ? warp - 1 : 0;
     #pragma unroll 1
     for (int K = -1; K < system.panels; ++K) {
-        const int across = K < 0 ? 0 : shared.reached_count[K & 1], next = K + 1;
+        const unsigned char* reached = shared.reached[K < 0 ? 0 : K];
+        const int across = K < 0 ? 0 : shared.reached_count[K], next = K + 1;
         const bool finds_next = warp == 0 && next < system.panels;
         Piece diagonal;
         if (finds_next) diagonal = load_piece(system.tile(next, next), B, lane);
         if (K >= 0) {
             if (warp == warps - 1) solve_forward(system, shared.W, K, shared.solved, lane);
-            factor_row(
-                system, shared.W, K, shared.reached[K & 1], warp, across, warps, system.strip, TILE, lane
-            );
+            factor_row(system, shared.W, K, reached, warp, across, warps, system.strip, TILE, lane);
             wait_for_all();
         }
-        const int reaches_next = across > 0 && shared.reached[K & 1][0] == next ? 1 : 0;
+        const int reaches_next = across > 0 && reached[0] == next ? 1 : 0;
         if (finds_next) {
             if (reaches_next) {
                 const Operand row = load_in_order(system.strip, lane);
@@ -81,17 +98,11 @@ inline CUDA_CALLABLE void forward(const System& system, ByOne<MOST>& shared, int
             }
             store_piece(shared.diagonal.D, PITCH, diagonal, lane);
             wait_for_warp();
-            factor_diagonal<1>(shared.diagonal, shared.W, system.tile(next, next), lane);
+            factor_diagonal<Elimination>(shared.diagonal, shared.W, system.tile(next, next), lane);
         }
-        if (warp > 0 || warps == 1) {
-            if (other == 0) {
-                const int found = list_reaching(system, next, shared.reached[next & 1], lane);
-                if (lane == 0) shared.reached_count[next & 1] = found;
-            }
-            if (K >= 0) update_rhs(system, shared, K, other * WARP + lane, others * WARP);
-        }
+        if (K >= 0 && (warp > 0 || warps == 1)) update_rhs(system, shared, K, other * WARP + lane, others * WARP);
         // the first of the products was for the diagonal tile
-        update_below(system, shared.reached[K & 1], Share(across, reaches_next, warp, warps), lane);
+        update_below(system, reached, Share(across, reaches_next, warp, warps), lane);
         wait_for_all();
     }
 }

@@ -23,6 +23,9 @@ struct ByTwo {
     alignas(16) float solutions[MOST_WARPS * 3 * B];
     int reached[2][MOST];  // panels whose columns reach up to two panels: of these two, and of the next two
     int reached_count[2];
+
+    // What is known of a system's envelope before it is factored: nothing.
+    inline CUDA_CALLABLE void know(const int*, int, int, int) {}
 };
 
 // Panels K and K + 1, and what the functions below need of them.
@@ -50,7 +53,7 @@ PETMJX_ONCE CUDA_CALLABLE void find_diagonal(
     }
     store_piece(tile.D, PITCH, entries, lane);
     wait_for_warp();
-    factor_diagonal<8>(tile, W, own, lane);
+    factor_diagonal<ByFours>(tile, W, own, lane);
 }
 
 // The first panel's row of U, in its place and in the strip, and its products with `between`, the tile of both panels,
@@ -147,7 +150,7 @@ inline CUDA_CALLABLE void update_rhs(
 
 template <int MOST>
 inline CUDA_CALLABLE void list_next(const System& system, ByTwo<MOST>& shared, int K, int lane) {
-    const int found = list_reaching(system, K + 1, shared.reached[K / 2 & 1], lane);
+    const int found = list_reaching(system.top, system.panels, K + 1, shared.reached[K / 2 & 1], lane);
     if (lane == 0) shared.reached_count[K / 2 & 1] = found;
 }
 

@@ -11,7 +11,7 @@ namespace petmjx {
 // What the warp shares.
 struct Diagonal {
     alignas(16) float D[B * PITCH];  // what is below its diagonal is not used
-    alignas(16) float rows[2][2 * B];  // two rows that are being eliminated, and the two before; their ends are never set
+    alignas(16) float rows[2][2 * B];  // two rows that are being eliminated, and the two before; not all is ever set
 };
 
 #if defined(__CUDA_ARCH__)
@@ -27,39 +27,106 @@ inline __device__ float inverse_root(float x) {
     asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
     return y;
 }
+
+// Two rows that are eliminated at once, by the first and by the second less b/a of the first, so that no division waits for
+// another. Their pivots are a b; b c, and the second is (a·c − b²)/a then.
+struct Pivots {
+    float a, b, determinant, over_a, over_determinant, factor;
+
+    inline __device__ Pivots(float a, float b, float c) : a(a), b(b) {
+        determinant = fused(a, c, -times(b, b));
+        over_a = reciprocal(a), over_determinant = reciprocal(determinant);
+        factor = b * over_a;
+    }
+
+    // What a column with these numbers in the two rows multiplies them with.
+    inline __device__ float first(float one) const { return one * over_a; }
+    inline __device__ float second(float one, float two) const { return rest(one, two) * over_determinant; }
+
+    // Numbers of the two rows of W, in the column of the identity that has become these.
+    inline __device__ void store(float one, float two, float* to, float* own) const {
+        const float x = one * inverse_root(a), y = rest(one, two) * (over_a * inverse_root(determinant * over_a));
+        store_two(to, x, y);
+        store_two(own, x, y);
+    }
+
+    // What is left of a number v of another row. `one`, `two`: the numbers of the rows in the column of that row's pivot.
+    inline __device__ float left(float v, float one, float two, float x, float y) const {
+        return v - (one * x + (two - factor * one) * y);
+    }
+
+private:
+    inline __device__ float rest(float one, float two) const { return fused(a, two, -times(b, one)); }
+};
+
+// Each lane eliminates a column: one of D, or one of the identity, which becomes a row of W. Two rows at a time, which lanes
+// read from shared memory. Rows move up by two each time, so that the code can stand there once: what moves in behind the
+// last one is not used.
+struct ByPairs {
+    static inline __device__ void eliminate(Diagonal& tile, float (&v)[B], float* W, float* own, int lane) {
+        #pragma unroll 1
+        for (int p = 0; p < B; p += 2) {
+            float* rows = tile.rows[p / 2 % 2];
+            if (p <= lane && lane < B) rows[lane - p] = v[0], rows[B + lane - p] = v[1];
+            wait_for_warp();
+            float one[B], two[B];
+            #pragma unroll
+            for (int q = 0; q < B; q += 4) load_four(one + q, rows + q), load_four(two + q, rows + B + q);
+            const Pivots pivots(one[0], one[1], two[1]);
+            if (lane >= B) pivots.store(v[0], v[1], W + (lane - B) * PITCH + p, own + (lane - B) * B + p);
+            const float x = pivots.first(v[0]), y = pivots.second(v[0], v[1]);
+            #pragma unroll
+            for (int q = 2; q < B; ++q) v[q - 2] = pivots.left(v[q], one[q], two[q], x, y);
+        }
+    }
+};
+
+// The same to the last bit, in four times as much code and two thirds of the time: only what is left of rows is read and
+// subtracted, and every second two rows lanes take from one another, without shared memory.
+struct ByFours {
+    static inline __device__ void eliminate(Diagonal& tile, float (&v)[B], float* W, float* own, int lane) {
+        W += (lane - B) * PITCH, own += (lane - B) * B;
+        #pragma unroll
+        for (int p = 0; p < B; p += 4) {
+            float* rows = tile.rows[p / 4 % 2];
+            if (p <= lane && lane < B) rows[lane] = v[p], rows[B + lane] = v[p + 1];
+            wait_for_warp();
+            float one[B], two[B], three[B], four[B];
+            #pragma unroll
+            for (int q = p; q < B; q += 4) load_four(one + q, rows + q), load_four(two + q, rows + B + q);
+            const Pivots upper(one[p], one[p + 1], two[p + 1]);
+            const float x = upper.first(v[p]), y = upper.second(v[p], v[p + 1]);
+            #pragma unroll
+            for (int q = p + 2; q < B; ++q) v[q] = upper.left(v[q], one[q], two[q], x, y);
+            #pragma unroll
+            for (int q = p + 2; q < B; ++q) {
+                three[q] = __shfl_sync(0xffffffffu, v[p + 2], q);
+                four[q] = __shfl_sync(0xffffffffu, v[p + 3], q);
+            }
+            const Pivots lower(three[p + 2], three[p + 3], four[p + 3]);
+            if (lane >= B) {
+                upper.store(v[p], v[p + 1], W + p, own + p);
+                lower.store(v[p + 2], v[p + 3], W + p + 2, own + p + 2);
+            }
+            const float z = lower.first(v[p + 2]), w = lower.second(v[p + 2], v[p + 3]);
+            #pragma unroll
+            for (int q = p + 4; q < B; ++q) v[q] = lower.left(v[q], three[q], four[q], z, w);
+        }
+    }
+};
+#else
+struct ByPairs {};
+struct ByFours {};
 #endif
 
-// W of D, PITCH numbers a row, and at `own`, 16 numbers a row. SPREAD: how often its code stands there, up to 8.
-template <int SPREAD>
+// W of D, PITCH numbers a row, and at `own`, 16 numbers a row. By one warp. WAY: ByPairs or ByFours.
+template <class WAY>
 inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* W, float* own, int lane) {
 #if defined(__CUDA_ARCH__)
-    // Each lane eliminates a column: one of D, or one of the identity, which becomes a row of W. Two rows at a time, by
-    // the first and by the second less b/a of the first. Of the pivots a b; b c the second is (a·c − b²)/a then, so that
-    // no division waits for another. (Solving with the four at once would cancel where they are stiff together.)
-    // Rows move up by two each time, so that the code can stand there once: what moves in behind the last one is not used.
     float v[B];
     #pragma unroll
     for (int p = 0; p < B; ++p) v[p] = lane < B ? tile.D[p * PITCH + lane] : (lane == B + p ? 1.0f : 0.0f);
-    #pragma unroll SPREAD
-    for (int p = 0; p < B; p += 2) {
-        float* rows = tile.rows[p / 2 % 2];
-        if (p <= lane && lane < B) rows[lane - p] = v[0], rows[B + lane - p] = v[1];
-        wait_for_warp();
-        float one[B], two[B];
-        #pragma unroll
-        for (int q = 0; q < B; q += 4) load_four(one + q, rows + q), load_four(two + q, rows + B + q);
-        const float a = one[0], b = one[1], c = two[1];
-        const float determinant = fused(a, c, -times(b, b)), rest = fused(a, v[1], -times(b, v[0]));
-        const float over_a = reciprocal(a);
-        const float x = v[0] * over_a, y = rest * reciprocal(determinant), factor = b * over_a;
-        if (lane >= B) {
-            const float first = v[0] * inverse_root(a), second = rest * (over_a * inverse_root(determinant * over_a));
-            store_two(W + (lane - B) * PITCH + p, first, second);
-            store_two(own + (lane - B) * B + p, first, second);
-        }
-        #pragma unroll
-        for (int q = 2; q < B; ++q) v[q - 2] = v[q] - (one[q] * x + (two[q] - factor * one[q]) * y);
-    }
+    WAY::eliminate(tile, v, W, own, lane);
 #else
     float* D = tile.D;
     for (int p = 0; p < B; ++p) {

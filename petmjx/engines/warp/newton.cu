@@ -78,11 +78,13 @@ struct Layout {
 };
 
 // Finds the layout, and the first contact of each pair: the contacts of a pair follow one another. `low`: by position, the
-// lowest that a body touches, or its own. `at_once`: panels that are factored at a time.
+// lowest that a body touches, or its own.
 template <int PANELS>
 inline CUDA_CALLABLE void lay_out(
-    const World& world, const int* low, int at_once, Layout<PANELS>& layout, double* partial, int thread, int threads
+    const World& world, const int* low, Factoring<PANELS>& factoring, Layout<PANELS>& layout, double* partial, int thread,
+    int threads
 ) {
+    const int at_once = Factoring<PANELS>::AT_ONCE;
     const int panels = (world.nv + B - 1) / B;
     int* top = layout.top;
     #pragma unroll 1
@@ -97,6 +99,7 @@ inline CUDA_CALLABLE void lay_out(
     if (thread == 0) layout.pairs = layout.widest = 0;
     wait_for_all();
     prefix_sums(layout.base, panels, thread);
+    factoring.know(top, panels, thread, threads);
     #pragma unroll 1
     for (int K = at_once * thread; K < panels; K += at_once * threads) {
         int reaching = 0;
@@ -208,7 +211,7 @@ inline CUDA_CALLABLE void newton(
             if (world.body_conadr[i / 6] == world.body_conadr[i / 6 + 1]) qacc[i] = world.qacc_smooth[i];
     }
     // On a CPU nothing is shared, and so nothing is kept.
-    if ((begun == 0 && changed) || WARP == 1) lay_out(world, low, at_once, layout, partial, thread, threads);
+    if ((begun == 0 && changed) || WARP == 1) lay_out(world, low, factoring, layout, partial, thread, threads);
     else wait_for_all();
     const double enough = model.tolerance * layout.trace;  // MuJoCo measures costs in units of the inertia's trace
     const int strip_words = at_once * layout.widest * TILE, pairs = layout.pairs;

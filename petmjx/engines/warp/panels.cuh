@@ -11,28 +11,30 @@ namespace petmjx {
 // A diagonal tile takes the first warp about as long as this many products, with two panels those of both.
 const int DIAGONAL_PRODUCTS = 10;
 
-// Lists the panels behind panel K whose columns reach up to it; returns how many. By one warp.
-inline CUDA_CALLABLE int list_reaching(const System& system, int K, int* list, int lane) {
+// Lists the panels behind panel K whose columns reach up to it; returns how many. By one warp. `top`: as in System.
+template <class Number>
+inline CUDA_CALLABLE int list_reaching(const int* top, int panels, int K, Number* list, int lane) {
     int found = 0;
 #if defined(__CUDA_ARCH__)
     #pragma unroll 1
-    for (int first = K + 1; first < system.panels; first += WARP) {
-        const bool inside = first + lane < system.panels && system.top[first + lane] <= K;
+    for (int first = K + 1; first < panels; first += WARP) {
+        const bool inside = first + lane < panels && top[first + lane] <= K;
         const unsigned mask = __ballot_sync(0xffffffffu, inside);
-        if (inside) list[found + __popc(mask & ((1u << lane) - 1u))] = first + lane;
+        if (inside) list[found + __popc(mask & ((1u << lane) - 1u))] = (Number)(first + lane);
         found += __popc(mask);
     }
 #else
-    for (int J = K + 1; J < system.panels; ++J)
-        if (system.top[J] <= K) list[found++] = J;
+    for (int J = K + 1; J < panels; ++J)
+        if (top[J] <= K) list[found++] = (Number)J;
 #endif
     return found;
 }
 
 // A row of U: of the panels `reached`, from place `first` on; in its place and in the strip, whose tiles are `apart`
 // numbers apart. W: inverse of the diagonal tile's factor. A warp for each tile.
+template <class Number>
 inline CUDA_CALLABLE void factor_row(
-    const System& system, const float* inverse, int row, const int* reached, int first, int end, int stride, float* strip,
+    const System& system, const float* inverse, int row, const Number* reached, int first, int end, int stride, float* strip,
     int apart, int lane
 ) {
     if (first >= end) return;

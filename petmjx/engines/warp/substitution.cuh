@@ -18,11 +18,20 @@ inline CUDA_CALLABLE float dot(const float* x, int stride, const float* y) {
 // Forward, panel K's part: y = U⁻ᵀ·g, also into `solved`. W: the inverse of its diagonal tile's factor. By one warp.
 inline CUDA_CALLABLE void solve_forward(const System& system, const float* W, int K, float* solved, int lane) {
     float* rhs = system.rhs + K * B;
-    #pragma unroll 1
-    for (int p = lane; p < B; p += WARP) solved[p] = dot(W + p, PITCH, rhs);
+#if defined(__CUDA_ARCH__)
+    // as `dot` sums: lanes 16 apart have two of its four sums each
+    const float* column = W + lane % B + lane / B * 2 * PITCH;
+    const float* g = rhs + lane / B * 2;
+    float one = 0.0f, two = 0.0f;
+    #pragma unroll
+    for (int p = 0; p < B; p += 4) one += column[p * PITCH] * g[p], two += column[(p + 1) * PITCH] * g[p + 1];
+    const float sum = one + two, y = sum + __shfl_xor_sync(0xffffffffu, sum, B);
+    if (lane < B) solved[lane] = y, rhs[lane] = y;
+#else
+    for (int p = 0; p < B; ++p) solved[p] = dot(W + p, PITCH, rhs);
+    for (int p = 0; p < B; ++p) rhs[p] = solved[p];
+#endif
     wait_for_warp();
-    #pragma unroll 1
-    for (int p = lane; p < B; p += WARP) rhs[p] = solved[p];
 }
 
 #if defined(__CUDA_ARCH__)
