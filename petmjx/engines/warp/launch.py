@@ -32,9 +32,6 @@ from petmjx.engines.warp.records import (
     most_panels,
 )
 
-WARP = wp.constant(32)
-"""Threads of a warp of a GPU."""
-
 TILE_BYTES = 4
 """Shared memory that Warp takes for a thread of a block with tiles."""
 
@@ -140,7 +137,7 @@ class Launch:
 def kernel(launch: Launch) -> Any:
     """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
     shared_words, of_block = launch.shared_words, launch.worlds
-    tile_words = launch.tile_words
+    tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps = int(launch.hands), int(launch.gives), int(launch.wraps)
 
     def march(
@@ -148,7 +145,6 @@ def kernel(launch: Launch) -> Any:
         model: Model,
         worlds: Worlds,
         # In:
-        threads: int,
         n_blocks: int,
         slice_ns: wp.int64,
         first_block: int,
@@ -167,8 +163,8 @@ def kernel(launch: Launch) -> Any:
         if wp.static(of_block > 1):
             run_worlds(
                 model, worlds,
-                of_block * block + thread // WARP, thread % WARP, WARP, n_blocks, slice_ns, hands, gives, wraps, shared,
-                shared_words,
+                of_block * block + thread // threads, thread % threads, threads, n_blocks, slice_ns,
+                hands, gives, wraps, shared, shared_words,
                 state, work, frames, counts,
             )  # fmt: skip
         else:

@@ -163,11 +163,9 @@ class March:
         for fleet, model in zip(self.fleets, self.models, strict=True):
             work = filled(Workspace, records.in_buffer(arrays["workspace"], fleet.sizes, row))
             row += records.buffer_rows(fleet.sizes)
-            threads = fleet.launch.threads
-            each = threads // fleet.launch.worlds
-            before, after = (model, worlds, each, self.lanes, self.slice_ns), (state, work, frames, counts)
+            before, after = (model, worlds, self.lanes, self.slice_ns), (state, work, frames, counts)
             arguments = partial(_with_block, before, after)
-            calls.append(Call(kernel(fleet.launch), fleet.blocks, threads, arguments))
+            calls.append(Call(kernel(fleet.launch), fleet.blocks, fleet.launch.threads, arguments))
         launch_all(calls, arrays["clock"], self.slice_ns)
 
 
