@@ -34,7 +34,10 @@ RESIDUALS = np.array(
 """(n, 3) accelerations of a contact beyond what it asks for: normal and tangents, m/s²."""
 
 
-@wp.func_native("petmjx::respond(pyramidal, slack, j.data, contact.data, anew, drag.data, push.data, bend.data);")
+@wp.func_native(
+    "const petmjx::Numbers numbers = {contact.data};"
+    "petmjx::respond(pyramidal, slack, j.data, numbers, anew, drag.data, push.data, bend.data);"
+)
 def _respond(
     pyramidal: int,
     slack: wp.float64,
@@ -53,7 +56,7 @@ def _follow(j: wp.array[wp.float64], v: wp.array[wp.float64], drag: wp.array[flo
 
 @wp.func_native(
     "double cost[2] = {0.0, 0.0};"
-    "petmjx::respond_along(pyramidal, slack, j.data, v.data, length, contact.data, cost);"
+    "petmjx::respond_along(pyramidal, slack, j.data, v.data, length, petmjx::Numbers{contact.data}, cost);"
     "along.data[0] = cost[0]; along.data[1] = cost[1];"
 )
 def _respond_along(

@@ -210,6 +210,15 @@ inline CUDA_CALLABLE void load_four(float* to, const float* from) {
 #endif
 }
 
+inline CUDA_CALLABLE void load_two(float* to, const float* from) {
+#if defined(__CUDA_ARCH__)
+    const float2 two = *(const float2*)(from);
+    to[0] = two.x, to[1] = two.y;
+#else
+    to[0] = from[0], to[1] = from[1];
+#endif
+}
+
 inline CUDA_CALLABLE void store_four(float* to, const float* from) {
 #if defined(__CUDA_ARCH__)
     *(float4*)(to) = make_float4(from[0], from[1], from[2], from[3]);

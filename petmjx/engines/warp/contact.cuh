@@ -1,12 +1,13 @@
 // One contact's part in the solver: its rows of J, and the force and curvature of its cone's cost.
 //
-// `contact` points to the contact's numbers as make_constraint (kernel/constraint.py) writes them: frame (9), moment arms of
-// both bodies (9 + 9), reference accelerations (aref, 3), stiffness of the normal's row (D, 1), friction (1).
+// `contact`: its numbers as make_constraint (kernel/constraint.py) writes them: frame (9), moment arms of both bodies (9 + 9),
+// reference accelerations (aref, 3), stiffness of the normal's row (D, 1), friction (1).
 
 #ifndef PETMJX_CONTACT_CUH
 #define PETMJX_CONTACT_CUH
 
 #include "block.cuh"
+#include "efc.cuh"
 #include "six.cuh"
 
 namespace petmjx {
@@ -15,32 +16,29 @@ const double TINY = 1e-30;  // instead of zero as a divisor
 
 inline CUDA_CALLABLE double larger(double x, double y) { return x > y ? x : y; }
 
-// A contact's numbers are read four at a time: neighbouring threads read different contacts, and each such access costs
-// a GPU as much as one to a single number.
-
 // Frame of a contact: three axes, one after the other.
-inline CUDA_CALLABLE void load_axes(const float* contact, float (&axes)[9]) {
-    load_four(axes, contact);
-    load_four(axes + 4, contact + 4);
+inline CUDA_CALLABLE void load_axes(const Numbers& contact, float (&axes)[9]) {
+    contact.load(axes, 0);
+    contact.load(axes + 4, 1);
     axes[8] = contact[8];
 }
 
 // Moment arms of a contact's first (side 0) or second body (side 1), one axis after the other.
-inline CUDA_CALLABLE void load_arms(const float* contact, int side, float (&arms)[9]) {
+inline CUDA_CALLABLE void load_arms(const Numbers& contact, int side, float (&arms)[9]) {
     float near[12];
     #pragma unroll
-    for (int i = 0; i < 12; i += 4) load_four(near + i, contact + 8 + 8 * side + i);
+    for (int i = 0; i < 3; ++i) contact.load(near + 4 * i, 2 + 2 * side + i);
     #pragma unroll
     for (int i = 0; i < 9; ++i) arms[i] = side ? near[2 + i] : near[1 + i];
 }
 
 // J·x of one contact, (3,). `body`: the numbers of its two bodies, negative if one does not move.
 #if defined(__CUDA_ARCH__)
-inline CUDA_CALLABLE void relative(const float* contact, const int* body, const double* x, double* out) {
+inline CUDA_CALLABLE void relative(const Numbers& contact, const int* body, const double* x, double* out) {
     const int one = 6 * body[0], two = 6 * body[1];
     float axes[28];
     #pragma unroll
-    for (int i = 0; i < 28; i += 4) load_four(axes + i, contact + i);
+    for (int i = 0; i < 7; ++i) contact.load(axes + 4 * i, i);
     const float* of_one = axes + 9;
     const float* of_two = axes + 18;
     double value[3] = {0.0, 0.0, 0.0};
@@ -60,7 +58,7 @@ inline CUDA_CALLABLE void relative(const float* contact, const int* body, const 
     for (int r = 0; r < 3; ++r) out[r] = value[r];
 }
 #else
-inline void relative(const float* contact, const int* body, const double* x, double* out) {
+inline void relative(const Numbers& contact, const int* body, const double* x, double* out) {
     const SixDoubles one = load_six_doubles(x, body[0]), two = load_six_doubles(x, body[1]);
     for (int r = 0; r < 3; ++r) {
         const SixDoubles parts = as_doubles(load_six(contact, 1, r)) * two - as_doubles(load_six(contact, 0, r)) * one;
@@ -79,11 +77,11 @@ inline void relative(const float* contact, const int* body, const double* x, dou
 // contact that slides, |drag| ≤ 1, and a result for others. newton.py says why. With `anew` it is what the residual
 // says. Pyramidal cones have none.
 inline CUDA_CALLABLE void respond(
-    int pyramidal, double impratio_invsqrt, const double* j, const float* contact, bool anew,
+    int pyramidal, double impratio_invsqrt, const double* j, const Numbers& contact, bool anew,
     float* drag, double* push, double* bend
 ) {
     float last[4];
-    load_four(last, contact + 28);
+    contact.load(last, 7);
     const double D = last[2], mu = last[3];
     for (int i = 0; i < 3; ++i) push[i] = 0.0;
     for (int i = 0; i < 6; ++i) bend[i] = 0.0;
@@ -150,11 +148,11 @@ inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) 
 // Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v: what
 // `respond` gives there, times v once and twice, in fewer operations.
 inline CUDA_CALLABLE void respond_along(
-    int pyramidal, double impratio_invsqrt, const double* j, const double* v, double length, const float* contact,
+    int pyramidal, double impratio_invsqrt, const double* j, const double* v, double length, const Numbers& contact,
     double (&cost)[2]
 ) {
     float last[4];
-    load_four(last, contact + 28);
+    contact.load(last, 7);
     const double D = last[2], mu = last[3];
     const double normal = j[0] + length * v[0], one = j[1] + length * v[1], two = j[2] + length * v[2];
     if (pyramidal) {

@@ -11,6 +11,14 @@
 namespace petmjx {
 
 #if defined(__CUDA_ARCH__)
+inline __device__ void load_curvature(const float* from, float (&s)[6]) {
+    #pragma unroll
+    for (int i = 0; i < 6; i += 2) load_two(s + i, from + i);
+}
+
+// The column of an entry of a 6 × 6 upper triangle, whose entries are numbered column by column: three bits for each.
+inline __device__ int column_of(int entry) { return (int)(0x5b6db2491b6d2448ull >> 3 * entry & 7); }
+
 // A body's own entries of the Hessian, 21 of its 6 × 6, summed over its contacts by SHARE threads.
 inline CUDA_CALLABLE void own_entries(const World& world, const System& system, int thread, int threads) {
     #pragma unroll 1
@@ -23,11 +31,11 @@ inline CUDA_CALLABLE void own_entries(const World& world, const System& system, 
             #pragma unroll 1
             for (int entry = world.body_conadr[b] + share_of; entry < world.body_conadr[b + 1]; entry += SHARE) {
                 const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
-                const float* s = world.curvature + 6 * k;
-                const float s0 = s[0], s1 = s[1], s2 = s[2], s3 = s[3], s4 = s[4], s5 = s[5];
-                float axes[9], arms[9], x[6], y[6], z[6];
-                load_axes(world.efc + EFC * k, axes);
-                load_arms(world.efc + EFC * k, side, arms);
+                const Numbers contact = world.contact(k);
+                float s[6], axes[9], arms[9], x[6], y[6], z[6];
+                load_curvature(world.curvature + 6 * k, s);
+                load_axes(contact, axes);
+                load_arms(contact, side, arms);
                 #pragma unroll
                 for (int i = 0; i < 3; ++i) {
                     x[i] = axes[i], y[i] = axes[3 + i], z[i] = axes[6 + i];
@@ -36,9 +44,9 @@ inline CUDA_CALLABLE void own_entries(const World& world, const System& system, 
                 int e = 0;
                 #pragma unroll
                 for (int q = 0; q < 6; ++q) {
-                    const float bx = s0 * x[q] + s1 * y[q] + s2 * z[q];
-                    const float by = s1 * x[q] + s3 * y[q] + s4 * z[q];
-                    const float bz = s2 * x[q] + s4 * y[q] + s5 * z[q];
+                    const float bx = s[0] * x[q] + s[1] * y[q] + s[2] * z[q];
+                    const float by = s[1] * x[q] + s[3] * y[q] + s[4] * z[q];
+                    const float bz = s[2] * x[q] + s[4] * y[q] + s[5] * z[q];
                     #pragma unroll
                     for (int p = 0; p <= q; ++p) own[e++] += x[p] * bx + y[p] * by + z[p] * bz;
                 }
@@ -48,15 +56,15 @@ inline CUDA_CALLABLE void own_entries(const World& world, const System& system, 
         if (b >= world.nfree) continue;
         const int place = world.position[b];
         const Columns columns = system.columns(place);
-        int e = 0;
+        // each thread has every eighth entry; with all in turns they would wait for one another
         #pragma unroll
-        for (int q = 0; q < 6; ++q) {
+        for (int first = 0; first < 21; first += SHARE) {
+            const int e = first + share_of, q = column_of(e), p = e - q * (q + 1) / 2;
+            if (e >= 21) continue;
+            float entry = own[first];
             #pragma unroll
-            for (int p = 0; p <= q; ++p) {
-                if (e % SHARE == share_of)
-                    columns.entry(6 * place + p, q) = own[e] + (p == q ? world.qM[6 * b + p] : 0.0f);
-                ++e;
-            }
+            for (int i = 1; i < SHARE && first + i < 21; ++i) entry = share_of == i ? own[first + i] : entry;
+            columns.entry(6 * place + p, q) = entry + (p == q ? world.qM[6 * b + p] : 0.0f);
         }
     }
 }
@@ -70,14 +78,18 @@ inline CUDA_CALLABLE void pair_entries(const World& world, const System& system,
         int k = world.bodies_conadr[item / 6];
         const int one = body[2 * k], two = body[2 * k + 1];
         float shared[6] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+        bool goes_on;
         do {
-            const float* c = world.efc + EFC * k;
-            const float* s = world.curvature + 6 * k;
-            float axes[9], arms[9];
-            load_axes(c, axes);
-            load_arms(c, 1, arms);
-            const float* mine = c + (p < 3 ? p : 6 + p);
-            const float x = mine[0], y = mine[3], z = mine[6];
+            // read before the contact's numbers, so that nothing waits for it afterwards
+            const int next = k + 1 < world.ncon ? k + 1 : k;
+            goes_on = next != k && body[2 * next] == one && body[2 * next + 1] == two;
+            const Numbers contact = world.contact(k);
+            float s[6], axes[9], arms[9];
+            load_curvature(world.curvature + 6 * k, s);
+            load_axes(contact, axes);
+            load_arms(contact, 1, arms);
+            const int mine = p < 3 ? p : 6 + p;
+            const float x = contact[mine], y = contact[mine + 3], z = contact[mine + 6];
             const float bx = s[0] * x + s[1] * y + s[2] * z;
             const float by = s[1] * x + s[3] * y + s[4] * z;
             const float bz = s[2] * x + s[4] * y + s[5] * z;
@@ -87,7 +99,7 @@ inline CUDA_CALLABLE void pair_entries(const World& world, const System& system,
                 shared[3 + i] -= arms[i] * bx + arms[3 + i] * by + arms[6 + i] * bz;
             }
             ++k;
-        } while (k < world.ncon && body[2 * k] == one && body[2 * k + 1] == two);
+        } while (goes_on);
         const int upper = world.position[one], lower = world.position[two];
         const bool ahead = upper < lower;
         const Columns columns = system.columns(ahead ? lower : upper);
@@ -106,7 +118,7 @@ inline void own_entries(const World& world, const System& system, int, int) {
         Six own[6] = {};
         for (int entry = world.body_conadr[b]; entry < world.body_conadr[b + 1]; ++entry) {
             const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
-            const float* c = world.efc + EFC * k;
+            const Numbers c = world.contact(k);
             const Six rows[3] = {load_six(c, side, 0), load_six(c, side, 1), load_six(c, side, 2)};
             Six bent[3];
             bend_six(world.curvature + 6 * k, rows, bent);
@@ -132,7 +144,7 @@ inline void pair_entries(const World& world, const System& system, int pairs, in
         const int one = body[2 * k], two = body[2 * k + 1];
         Six shared[6] = {};
         do {
-            const float* c = world.efc + EFC * k;
+            const Numbers c = world.contact(k);
             const Six first[3] = {load_six(c, 0, 0), load_six(c, 0, 1), load_six(c, 0, 2)};
             const Six second[3] = {load_six(c, 1, 0), load_six(c, 1, 1), load_six(c, 1, 2)};
             Six bent[3];

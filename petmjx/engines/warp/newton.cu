@@ -18,6 +18,19 @@ const double ENOUGH_SLOPE = 0.1;
 
 const double INFINITE = 1e300;  // what a singular Hessian may make of a step: no NaN
 
+// One of six numbers. On a GPU they keep their registers: an array with a place that varies would lie in memory.
+template <class Six>
+inline CUDA_CALLABLE double of_six(const Six& six, int i) {
+#if defined(__CUDA_ARCH__)
+    double found = six[0];
+    #pragma unroll
+    for (int k = 1; k < 6; ++k) found = i == k ? six[k] : found;
+    return found;
+#else
+    return six[i];
+#endif
+}
+
 // Gradient g = M·(qacc − qacc_smooth) − Jᵀ·force into grad and rhs, SHARE threads per body. Returns gᵀM⁻¹g.
 inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* partial, int thread, int threads) {
     double bound[1];
@@ -30,8 +43,8 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* par
             for (int entry = world.body_conadr[b] + share_of; entry < world.body_conadr[b + 1]; entry += SHARE) {
                 const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
                 float axes[9], arms[9];
-                load_axes(world.efc + EFC * k, axes);
-                load_arms(world.efc + EFC * k, side, arms);
+                load_axes(world.contact(k), axes);
+                load_arms(world.contact(k), side, arms);
                 #pragma unroll
                 for (int r = 0; r < 3; ++r) {
                     const double push = side ? -world.force[3 * k + r] : world.force[3 * k + r];
@@ -50,15 +63,17 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* par
             const int k = world.body_contact[entry] >> 1, side = world.body_contact[entry] & 1;
             for (int r = 0; r < 3; ++r) {
                 const double push = side ? -world.force[3 * k + r] : world.force[3 * k + r];
-                value += as_doubles(load_six(world.efc + EFC * k, side, r)) * push;
+                value += as_doubles(load_six(world.contact(k), side, r)) * push;
             }
         }
 #endif
+        // On a GPU each thread has one of the six numbers: with all in turns they would wait for one another.
         #pragma unroll
-        for (int i = 0; i < 6; ++i) {
-            if (b >= world.nfree || i % SHARE != share_of) continue;
+        for (int first = 0; first < 6; first += SHARE) {
+            const int i = first + share_of;
+            if (b >= world.nfree || i >= 6) continue;
             const int at = 6 * b + i;
-            const double whole = value[i] + world.qM[at] * (world.qacc[at] - world.qacc_smooth[at]);
+            const double whole = of_six(value, i) + world.qM[at] * (world.qacc[at] - world.qacc_smooth[at]);
             world.grad[at] = whole;
             rhs[6 * world.position[b] + i] = (float)whole;
             sum[0] += whole * whole / world.qM[at];
@@ -168,6 +183,7 @@ inline CUDA_CALLABLE void newton(
     world.nfree = work.nfree.data[at];
     world.nv = 6 * world.nfree;
     world.efc = work.efc.data + at * nconmax * EFC;
+    world.nconmax = model.nconmax;
     world.body = work.contact_bodies.data + at * nconmax * 2;
     world.body_conadr = work.body_conadr.data + at * work.body_conadr.shape[1];
     world.body_contact = work.body_contact.data + at * work.body_contact.shape[1];
@@ -185,7 +201,6 @@ inline CUDA_CALLABLE void newton(
     world.bodies_conadr = work.bodies_conadr.data + at * nconmax;
     const int* low = work.lowest.data + at * work.lowest.shape[1];
     const int ncon = world.ncon, nfree = world.nfree, nv = world.nv;
-    const float* efc = world.efc;
     const int* body = world.body;
     double* qacc = world.qacc;
     double* search = world.search;
@@ -221,8 +236,9 @@ inline CUDA_CALLABLE void newton(
     if (begun == 0) {
         #pragma unroll 1
         for (int k = thread; k < ncon; k += threads) {
-            relative(efc + EFC * k, body + 2 * k, qacc, Jaref + 3 * k);
-            for (int r = 0; r < 3; ++r) Jaref[3 * k + r] -= efc[EFC * k + 27 + r];
+            const Numbers contact = world.contact(k);
+            relative(contact, body + 2 * k, qacc, Jaref + 3 * k);
+            for (int r = 0; r < 3; ++r) Jaref[3 * k + r] -= contact[27 + r];
         }
     }
     bool last = false;
@@ -235,10 +251,10 @@ inline CUDA_CALLABLE void newton(
         for (int k = thread; k < ncon; k += threads) {
             double push[3], bend[6];
             respond(
-                pyramidal, impratio_invsqrt, Jaref + 3 * k, efc + EFC * k, iteration == 0, world.drag + 2 * k, push, bend
+                pyramidal, impratio_invsqrt, Jaref + 3 * k, world.contact(k), iteration == 0, world.drag + 2 * k, push, bend
             );
             for (int i = 0; i < 3; ++i) world.force[3 * k + i] = push[i];
-            for (int i = 0; i < 6; ++i) world.curvature[6 * k + i] = (float)bend[i];
+            for (int i = 0; i < 6; i += 2) store_two(world.curvature + 6 * k + i, (float)bend[i], (float)bend[i + 1]);
         }
         wait_for_all();
         if (ends) break;
@@ -262,14 +278,14 @@ inline CUDA_CALLABLE void newton(
         const double start = along[0];
         if (!(start < 0.0 && start > -INFINITE)) break;
         #pragma unroll 1
-        for (int k = thread; k < ncon; k += threads) relative(efc + EFC * k, body + 2 * k, search, jv + 3 * k);
+        for (int k = thread; k < ncon; k += threads) relative(world.contact(k), body + 2 * k, search, jv + 3 * k);
         double length = 1.0, shortest = 0.0, longest = 1.0, first = start;
         #pragma unroll 1
         for (int trial = 0; trial < model.ls_iterations; ++trial) {
             double cost[2];
             sum_over_all(ncon, thread, threads, partial, cost, [&](int k, double (&sums)[2]) {
                 if (k < ncon)
-                    respond_along(pyramidal, impratio_invsqrt, Jaref + 3 * k, jv + 3 * k, length, efc + EFC * k, sums);
+                    respond_along(pyramidal, impratio_invsqrt, Jaref + 3 * k, jv + 3 * k, length, world.contact(k), sums);
             });
             first = cost[0] + along[1] + length * along[2];
             const double second = cost[1] + along[2];

@@ -159,7 +159,7 @@ class Workspace:
     worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
     hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if shared memory has no room for it
     strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if shared memory has no room for them
-    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # make_constraint
+    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # make_constraint; where they lie: efc.cuh
     curvature: Annotated[wp.array3d[float], "block contact 6"]
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts

@@ -3,6 +3,8 @@
 #ifndef PETMJX_SIX_CUH
 #define PETMJX_SIX_CUH
 
+#include "efc.cuh"
+
 #if !defined(__CUDA_ARCH__)
 namespace petmjx {
 
@@ -11,11 +13,11 @@ typedef float Six __attribute__((ext_vector_type(8)));
 typedef double SixDoubles __attribute__((ext_vector_type(8)));
 
 // A body's part of a row of J: a contact's axis, and the moment arm of it. `side`: 0 for its first body, 1 for its second.
-inline Six load_six(const float* contact, int side, int r) {
+inline Six load_six(const Numbers& contact, int side, int r) {
     typedef float Four __attribute__((ext_vector_type(4)));
     Four axis, arm;
-    __builtin_memcpy(&axis, contact + 3 * r, sizeof axis);
-    __builtin_memcpy(&arm, contact + 9 + 9 * side + 3 * r, sizeof arm);
+    __builtin_memcpy(&axis, contact.first + 3 * r, sizeof axis);
+    __builtin_memcpy(&arm, contact.first + 9 + 9 * side + 3 * r, sizeof arm);
     return __builtin_shufflevector(axis, arm, 0, 1, 2, 4, 5, 6, 3, 7);
 }
 

@@ -3,12 +3,15 @@
 #ifndef PETMJX_WORLD_CUH
 #define PETMJX_WORLD_CUH
 
+#include "efc.cuh"
+
 namespace petmjx {
 
 // Views of one world's arrays, which records.py describes. Its bodies are the free ones.
 struct World {
     int ncon, nfree, nv;
-    const float* efc;           // (contact, EFC)
+    const float* efc;           // the numbers of contacts (efc.cuh)
+    int nconmax;                // contacts for which there is room
     const int* body;            // (contact, 2) negative: does not move
     const int* body_conadr;     // (body + 1,) where each body's contacts begin
     const int* body_contact;    // 2·contact + side, body after body
@@ -24,9 +27,15 @@ struct World {
     float* curvature;           // (contact, 6)
     float* drag;                // (contact, 2)
     int* bodies_conadr;         // (pair,) first contact of each pair of moving bodies
-};
 
-const int EFC = 32;  // numbers of a contact
+    inline CUDA_CALLABLE Numbers contact(int k) const {
+#if defined(__CUDA_ARCH__)
+        return {efc + Numbers::STRIDE * k, 4 * nconmax};
+#else
+        return {efc + Numbers::STRIDE * k};
+#endif
+    }
+};
 
 }  // namespace petmjx
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernel.block import cross, fused, prefix_sums, times, wait_for_all
+from petmjx.engines.warp.kernel.efc import put_number
 from petmjx.engines.warp.kernel.give import spring_law, spring_of_pair
 from petmjx.engines.warp.kernel.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.kernel.ordering import free_position
@@ -146,15 +147,15 @@ def make_constraint(
         damping = wp.where(model.friction_damping > 0.0, model.friction_damping, kbi[1])
         for r in range(3):
             for i in range(3):
-                work.efc[block, contact, 3 * r + i] = axes[r, i]
-                work.efc[block, contact, 9 + 3 * r + i] = arms_one[r, i]
-                work.efc[block, contact, 18 + 3 * r + i] = arms_two[r, i]
+                put_number(work.efc, block, contact, 3 * r + i, axes[r, i])
+                put_number(work.efc, block, contact, 9 + 3 * r + i, arms_one[r, i])
+                put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
-        work.efc[block, contact, 27] = fused(-kbi[1], velocity[0], pull)
-        work.efc[block, contact, 28] = -damping * velocity[1]
-        work.efc[block, contact, 29] = -damping * velocity[2]
-        work.efc[block, contact, 30] = 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE)
-        work.efc[block, contact, 31] = mu
+        put_number(work.efc, block, contact, 27, fused(-kbi[1], velocity[0], pull))
+        put_number(work.efc, block, contact, 28, -damping * velocity[1])
+        put_number(work.efc, block, contact, 29, -damping * velocity[2])
+        put_number(work.efc, block, contact, 30, 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE))
+        put_number(work.efc, block, contact, 31, mu)
         work.contact_bodies[block, contact, 0] = one
         work.contact_bodies[block, contact, 1] = two
     wait_for_all()

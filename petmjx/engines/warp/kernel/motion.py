@@ -12,6 +12,7 @@ import warp as wp
 
 from petmjx.engines.batch.rules import UNBELIEVABLE
 from petmjx.engines.warp.kernel.block import cross, fused, times
+from petmjx.engines.warp.kernel.efc import number_of
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.metrics import force_jax as force_metrics
 
@@ -330,9 +331,9 @@ def _top_force(work: Workspace, block: int, free_body: int) -> float:
         first_z = work.geom_xpos[block, work.pair_geom1[block, pair]][2]
         second_z = work.geom_xpos[block, work.pair_geom2[block, pair]][2]
         lower = wp.where(side == 1, second_z <= first_z, first_z < second_z)
-        if lower and wp.abs(work.efc[block, k, 2]) >= VERTICAL_COSINE:
+        if lower and wp.abs(number_of(work.efc, block, k, 2)) >= VERTICAL_COSINE:
             up = wp.float64(0.0)
             for r in range(3):
-                up += wp.float64(work.efc[block, k, 3 * r + 2]) * work.contact_force[block, k, r]
+                up += wp.float64(number_of(work.efc, block, k, 3 * r + 2)) * work.contact_force[block, k, r]
             total += wp.where(side == 1, -up, up)
     return float(total)

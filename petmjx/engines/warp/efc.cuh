@@ -1,0 +1,42 @@
+// Where the numbers of contacts lie. A contact has eight parts of four. On a GPU the parts of one kind lie together: neighbouring
+// threads, which have neighbouring contacts, then read neighbouring parts at once. On a CPU the parts of a contact do.
+
+#ifndef PETMJX_EFC_CUH
+#define PETMJX_EFC_CUH
+
+#include "block.cuh"
+
+namespace petmjx {
+
+const int EFC = 32;  // numbers of a contact
+
+// The numbers of one contact.
+struct Numbers {
+    const float* first;  // part
+#if defined(__CUDA_ARCH__)
+    int apart;  // numbers from a part to the next one
+    static const int STRIDE = 4;  // from a contact to the next one
+#else
+    static const int apart = 4, STRIDE = EFC;
+#endif
+
+    inline CUDA_CALLABLE void load(float* to, int part) const { load_four(to, first + part * apart); }
+
+    inline CUDA_CALLABLE float operator[](int number) const { return first[number / 4 * apart + number % 4]; }
+};
+
+// A number of a contact, in the array of all lanes.
+template <class Array>
+inline CUDA_CALLABLE float& number_of(const Array& efc, int lane, int contact, int number) {
+    const int most = efc.shape[1];
+    float* of_lane = efc.data + (size_t)lane * most * EFC;
+#if defined(__CUDA_ARCH__)
+    return of_lane[4 * (number / 4 * most + contact) + number % 4];
+#else
+    return of_lane[EFC * contact + number];
+#endif
+}
+
+}  // namespace petmjx
+
+#endif
