@@ -109,11 +109,14 @@ class Engine(Simulates, Protocol):
 
     Attributes:
         takes_more: whether jobs may be appended while it runs (``GrowingJobs``).
+        takes_parts: whether it takes the next part of a run's jobs while it has this one (``JobsInParts``). Then the
+            first part is small, so that it begins soon.
         looks: whether it has looked at its outcomes (petmjx/engines/looked_at.py).
         devices: GPUs that simulate at the same time: it is given so many times as many worlds at once.
     """
 
     takes_more: bool = False
+    takes_parts: bool = False
     looks: bool = False
     devices: int = 1
 

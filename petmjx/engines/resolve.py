@@ -38,6 +38,7 @@ class Lent(Engine):
     def __init__(self, own: Simulates, threads: int | None) -> None:
         self.name, self._own, self._threads = own.name, own, threads
         self.takes_more = bool(getattr(own, "takes_more", False))
+        self.takes_parts = bool(getattr(own, "takes_parts", False))
 
     @property
     def device(self) -> str:

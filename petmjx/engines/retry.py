@@ -32,6 +32,11 @@ DEFAULT_CHUNK_WORLDS: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
 CHUNK_BOXES: Final = 1 << 20
 """Boxes of a chunk to which no more worlds are added: 130 MB of scenes, and as much for the next chunk."""
 
+FIRST_WORLDS, GROWTH = 2048, 4
+"""Worlds of the first chunk for an engine that takes parts, and how many times as many each next one has: a GPU begins
+after half a second, and works on each chunk for about as long as it takes to make the next one. 2,048 worlds fill its
+blocks for few boxes."""
+
 
 def score_worlds(
     worlds: Iterable[AnyWorld],
@@ -46,9 +51,9 @@ def score_worlds(
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
     ``chunk_worlds`` worlds are given to a device at a time, and the next ones are made meanwhile; an engine may take
-    these before all others have ended (``JobsInParts``). Invalid ones are collected and simulated again together, at
-    the end or when they are as many. So memory does not grow with the number of worlds. Attempts that CPU threads make
-    beside a GPU (petmjx/engines/attempts.py) begin at once.
+    these before all others have ended (``JobsInParts``), and begins with fewer. Invalid ones are collected and
+    simulated again together, at the end or when they are as many. So memory does not grow with the number of worlds.
+    Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
@@ -68,7 +73,8 @@ def score_worlds(
     engines = Engines(engine, progress)
     first, *retries = attempts
     chunk_worlds *= engine.devices
-    source = Chunks[AnyWorld](iter(worlds), chunk_worlds, CHUNK_BOXES * engine.devices)
+    first_worlds = min(FIRST_WORLDS, chunk_worlds) if engine.takes_parts and more is None else chunk_worlds
+    source = Chunks[AnyWorld](iter(worlds), first_worlds, chunk_worlds, CHUNK_BOXES * engine.devices)
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
     besides = _Besides[AnyWorld](sim, engines)
@@ -147,11 +153,13 @@ class Chunks(Generic[AnyWorld]):
     """Worlds by the chunk. A thread makes the next one while an engine has this one: a device would wait.
 
     Args:
+        size: worlds of the next chunk. The one behind it has ``GROWTH`` times as many.
         most: worlds of a chunk.
         most_boxes: of a chunk to which no more worlds are added.
     """
 
     source: Iterator[AnyWorld]
+    size: int
     most: int
     most_boxes: int = CHUNK_BOXES
     _ended: bool = False
@@ -177,11 +185,12 @@ class Chunks(Generic[AnyWorld]):
         return self.take() if self._next is not None and self._next.exception() is None else []
 
     def _made(self) -> list[AnyWorld]:
-        chunk, boxes = list[AnyWorld](), 0
+        chunk, boxes, size = list[AnyWorld](), 0, self.size
+        self.size = min(GROWTH * size, self.most)
         for world in self.source:
             chunk.append(world)
             boxes += world.job.scene.n_boxes
-            if self._ended or len(chunk) == self.most or boxes >= self.most_boxes:
+            if self._ended or len(chunk) == size or boxes >= self.most_boxes:
                 return chunk
         self._ended = True
         return chunk

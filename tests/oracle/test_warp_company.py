@@ -14,6 +14,7 @@ import pytest
 
 from petmjx.engines.base import GrowingJobs, JobsInParts
 from petmjx.engines.batch.scene_rows import Rows
+from petmjx.engines.batch.state import SOFT_START_BEGIN, State
 from petmjx.history import Record
 from petmjx.verdict import Outcome
 from petmjx.world.job import Drive, Excitation, Job
@@ -156,6 +157,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
         return rows
 
     monkeypatch.setattr(Left, "put_into", watched)
+    monkeypatch.setattr(Ahead, "made", True)  # what is not is waited for
     monkeypatch.setattr(Left, "leave", leaves)
     monkeypatch.setattr(Ahead, "take", taken)
     scenes = tiny_scenes(TINY[:3])
@@ -173,8 +175,23 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("polls", [0, 3, 10_000])
-def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(polls: int, crowd: dict[str, Outcome]) -> None:
-    """Wider tables, in which the worlds that are left begin anew; or it comes too late to be taken."""
+def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
+    polls: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    """Wider tables, in which the worlds that are left go on; or it comes too late to be taken."""
+    widths: list[tuple[int, int]] = []
+    put_into = Left.put_into
+
+    def watched(self: Left, table: State, first_row: int) -> State:
+        found = put_into(self, table, first_row)
+        widths.append((self.table.qpos.shape[1], table.qpos.shape[1]))
+        assert (np.asarray(found.step)[first_row:] > SOFT_START_BEGIN).any()
+        return found
+
+    monkeypatch.setattr(Left, "put_into", watched)
+    monkeypatch.setattr(Ahead, "made", True)  # what is not is waited for
+    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)  # all may be left, as soon as there are tables for them
+    monkeypatch.setattr(mjx_warp, "WHILE_LOADING", 1)
     wide, scenes = make_scene(9), tiny_scenes()
     alone = simulate(shared_engine(), {"nine": wide}, SHORT)
     jobs = [Job(scene) for scene in scenes.values()]
@@ -184,6 +201,7 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(polls: int, 
         assert list(found) == list(range(len(jobs)))
         return
     assert list(found) == list(range(2 * len(jobs) + 2))
+    assert widths[0] == (4, 12)
     assert_equal_worlds({"nine": found[len(jobs)]}, alone)
     for first in (0, len(jobs) + 1):
         assert_equal_worlds({name: found[first + k] for k, name in enumerate(scenes)}, crowd)

@@ -242,6 +242,19 @@ def test_an_engine_may_take_the_next_chunk_before_it_is_through_with_this_one(mo
     assert [len(jobs) for _, jobs in engine.calls] == [8, 8, 2, 2]
 
 
+def test_an_engine_that_takes_parts_begins_with_few_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retry_module, "FIRST_WORLDS", 1)
+    engine = InParts()
+    engine.takes_parts = True
+    results = list(score_worlds(worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8))
+    assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(25))
+    assert engine.parts == [1, 4, 8, 8, 4]
+    assert len(engine.calls) == 1
+    engine = InParts()
+    list(score_worlds(worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8, more=lambda: ()))
+    assert engine.parts[0] == 8
+
+
 def test_what_an_engine_had_of_several_chunks_when_it_failed_is_simulated_by_its_stand_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -270,14 +283,14 @@ def test_an_error_of_the_source_is_none_of_the_engine() -> None:
 def test_chunks_of_larger_worlds_have_fewer() -> None:
     """A chunk is full with the world that has its last box."""
     worlds = [make_world(make_plan("p", stack(n))) for n in (1, 2, 1, 3, 4, 2, 5, 1, 1, 1, 1)]
-    source = retry_module.Chunks(iter(worlds), 4, 6)
+    source = retry_module.Chunks(iter(worlds), 4, 4, 6)
     taken = [[world.job.scene.n_boxes for world in source.take()] for _ in range(6)]
     source.close()
     assert taken == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]
 
 
 def test_a_last_chunk_that_is_made_before_it_is_asked_for_is_yet_to_come() -> None:
-    source = retry_module.Chunks(iter(worlds_failing(*[0] * 5)), 3)
+    source = retry_module.Chunks(iter(worlds_failing(*[0] * 5)), 3, 3)
     assert len(source.take()) == 3
     until = time.monotonic() + 30
     while source._next is not None and not source._next.done() and time.monotonic() < until:

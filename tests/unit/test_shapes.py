@@ -19,7 +19,7 @@ import petmjx.engines.batch
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import started_states
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State, fresh_state, narrow, per_box, take_rows
+from petmjx.engines.batch.state import NEVER, Metrics, State, fresh_state, narrow, per_box, put_rows, take_rows
 from petmjx.engines.batch.template import parked_positions
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.engines.batch.worlds import Worlds, upload_worlds
@@ -155,6 +155,21 @@ def test_states_are_cut_along_their_boxes_and_nothing_else(table: State) -> None
     for kind in (Metrics, State):
         has_boxes = {name for name, hint in get_type_hints(kind).items() if "box" in getattr(hint, "dim_str", "")}
         assert set(per_box(kind)) == has_boxes
+
+
+def test_states_can_be_put_into_tables_for_other_numbers_of_boxes(table: State) -> None:
+    """Boxes that a state has no columns for stay as they are in the table; those without columns there are lost."""
+    rows = jnp.array([5, 0, ROWS])
+    anew = take_rows(jax.tree.map(lambda values: values + 1, table), jnp.arange(3))
+    found = put_rows(table, rows, narrow(anew, 2))
+    for before, new, after in zip(*(jax.tree.leaves(each) for each in (table, narrow(anew, 2), found)), strict=True):
+        expected = np.array(before)
+        for k, row in enumerate((5, 0)):
+            expected[(row, *map(slice, new.shape[1:]))] = new[k]
+        np.testing.assert_array_equal(after, expected)
+    cut = narrow(put_rows(table, rows, anew), 2)
+    for one, other in zip(jax.tree.leaves(put_rows(narrow(table, 2), rows, anew)), jax.tree.leaves(cut), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 # ---------------------------------------------------------------------- names of axes

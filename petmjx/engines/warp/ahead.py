@@ -27,6 +27,11 @@ class Ahead:
             width = groups.needs.of_sizes(jobs).most_boxes
             self._begun = jobs, width, self._thread.submit(rows_of, [job.scene for job in jobs], width, sim)
 
+    @property
+    def made(self) -> bool:
+        """Whether rows have been begun and are there, or could not be made."""
+        return self._begun is not None and self._begun[2].done()
+
     def take(self, jobs: Sequence[Job], width: int) -> Rows | None:
         """The rows of the first of some jobs, once; None if they have not been begun, or could not be made: whoever
         makes them then meets the error."""

@@ -54,15 +54,16 @@ class Course:
         """Of the next group."""
         return Run.of(self.groups.needs, self.sim, self.progress)
 
-    def next_is_due(self, rest: int, most: int) -> bool:
+    def next_is_due(self, rest: int, most: int, blocks: int) -> bool:
         """Whether the tables of the next group are to be made, of which its rows are begun as soon as it is known.
 
         Args:
             rest: worlds of this group that have not ended.
             most: of them then.
+            blocks: of the device. With fewer worlds these rows are waited for.
         """
         self.ahead.prepare(self.groups, self.sim)
-        return 0 < rest <= most and bool(self.groups.following())
+        return 0 < rest <= most and bool(self.groups.following()) and (rest <= blocks or self.ahead.made)
 
     def begin(self) -> Begun:
         """The next group."""

@@ -90,7 +90,7 @@ class MjxWarpEngine(Engine):
     """
 
     name = "mjx-warp"
-    takes_more = True
+    takes_more = takes_parts = True
 
     def __init__(
         self,
@@ -241,12 +241,13 @@ class MjxWarpEngine(Engine):
                 if rollout is None or not group.recorder.idle:
                     continue
                 rest = np.flatnonzero(~emitted[: len(jobs)])
-                if leaving is None and course.next_is_due(len(rest), READY_SHARE * course.most_left):
+                most = READY_SHARE * course.most_left
+                if leaving is None and course.next_is_due(len(rest), most, rollout.march.blocks):
                     rollout.keep_under_way(WHILE_LOADING, group, queues.order)
                     leaving = self._leaving(course, begun, rest, len(group.table.status))
                 if leaving is not None and 0 < len(rest) <= course.most_left:
                     rollout.finish(group)
-                    leaving.leave(group.table, emitted, READY_SHARE * course.most_left)
+                    leaving.leave(group.table, emitted, most)
                     course.left = leaving
                     return
         except BaseException:

@@ -114,7 +114,7 @@ class March:
             )
             for queue, fleet in enumerate(fleets)
         ]
-        self.lanes = sum(fleet.lanes for fleet in fleets)
+        self.blocks, self.lanes = sum(fleet.blocks for fleet in fleets), sum(fleet.lanes for fleet in fleets)
         self.slice_ns = slice_ns
         self.id = next(_IDS)
         _MARCHES[self.id] = self
