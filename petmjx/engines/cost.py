@@ -15,7 +15,7 @@ import numpy as np
 
 from petmjx.basics.units import FloatArray, seconds_to_steps
 from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
-from petmjx.world.job import Job
+from petmjx.world.job import Drive, Job
 
 STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
 """Steps of a schedule as a share of the fixed schedule's, physics ``pallet``: the mean of 2,000 generated plans and of
@@ -52,6 +52,10 @@ SHAKEN_STEPS = 700
 """Steps of a drive in which boxes slide or fall, at most: all of EUMOS's profile. Of the 2,970 steps of a tilt most
 are at rest. Shakes of many seconds in which a pallet does not rest take up to ten times as long as expected."""
 
+STEADY_G = 0.35
+"""A drive that accelerates a pallet by more, in units of 9.81 m/s², shakes it down, and the sooner the harder it is. Of
+EUMOS's 4,032 drives of 100 plans the mean is 676 steps at 0.2 g, 532 at 0.5, 280 at 1 and 213 at 1.6."""
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -85,6 +89,13 @@ def rest_steps(sim: Simulation, rest_s: float) -> int:
     """Expected steps after a profile, until the pallet is quiet. rest_s: the time that it has, s."""
     most = seconds_to_steps(rest_s, sim.physics.timestep_s)
     return min(most, QUIET_STEPS) if sim.schedule is Schedule.ADAPTIVE else most
+
+
+def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
+    """Expected steps of one drive: with early stop it is over when boxes have fallen."""
+    steps = rest_steps(sim, drive.rest_s) + len(drive.excitation.samples)
+    peak_g = abs(drive.scale) * drive.excitation.peak_g
+    return steps * STEADY_G / peak_g if sim.early_stop and peak_g > STEADY_G else steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,9 +246,7 @@ class Costs:
         boxes = [job.scene.n_boxes for job in jobs]
         placed = np.array([job.start is None for job in jobs], dtype=float)
         placed *= [self.mujoco.errors.of(job) for job in jobs]
-        rest = [rest_steps(sim, job.drive.rest_s) if job.drive else 0 for job in jobs]
-        shaken = [len(job.drive.excitation.samples) if job.drive else 0 for job in jobs]
-        drive_steps = np.array(rest, dtype=float) + shaken
+        drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
         placing = Work(sim, boxes, drives=int(any(job.settles for job in jobs)))
         return np.asarray(placed * self.mujoco.placing_s(placing) + self.mujoco.driving_s(boxes, drive_steps))
 

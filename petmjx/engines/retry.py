@@ -45,15 +45,16 @@ def score_worlds(
     *,
     progress: Progress | None = None,
     chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
+    first_worlds: int = FIRST_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
     more: Callable[[], Iterable[AnyWorld]] | None = None,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
     ``chunk_worlds`` worlds are given to a device at a time, and the next ones are made meanwhile; an engine may take
-    these before all others have ended (``JobsInParts``), and begins with fewer. Invalid ones are collected and
-    simulated again together, at the end or when they are as many. So memory does not grow with the number of worlds.
-    Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at once.
+    these before all others have ended (``JobsInParts``), and then begins with ``first_worlds``. Invalid ones are
+    collected and simulated again together, at the end or when they are as many. So memory does not grow with the number
+    of worlds. Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
@@ -73,8 +74,8 @@ def score_worlds(
     engines = Engines(engine, progress)
     first, *retries = attempts
     chunk_worlds *= engine.devices
-    first_worlds = min(FIRST_WORLDS, chunk_worlds) if engine.takes_parts and more is None else chunk_worlds
-    source = Chunks[AnyWorld](iter(worlds), first_worlds, chunk_worlds, CHUNK_BOXES * engine.devices)
+    begins_with = min(first_worlds, chunk_worlds) if engine.takes_parts and more is None else chunk_worlds
+    source = Chunks[AnyWorld](iter(worlds), begins_with, chunk_worlds, CHUNK_BOXES * engine.devices)
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
     besides = _Besides[AnyWorld](sim, engines)

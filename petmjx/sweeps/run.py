@@ -14,7 +14,7 @@ from typing import Any
 
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.retry import DEFAULT_CHUNK_WORLDS, score_worlds
+from petmjx.engines.retry import DEFAULT_CHUNK_WORLDS, FIRST_WORLDS, score_worlds
 from petmjx.engines.worlds import AnyWorld, World, WorldResult
 from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
@@ -184,6 +184,8 @@ class SweepRun:
         self,
         worlds: Iterable[AnyWorld],
         chunk_worlds: int,
+        first_worlds: int = FIRST_WORLDS,
+        *,
         forks: bool,
         more: Callable[[], Iterable[AnyWorld]] | None = None,
     ) -> Iterator[WorldResult[AnyWorld]]:
@@ -193,6 +195,7 @@ class SweepRun:
             self.engine,
             progress=self.progress,
             chunk_worlds=chunk_worlds,
+            first_worlds=first_worlds,
             attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
             more=more,
         )
@@ -262,7 +265,8 @@ class SweepRun:
     ) -> Iterator[tuple[Test, FinishedWorld]]:
         """Simulate forks; yield each one with its test. ``more``: those that follow from the ones before."""
         begin = time.perf_counter()
-        for result in self._score(worlds, self.batching.drives, forks=True, more=more):
+        most = self.batching.drives  # at once, since they are made of scenes that are there
+        for result in self._score(worlds, most, most, forks=True, more=more):
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps

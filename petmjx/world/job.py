@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Protocol, SupportsInt
 
 import numpy as np
@@ -30,6 +31,12 @@ class Excitation:
     name: str
     kind: str
     samples: FloatArray
+
+    @cached_property
+    def peak_g(self) -> float:
+        """The largest horizontal acceleration of carrier and boxes, in units of 9.81 m/s²."""
+        peak = float(np.hypot(self.samples[:, 0], self.samples[:, 1]).max(initial=0.0))
+        return peak if self.kind == FORCE else peak / STANDARD_GRAVITY
 
 
 @dataclass(frozen=True, eq=False)

@@ -242,16 +242,18 @@ def test_an_engine_may_take_the_next_chunk_before_it_is_through_with_this_one(mo
     assert [len(jobs) for _, jobs in engine.calls] == [8, 8, 2, 2]
 
 
-def test_an_engine_that_takes_parts_begins_with_few_worlds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retry_module, "FIRST_WORLDS", 1)
+def test_an_engine_that_takes_parts_begins_with_few_worlds() -> None:
     engine = InParts()
     engine.takes_parts = True
-    results = list(score_worlds(worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8))
+    results = list(score_worlds(worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8, first_worlds=1))
     assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(25))
     assert engine.parts == [1, 4, 8, 8, 4]
     assert len(engine.calls) == 1
-    engine = InParts()
-    list(score_worlds(worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8, more=lambda: ()))
+    engine.parts.clear()
+    growing = score_worlds(
+        worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8, first_worlds=1, more=lambda: ()
+    )
+    assert len(list(growing)) == 25
     assert engine.parts[0] == 8
 
 
