@@ -24,7 +24,7 @@ from petmjx.simulate import Intervals, RunStart, Watcher, simulate
 from petmjx.study import Nominal
 
 if TYPE_CHECKING:
-    from petmjx.sweeps.run import Batching
+    from petmjx.sweeps.batching import Batching
 
 __all__ = ["RunStart", "Watcher", "score", "sweep"]
 
@@ -136,9 +136,9 @@ def sweep(
         InputError: an unusable sweep file, plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
+    from petmjx.sweeps.batching import Batching
     from petmjx.sweeps.file import load_sweep
     from petmjx.sweeps.ready import find_sweep
-    from petmjx.sweeps.run import Batching
     from petmjx.sweeps.study import SweepStudy
 
     watcher = _watcher(watcher)

@@ -14,11 +14,12 @@ from petmjx.results.recording import Recording
 from petmjx.results.schema import summary_table
 from petmjx.results.writer import RunWriter
 from petmjx.study import FinishedWorld, Study
+from petmjx.sweeps.batching import Batching, Tally
 from petmjx.sweeps.confidence import write_confidence
 from petmjx.sweeps.file import Sweep
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
-from petmjx.sweeps.run import Batching, SweepRun, Tally
+from petmjx.sweeps.run import SweepRun
 from petmjx.sweeps.sliding import hopeless_profiles
 from petmjx.sweeps.summary import (
     ShareColumns,

@@ -21,7 +21,7 @@ import pandas as pd
 import petmjx
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.results.writer import RunWriter
-from petmjx.sweeps.run import Batching
+from petmjx.sweeps.batching import Batching
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.plans import make_plan, stack

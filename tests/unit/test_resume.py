@@ -29,7 +29,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.results.manifest import Manifest, records_of
 from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
-from petmjx.sweeps.run import Batching
+from petmjx.sweeps.batching import Batching
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 

@@ -21,9 +21,10 @@ from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.options.config import Simulation, Thresholds
 from petmjx.plans.plan import Plan
+from petmjx.sweeps.batching import Batching
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.run import Batching, SweepRun
+from petmjx.sweeps.run import SweepRun
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 
