@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Final, Generic
+from typing import Any, Final, Generic
 
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted
@@ -38,6 +38,11 @@ after half a second, and works on each chunk for about as long as it takes to ma
 blocks for few boxes."""
 
 
+def lookers_for(engine: Engine, worlds: int) -> Lookers[Any] | None:
+    """What looks at outcomes beside an engine that answers so many worlds; None where that is not worth while."""
+    return Lookers.here() if engine.name in BESIDE and not engine.looks and worlds >= LARGE else None
+
+
 def score_worlds(
     worlds: Iterable[AnyWorld],
     sim: Simulation,
@@ -48,6 +53,7 @@ def score_worlds(
     first_worlds: int = FIRST_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
     more: Callable[[], Iterable[AnyWorld]] | None = None,
+    lookers: Lookers[Any] | None = None,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
@@ -58,6 +64,8 @@ def score_worlds(
 
     ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
     beside those that still run, any other one when these have ended.
+
+    ``lookers``: of several calls, one after the other; else one with many worlds has its own.
 
     An error of an engine that has a stand-in does not end the run: that simulates what was left unanswered. Nor does an
     error at a further attempt: without a stand-in such worlds are invalid by ``failed``.
@@ -78,7 +86,7 @@ def score_worlds(
     source = Chunks[AnyWorld](iter(worlds), begins_with, chunk_worlds, CHUNK_BOXES * engine.devices)
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
-    besides = _Besides[AnyWorld](sim, engines)
+    besides = _Besides[AnyWorld](sim, engines, lookers)
 
     def went_on(attempt: AttemptRecipe, found: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
@@ -208,6 +216,8 @@ class _Besides(Generic[AnyWorld]):
 
     sim: Simulation
     engines: Engines
+    lent: Lookers[Pending[AnyWorld]] | None = None
+    """Lookers that go on afterwards."""
     lookers: Lookers[Pending[AnyWorld]] | None = None
     making: Making[AnyWorld] | None = None
     """Whose answers they look at."""
@@ -223,11 +233,10 @@ class _Besides(Generic[AnyWorld]):
     def prepare(self, worlds: Sequence[AnyWorld], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run: start what looks at outcomes, and what makes the attempts that few worlds
         need, with a box of one of them. It may have to compile a kernel, for as long as many worlds take."""
+        self.lookers = self.lookers or self.lent or lookers_for(self.engines.own, len(worlds))
         name = BESIDE.get(self.engines.own.name)
         if name is None or len(worlds) < LARGE:
             return
-        if self.lookers is None and not self.engines.own.looks:
-            self.lookers = Lookers.here()
         if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
             return
         scene = next((each.job.scene for each in worlds if not each.job.settles), None)
@@ -285,7 +294,7 @@ class _Besides(Generic[AnyWorld]):
 
     def close(self) -> None:
         """Nothing more is asked."""
-        if self.lookers is not None:
+        if self.lookers is not None and self.lookers is not self.lent:
             self.lookers.close()
         if "helper" in vars(self.engines):
             self.engines.helper.close()

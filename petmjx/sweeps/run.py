@@ -14,7 +14,8 @@ from typing import Any
 
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.base import Engine, Progress
-from petmjx.engines.retry import FIRST_WORLDS, score_worlds
+from petmjx.engines.beside.lookers import Lookers
+from petmjx.engines.retry import FIRST_WORLDS, lookers_for, score_worlds
 from petmjx.engines.worlds import AnyWorld, World, WorldResult
 from petmjx.options.config import Simulation
 from petmjx.plans.plan import Plan
@@ -77,6 +78,7 @@ class SweepRun:
     progress: Progress = field(default_factory=Progress)
     batching: Batching = field(default_factory=Batching)
     tally: Tally = field(default_factory=Tally)
+    _lookers: Lookers[Any] | None = field(default=None, init=False)
 
     @cached_property
     def sim(self) -> Simulation:
@@ -85,6 +87,16 @@ class SweepRun:
 
     def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate everything that is missing; yield each world when it is final, in any order."""
+        # of drives many may end when these have just begun: what looks at outcomes starts while boxes are placed
+        known = self.plan.sweep.search is None
+        self._lookers = lookers_for(self.engine, self.plan.n_worlds - len(self.recorded)) if known else None
+        try:
+            yield from self._all_worlds()
+        finally:
+            if self._lookers is not None:
+                self._lookers.close()
+
+    def _all_worlds(self) -> Iterator[FinishedWorld]:
         profiles = bool(self.plan.sweep.profiles)
         if self.plan.sweep.nominal or not profiles:
             yield from self._run_placements(group for group in self._groups() if not group.driven)
@@ -168,6 +180,7 @@ class SweepRun:
             first_worlds=first_worlds,
             attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
             more=more,
+            lookers=self._lookers,
         )
 
     # Placements.
