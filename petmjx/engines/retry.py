@@ -32,10 +32,10 @@ DEFAULT_CHUNK_WORLDS: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
 CHUNK_BOXES: Final = 1 << 20
 """Boxes of a chunk to which no more worlds are added: 130 MB of scenes, and as much for the next chunk."""
 
-FIRST_WORLDS, GROWTH = 2048, 4
+FIRST_WORLDS, GROWTH = 2048, 8
 """Worlds of the first chunk for an engine that takes parts, and how many times as many each next one has: a GPU begins
-after half a second, and works on each chunk for about as long as it takes to make the next one. 2,048 worlds fill its
-blocks for few boxes."""
+after half a second, and works on most chunks for as long as it takes to make the next one. 2,048 worlds fill its blocks
+for few boxes."""
 
 
 def lookers_for(engine: Engine, worlds: int) -> Lookers[Any] | None:

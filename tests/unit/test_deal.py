@@ -156,15 +156,15 @@ def test_the_cost_of_a_job_grows_with_its_boxes_and_its_drive() -> None:
 
 
 def test_a_drive_that_shakes_a_pallet_down_is_over_sooner() -> None:
-    """The gentlest drives come first: few of them go on for long, and nobody knows which."""
+    """Gentle drives come first: few of them go on for long, and nobody knows which. Drives of a plan stay together."""
     scene = fake_scene(1.0, 10.0, 20.0)
     shake = Excitation("shake", "acceleration", np.tile([3.0, 4.0, 9.0], (500, 1)))
     assert shake.peak_g == pytest.approx(5.0 / 9.81, rel=1e-3)
     scales = (0.1, 0.5, 1.0, -2.0)
     jobs = [Job(scene, drive=Drive(shake, scale), start="a state") for scale in scales]
     gentle, steady, hard, harder = MEASURED.of_jobs(jobs, Simulation()).tolist()
-    assert gentle == steady > hard > harder
-    assert len(set(MEASURED.of_jobs(jobs, Simulation(early_stop=False)).tolist())) == 1
+    assert gentle == steady > hard == harder
+    assert len(set(MEASURED.of_jobs(jobs, Simulation(schedule="fixed")).tolist())) == 1
 
 
 NODES = (Node(8, 2), Node(4, 0), Node(0, 0))

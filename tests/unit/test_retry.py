@@ -245,16 +245,16 @@ def test_an_engine_may_take_the_next_chunk_before_it_is_through_with_this_one(mo
 def test_an_engine_that_takes_parts_begins_with_few_worlds() -> None:
     engine = InParts()
     engine.takes_parts = True
-    results = list(score_worlds(worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8, first_worlds=1))
+    results = list(score_worlds(worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=10, first_worlds=1))
     assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(25))
-    assert engine.parts == [1, 4, 8, 8, 4]
+    assert engine.parts == [1, 8, 10, 6]
     assert len(engine.calls) == 1
     engine.parts.clear()
     growing = score_worlds(
-        worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=8, first_worlds=1, more=lambda: ()
+        worlds_failing(*[0] * 25), Simulation(), engine, chunk_worlds=10, first_worlds=1, more=lambda: ()
     )
     assert len(list(growing)) == 25
-    assert engine.parts[0] == 8
+    assert engine.parts[0] == 10
 
 
 def test_what_an_engine_had_of_several_chunks_when_it_failed_is_simulated_by_its_stand_in(
