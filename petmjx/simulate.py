@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
-from petmjx.basics.garbage import pass_over_what_is_there
 from petmjx.basics.machine import package_versions
 from petmjx.basics.text import counted, shown
 from petmjx.basics.units import FloatArray
@@ -169,7 +168,6 @@ class _Run:
             held: plans that are in no file, by id.
         """
         study, options = self.study, self.options
-        pass_over_what_is_there()
         with RunWriter(
             options.out,
             self.config(),

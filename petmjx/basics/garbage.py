@@ -13,10 +13,3 @@ ones. With its own 700, 10 and 10 it looks through all that JAX and Warp consist
 def collect_rarely() -> None:
     """In a process of petmjx's own, not in a user's."""
     gc.set_threshold(*EVERY)
-
-
-def pass_over_what_is_there() -> None:
-    """In such a process, once a run begins: what Python has loaded by then stays to the end. To look through JAX, Warp
-    and the plans took 0.15 s each time, in which a GPU's next worlds were not made."""
-    if gc.get_threshold() == EVERY:
-        gc.freeze()

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from petmjx.basics.errors import EngineUnavailable, PetmjxError
-from petmjx.basics.garbage import collect_rarely, pass_over_what_is_there
+from petmjx.basics.garbage import collect_rarely
 from petmjx.basics.machine import device_name, package_versions, why_no_warp_at_once
 from petmjx.basics.text import one_line
 from petmjx.engines.base import Engine, Progress
@@ -105,9 +105,7 @@ class Worker:
         try:
             if name == "mjx-warp":
                 start_gpu()
-            engine = make_engine(name, **self._recipe.options)
-            pass_over_what_is_there()
-            self._built.set_result(engine)
+            self._built.set_result(make_engine(name, **self._recipe.options))
         except PetmjxError as error:
             self._built.set_exception(error)
         except BaseException as error:
