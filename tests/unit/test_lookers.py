@@ -90,6 +90,14 @@ def test_the_run_looks_itself_where_they_do_not(lookers: Lookers[Any], raw: list
         assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
 
 
+def test_states_that_drives_start_from_stay_here(lookers: Lookers[Any], raw: list[Outcome]) -> None:
+    """A process would have to import what they are of."""
+    driven = [Job(job.scene, start=lambda: None) for job in JOBS]  # type: ignore[arg-type]  # cannot be sent
+    assert lookers.exchanged(given(raw, 0), driven, SIM, wait=False) == []
+    found = dict(lookers.exchanged([], [], SIM, wait=True))
+    assert told([found[0, job] for job in range(len(JOBS))]) == expected(raw)
+
+
 def test_a_process_that_hangs_is_not_waited_for_without_end(
     lookers: Lookers[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ import pickle
 import queue
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final, Generic, TypeVar
 
 from petmjx.basics.machine import cpu_threads
@@ -91,8 +91,11 @@ class Lookers(Generic[Key]):
         while self._lookers and not large:
             looker = min(self._lookers, key=lambda each: len(each.unanswered))
             if len(looker.unanswered) < MOST_WAITING:
+                outcomes, jobs, sim = look
+                # states are of no use there, and for those of a GPU it would have to import JAX
+                sent = [replace(job, start=None) if job.start is not None else job for job in jobs]
                 try:
-                    task = pickle.dumps(look)
+                    task = pickle.dumps((outcomes, sent, sim))
                 except Exception:
                     break
                 looker.unanswered.append((keys, look))
