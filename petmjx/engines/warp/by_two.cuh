@@ -24,7 +24,7 @@ struct ByTwo {
     int reached[2][MOST];  // panels whose columns reach up to two panels: of these two, and of the next two
     int reached_count[2];
 
-    // What is known of a system's envelope before it is factored: nothing.
+    // As of ByOne. Nothing is kept: lists for all panels of a large system would take much of the shared memory.
     inline CUDA_CALLABLE void know(const int*, int, int, int) {}
 };
 

@@ -52,7 +52,7 @@ struct Pivots {
 
     // What is left of a number v of another row. `one`, `two`: the numbers of the rows in the column of that row's pivot.
     inline __device__ float left(float v, float one, float two, float x, float y) const {
-        return v - (one * x + (two - factor * one) * y);
+        return v - fused(one, x, times(fused(-factor, one, two), y));
     }
 
 private:

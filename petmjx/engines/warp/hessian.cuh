@@ -59,8 +59,9 @@ inline CUDA_CALLABLE void own_entries(const World& world, const System& system, 
         // each thread has every eighth entry; with all in turns they would wait for one another
         #pragma unroll
         for (int first = 0; first < 21; first += SHARE) {
-            const int e = first + share_of, q = column_of(e), p = e - q * (q + 1) / 2;
+            const int e = first + share_of;
             if (e >= 21) continue;
+            const int q = column_of(e), p = e - q * (q + 1) / 2;
             float entry = own[first];
             #pragma unroll
             for (int i = 1; i < SHARE && first + i < 21; ++i) entry = share_of == i ? own[first + i] : entry;
