@@ -160,6 +160,7 @@ def test_a_drive_that_shakes_a_pallet_down_is_over_sooner() -> None:
     scene = fake_scene(1.0, 10.0, 20.0)
     shake = Excitation("shake", "acceleration", np.tile([3.0, 4.0, 9.0], (500, 1)))
     assert shake.peak_g == pytest.approx(5.0 / 9.81, rel=1e-3)
+    assert Excitation("push", "force", shake.samples).peak_g == pytest.approx(5.0)
     scales = (0.1, 0.5, 1.0, -2.0)
     jobs = [Job(scene, drive=Drive(shake, scale), start="a state") for scale in scales]
     gentle, steady, hard, harder = MEASURED.of_jobs(jobs, Simulation()).tolist()

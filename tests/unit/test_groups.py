@@ -8,11 +8,14 @@ import pytest
 from support.worlds import make_scene
 
 from petmjx.basics.errors import InputError
-from petmjx.engines.base import GrowingJobs, JobsInParts
+from petmjx.engines.base import GrowingJobs, JobsInParts, Progress
+from petmjx.engines.warp.ahead import Ahead
+from petmjx.engines.warp.course import Course
 from petmjx.engines.warp.groups import Groups, GrowingGroups
 from petmjx.engines.warp.needs import Needs
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.history import Record
+from petmjx.options.config import Simulation
 from petmjx.options.placing import Placing
 from petmjx.world.job import Job
 
@@ -59,6 +62,19 @@ def test_parts_follow_each_other_once_they_are_made() -> None:
     assert groups.needs == Needs({96: 12})
     assert (len(groups.take()), groups.first) == (2, 11)
     assert not groups
+
+
+def test_tables_are_made_once_their_rows_are_there_or_the_device_is_nearly_idle(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(Ahead, "prepare", lambda *_: None)
+    groups = groups_of([SMALL] * 13)
+    groups.take()
+    course = Course(groups, Simulation(), Progress(), most_left=4, alone=False)
+    for made, due in ((False, [False, False, False, True, False]), (True, [False, True, True, True, False])):
+        monkeypatch.setattr(Ahead, "made", made)
+        assert [course.next_is_due(rest, 6, 2) for rest in (7, 6, 3, 2, 0)] == due
+    course.close()
 
 
 def test_a_part_that_is_refused_is_so_once_the_group_before_has_ended() -> None:

@@ -19,7 +19,7 @@ import petmjx.engines.batch
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import started_states
 from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State, fresh_state, narrow, per_box, put_rows, take_rows
+from petmjx.engines.batch.state import NEVER, Metrics, State, fresh_state, narrow, per_box, put_resized, take_rows
 from petmjx.engines.batch.template import parked_positions
 from petmjx.engines.batch.timetable import Timetable, build_timetable
 from petmjx.engines.batch.worlds import Worlds, upload_worlds
@@ -161,14 +161,14 @@ def test_states_can_be_put_into_tables_for_other_numbers_of_boxes(table: State) 
     """Boxes that a state has no columns for stay as they are in the table; those without columns there are lost."""
     rows = jnp.array([5, 0, ROWS])
     anew = take_rows(jax.tree.map(lambda values: values + 1, table), jnp.arange(3))
-    found = put_rows(table, rows, narrow(anew, 2))
+    found = put_resized(table, rows, narrow(anew, 2))
     for before, new, after in zip(*(jax.tree.leaves(each) for each in (table, narrow(anew, 2), found)), strict=True):
         expected = np.array(before)
         for k, row in enumerate((5, 0)):
             expected[(row, *map(slice, new.shape[1:]))] = new[k]
         np.testing.assert_array_equal(after, expected)
-    cut = narrow(put_rows(table, rows, anew), 2)
-    for one, other in zip(jax.tree.leaves(put_rows(narrow(table, 2), rows, anew)), jax.tree.leaves(cut), strict=True):
+    cut, found = narrow(put_resized(table, rows, anew), 2), put_resized(narrow(table, 2), rows, anew)
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(cut), strict=True):
         np.testing.assert_array_equal(one, other)
 
 

@@ -139,14 +139,20 @@ def narrow(state: State, capacity: int) -> State:
 
 
 def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
-    """Write records into rows of a table. Rows and columns beyond its end are dropped; where it has more columns these
-    stay as they are."""
+    """Write records into rows of a table. Rows beyond its end are dropped."""
+    written: Record = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), table, values)
+    return written
+
+
+def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
+    """The same with states that have columns for more boxes, which are dropped, or for fewer: the others stay as they
+    are in the table."""
 
     def write(old: Array, new: Array) -> Array:
         columns = tuple(slice(min(sizes)) for sizes in zip(old.shape[1:], new.shape[1:], strict=True))
         return old.at[(rows, *columns)].set(new[(slice(None), *columns)], mode="drop")
 
-    written: Record = jax.tree.map(write, table, values)
+    written: State = jax.tree.map(write, table, values)
     return written
 
 

@@ -55,12 +55,12 @@ class Course:
         return Run.of(self.groups.needs, self.sim, self.progress)
 
     def next_is_due(self, rest: int, most: int, blocks: int) -> bool:
-        """Whether the tables of the next group are to be made, of which its rows are begun as soon as it is known.
+        """Whether the tables of the next group are to be made. Their rows are begun on the host as soon as it is known.
 
         Args:
             rest: worlds of this group that have not ended.
             most: of them then.
-            blocks: of the device. With fewer worlds these rows are waited for.
+            blocks: of the device. While more worlds are left, rows that are not there yet are made beside it.
         """
         self.ahead.prepare(self.groups, self.sim)
         return 0 < rest <= most and bool(self.groups.following()) and (rest <= blocks or self.ahead.made)

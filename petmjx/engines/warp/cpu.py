@@ -33,6 +33,7 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     """
 
     name = "mjx-warp-cpu"
+    takes_parts = False  # its tables are made in no time beside what its worlds take
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeVar
@@ -31,13 +31,16 @@ Table = TypeVar("Table", State, Worlds)
 _put = jax.jit(put_rows)
 
 
-def put_from(table: Table, first_row: int, count: int, values: Table) -> Table:
-    """A table of a group in which the rows from this one on are the first ``count`` of ``values``."""
+def put_from(table: Table, first_row: int, count: int, values: Table, put: Callable[..., Table] = _put) -> Table:
+    """A table of a group in which the rows from this one on are the first ``count`` of ``values``.
+
+    Args:
+        put: as ``put_rows``.
+    """
     length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
     rows = np.full(length, end, np.int32)  # beyond the end: they are dropped
     rows[:count] = first_row + np.arange(count)
-    put: Table = _put(table, uploaded(rows), values)
-    return put
+    return put(table, uploaded(rows), values)
 
 
 @dataclass

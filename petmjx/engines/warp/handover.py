@@ -8,13 +8,13 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.batch.state import State, take_rows
+from petmjx.engines.batch.state import State, put_resized, take_rows
 from petmjx.engines.batch.worlds import uploaded
 from petmjx.engines.warp.group import Group, put_from
 from petmjx.engines.warp.queues import Queues
 from petmjx.world.job import Job
 
-_take = jax.jit(take_rows)
+_take, _put = jax.jit(take_rows), jax.jit(put_resized)
 
 
 @dataclass(eq=False)
@@ -51,4 +51,4 @@ class Left:
     def put_into(self, table: State, first_row: int) -> State:
         """A table in which these worlds have the rows from this one on, with their states. It may have other columns,
         for more boxes or fewer, but no fewer than they need."""
-        return put_from(table, first_row, len(self.jobs), self.table)
+        return put_from(table, first_row, len(self.jobs), self.table, _put)
