@@ -186,16 +186,18 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
         found = put_into(self, table, first_row)
         widths.append((self.table.qpos.shape[1], table.qpos.shape[1]))
         assert (np.asarray(found.step)[first_row:] > SOFT_START_BEGIN).any()
+        some.slice_ns = SOME_NS
         return found
 
     monkeypatch.setattr(Left, "put_into", watched)
     monkeypatch.setattr(Ahead, "made", True)  # what is not is waited for
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)  # all may be left, as soon as there are tables for them
     monkeypatch.setattr(mjx_warp, "WHILE_LOADING", 1)
+    some = engine(group_size=32, slice_ns=SOME_NS if polls == 10_000 else STEP_NS)
     wide, scenes = make_scene(9), tiny_scenes()
     alone = simulate(shared_engine(), {"nine": wide}, SHORT)
     jobs = [Job(scene) for scene in scenes.values()]
-    run = engine(group_size=32, slice_ns=SOME_NS).run(in_parts(jobs, [Job(wide), *jobs], jobs[:1], polls=polls), SHORT)
+    run = some.run(in_parts(jobs, [Job(wide), *jobs], jobs[:1], polls=polls), SHORT)
     found = dict(sorted((outcome.job, outcome) for outcome in run))
     if polls == 10_000:
         assert list(found) == list(range(len(jobs)))
