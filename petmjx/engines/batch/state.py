@@ -145,8 +145,8 @@ def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
 
 
 def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
-    """The same with states that have columns for more boxes, which are dropped, or for fewer: the others stay as they
-    are in the table."""
+    """As ``put_rows``, with states that have columns for more boxes than the table, which are dropped, or for fewer:
+    then the others stay as they are in the table."""
 
     def write(old: Array, new: Array) -> Array:
         columns = tuple(slice(min(sizes)) for sizes in zip(old.shape[1:], new.shape[1:], strict=True))
