@@ -35,7 +35,7 @@ RESIDUALS = np.array(
 
 
 @wp.func_native(
-    "const petmjx::Numbers numbers = {contact.data};"
+    "const petmjx::Numbers numbers(contact.data, 1, 0);"
     "petmjx::respond(pyramidal, slack, j.data, numbers, anew, drag.data, push.data, bend.data);"
 )
 def _respond(
@@ -56,7 +56,7 @@ def _follow(j: wp.array[wp.float64], v: wp.array[wp.float64], drag: wp.array[flo
 
 @wp.func_native(
     "double cost[2] = {0.0, 0.0};"
-    "petmjx::respond_along(pyramidal, slack, j.data, v.data, length, petmjx::Numbers{contact.data}, cost);"
+    "petmjx::respond_along(pyramidal, slack, j.data, v.data, length, petmjx::Numbers(contact.data, 1, 0), cost);"
     "along.data[0] = cost[0]; along.data[1] = cost[1];"
 )
 def _respond_along(

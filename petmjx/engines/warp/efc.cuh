@@ -16,25 +16,28 @@ struct Numbers {
 #if defined(__CUDA_ARCH__)
     int apart;  // numbers from a part to the next one
     static const int STRIDE = 4;  // from a contact to the next one
+
+    // `efc`: of a world that has room for `most` contacts.
+    inline __device__ Numbers(const float* efc, int most, int contact)
+        : first(efc + STRIDE * contact), apart(STRIDE * most) {}
 #else
     static const int apart = 4, STRIDE = EFC;
+
+    inline Numbers(const float* efc, int, int contact) : first(efc + STRIDE * contact) {}
 #endif
+
+    inline CUDA_CALLABLE int place(int number) const { return number / 4 * apart + number % 4; }
 
     inline CUDA_CALLABLE void load(float* to, int part) const { load_four(to, first + part * apart); }
 
-    inline CUDA_CALLABLE float operator[](int number) const { return first[number / 4 * apart + number % 4]; }
+    inline CUDA_CALLABLE float operator[](int number) const { return first[place(number)]; }
 };
 
 // A number of a contact, in the array of all lanes.
 template <class Array>
 inline CUDA_CALLABLE float& number_of(const Array& efc, int lane, int contact, int number) {
-    const int most = efc.shape[1];
-    float* of_lane = efc.data + (size_t)lane * most * EFC;
-#if defined(__CUDA_ARCH__)
-    return of_lane[4 * (number / 4 * most + contact) + number % 4];
-#else
-    return of_lane[EFC * contact + number];
-#endif
+    float* of_lane = efc.data + (size_t)lane * efc.shape[1] * EFC;
+    return of_lane[Numbers::STRIDE * contact + Numbers(of_lane, efc.shape[1], contact).place(number)];
 }
 
 }  // namespace petmjx

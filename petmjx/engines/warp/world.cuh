@@ -28,13 +28,7 @@ struct World {
     float* drag;                // (contact, 2)
     int* bodies_conadr;         // (pair,) first contact of each pair of moving bodies
 
-    inline CUDA_CALLABLE Numbers contact(int k) const {
-#if defined(__CUDA_ARCH__)
-        return {efc + Numbers::STRIDE * k, 4 * nconmax};
-#else
-        return {efc + Numbers::STRIDE * k};
-#endif
-    }
+    inline CUDA_CALLABLE Numbers contact(int k) const { return Numbers(efc, nconmax, k); }
 };
 
 }  // namespace petmjx
