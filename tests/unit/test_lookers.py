@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any
 
+import numpy as np
 import pytest
 from support.plans import make_plan, make_world, stack
 
@@ -68,6 +69,8 @@ def test_they_find_what_the_run_would(lookers: Lookers[Any], raw: list[Outcome])
     assert sorted(found) == [(key, job) for key in range(many) for job in range(len(JOBS))]
     for key in range(many):
         assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
+        for job, sent in enumerate(raw):  # what was measured stays with the run
+            np.testing.assert_array_equal(found[key, job].boxes.pos, sent.boxes.pos)
     assert lookers.exchanged([], [], SIM, wait=True) == []
 
 

@@ -131,8 +131,10 @@ class Lookers(Generic[Key]):
             keys, look = looker.unanswered.popleft()
             if isinstance(answer, str):  # an error, which is raised here
                 self._look(keys, look)
-            else:
-                self._found += zip(keys, answer, strict=True)
+                continue
+            for outcome, sent in zip(answer, look[0], strict=True):
+                outcome.boxes = sent.boxes
+            self._found += zip(keys, answer, strict=True)
 
     def close(self) -> None:
         """End the processes. What is unanswered is for nobody."""
