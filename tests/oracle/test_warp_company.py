@@ -192,7 +192,7 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
     monkeypatch.setattr(Left, "put_into", watched)
     monkeypatch.setattr(Ahead, "made", True)  # what is not is waited for
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)  # all may be left, as soon as there are tables for them
-    monkeypatch.setattr(mjx_warp, "WHILE_LOADING", 1)
+    monkeypatch.setattr(mjx_warp, "LOADING_NS", 0)
     some = engine(group_size=32, slice_ns=SOME_NS if polls == 10_000 else STEP_NS)
     wide, scenes = make_scene(9), tiny_scenes()
     alone = simulate(shared_engine(), {"nine": wide}, SHORT)

@@ -10,7 +10,7 @@ import pytest
 from support.outcomes import make_plan
 from support.plans import make_scene
 
-from petmjx.engines.batch.outcomes import reduce_metrics
+from petmjx.engines.batch.picked import reduce_metrics
 from petmjx.engines.batch.state import fresh_state
 from petmjx.engines.batch.worlds import upload_worlds
 from petmjx.engines.cpu.running import OracleMetrics

@@ -11,7 +11,7 @@ Shapes are annotations that tests check at every call. Their axes, here and in `
 * ``constraint``: rows of MuJoCo's constraints;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
-* ``row``: rows of a table that are picked;
+* ``row`` and ``word``: rows of a table that are picked, and the numbers in each;
 * ``queue``: of worlds of one size that wait for a thread block;
 * ``batch`` and ``k``: whatever the caller has; the function treats all of it alike.
 """

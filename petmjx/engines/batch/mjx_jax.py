@@ -14,8 +14,9 @@ import numpy as np
 
 from petmjx.engines.base import Engine, Progress, RunLock
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
-from petmjx.engines.batch.outcomes import outcomes, pick
+from petmjx.engines.batch.outcomes import outcomes
 from petmjx.engines.batch.padded import PaddedModel
+from petmjx.engines.batch.picked import pick
 from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import State, Status

@@ -1,21 +1,20 @@
-"""Metrics and verdicts of finished worlds: reduced on the device, judged and read out on the host."""
+"""Outcomes of finished worlds, judged and read out on the host; and where worlds start that others have settled."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
+from petmjx.engines.batch.picked import PICKED, Picked
 from petmjx.engines.batch.recorder import Recorder
-from petmjx.engines.batch.running import Measured, measured, of_boxes
-from petmjx.engines.batch.state import State, narrow, take_rows
-from petmjx.engines.batch.worlds import Worlds, uploaded
+from petmjx.engines.batch.repeated import repeated
+from petmjx.engines.batch.running import Measured, of_boxes
+from petmjx.engines.batch.state import State, narrow
+from petmjx.engines.batch.worlds import uploaded
 from petmjx.engines.clock import Clock
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Simulation
@@ -23,36 +22,9 @@ from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
 
 
-@partial(jax.jit, static_argnames="sim")
-def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Measured:
-    """Metrics that need the whole run, for every world of a table, on the device."""
-    placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
-    return measured(state.metrics, state.qpos, worlds, placed, state.step >= state.end, sim.thresholds)
-
-
-PICKED = 256
-"""Rows that ``picked`` takes at a time, so that it is compiled once for a table."""
-
-
-@partial(jax.jit, static_argnames="sim")
-def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> tuple[State, Measured]:
-    some = take_rows(table, rows)
-    return some, reduce_metrics(some, take_rows(worlds, rows), sim)
-
-
-def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[tuple[State, Measured]]:
-    """States and metrics of some rows of a table, still on the device, in batches of ``PICKED``."""
-    batches = []
-    for first in range(0, len(rows), PICKED):
-        some = rows[first : first + PICKED]
-        padded = np.resize(some, PICKED).astype(np.int32)
-        batches.append(_picked(table, worlds, uploaded(padded), sim))
-    return batches
-
-
 def outcomes(
     rows: NDArray[np.int64],
-    picked: Sequence[tuple[State, Measured]],
+    picked: Sequence[Picked],
     jobs: Sequence[Job],
     first_job: int,
     sim: Simulation,
@@ -61,7 +33,7 @@ def outcomes(
     """Outcomes of rows of a table that ``pick`` has picked, with their histories."""
     clock = Clock(sim.physics.timestep_s)
     for batch, first in zip(picked, range(0, len(rows), PICKED), strict=True):
-        state, found = jax.device_get(batch)
+        state, found = batch.on_host()
         yield from _outcomes(rows[first : first + PICKED], state, found, jobs, first_job, clock, sim, recorder)
 
 
@@ -128,17 +100,20 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     source = np.array([row_of.get(id(job.start), 0) for job in jobs] + [0] * spare)
     forked = np.array([isinstance(job.start, State) for job in jobs] + [True] * spare)
 
-    def fork(new: jax.Array, *kept: Any) -> jax.Array:
+    def stack(new: jax.Array, *kept: Any) -> NDArray[Any]:
         stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)
         for row, values in enumerate(kept):
             if stacked.ndim > 1 and np.ndim(values):
                 stacked[row][tuple(slice(0, n) for n in np.shape(values))] = values
             else:
                 stacked[row] = values
-        spread = stacked[source]
-        if not forked.all():
-            spread[~forked] = np.asarray(new)[~forked]
-        return uploaded(spread)
+        return stacked
 
-    forked_states: State = jax.tree.map(fork, fresh, *starts)
-    return forked_states._replace(steps_done=fresh.steps_done)
+    def fork(new: jax.Array, rows: NDArray[Any]) -> jax.Array:
+        if not forked.all():
+            rows[~forked] = np.asarray(new)[~forked]
+        return uploaded(rows)
+
+    leaves, structure = jax.tree.flatten(jax.tree.map(stack, fresh, *starts))
+    forks: State = jax.tree.map(fork, fresh, jax.tree.unflatten(structure, repeated(leaves, source)))
+    return forks._replace(steps_done=fresh.steps_done)

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.machine import cpu_threads
+from petmjx.engines.batch.repeated import MANY, MOST_THREADS, repeated
 from petmjx.history import CARRIER
 from petmjx.options.config import Simulation
 from petmjx.world.alike import groups, stacked
@@ -20,11 +21,6 @@ from petmjx.world.placing import Course, course_of, courses_of, most_aside_m
 from petmjx.world.release import NOTHING, Release, release_of, releases_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.wrap import film_of
-
-MANY: Final = 1_000
-"""Scenes whose groups are filled in by several threads."""
-
-MOST_THREADS: Final = 8
 
 Rows = dict[str, NDArray[Any]]
 """Name of a field of ``batch.worlds.Worlds`` → a row for each scene."""
@@ -53,7 +49,8 @@ def rows_of(
         return _rows_of_distinct(scenes, width, sim, boards, spare)
     row_of = {id(scene): row for row, scene in enumerate(distinct)}
     fan_out = np.array([row_of[id(scene)] for scene in scenes] + [0] * spare)
-    return {name: values[fan_out] for name, values in _rows_of_distinct(distinct, width, sim, boards).items()}
+    rows = _rows_of_distinct(distinct, width, sim, boards)
+    return dict(zip(rows, repeated(rows.values(), fan_out), strict=True))
 
 
 def _joined(parts: Sequence[NDArray[Any]], spare: int) -> NDArray[Any]:

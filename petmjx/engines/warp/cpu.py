@@ -12,6 +12,7 @@ from petmjx.basics.machine import cpu_threads, device_name, why_no_warp_on_cpu
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.launch import Launch
+from petmjx.engines.warp.march import SLICE_NS
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.options.config import Simulation
 from petmjx.world.scene import Scene
@@ -41,7 +42,7 @@ class MjxWarpCpuEngine(MjxWarpEngine):
         if problem := why_no_warp_on_cpu():
             raise EngineUnavailable(f"engine {self.name} cannot run here: {problem}")
         self.threads = threads if threads is not None else cpu_threads()
-        super().__init__(allow_cpu=True, group_size=GROUP_WORLDS)
+        super().__init__(allow_cpu=True, group_size=GROUP_WORLDS, slice_ns=SLICE_NS)
         if jax.default_backend() != "cpu":
             raise EngineUnavailable(
                 f"engine {self.name} cannot run here: jax uses a GPU in this process; set JAX_PLATFORMS=cpu, or take "

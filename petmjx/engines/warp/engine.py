@@ -14,7 +14,7 @@ from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import why_no_warp
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock
-from petmjx.engines.batch.outcomes import pick
+from petmjx.engines.batch.picked import pick
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, tables
@@ -27,7 +27,7 @@ from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
 from petmjx.engines.warp.groups import Groups
 from petmjx.engines.warp.handover import Left
 from petmjx.engines.warp.launch import FEW_BOXES, Launch
-from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, SLICE_NS, Fleet
+from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, Fleet
 from petmjx.engines.warp.needs import size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
@@ -51,9 +51,15 @@ LEFT_SHARE, READY_SHARE = 16, 3
 """A group that another one follows ends when a world in so many is left, which goes on there. Tables for these are made
 when so many times as many are left: that takes as long as the device has enough of them."""
 
-WHILE_LOADING = 4
-"""Slices under way while the tables of the next group are made: a second, in which the thread that makes them cannot
-begin others."""
+UNDER_WAY = 2
+"""Slices that the device has usually."""
+
+LOADING_NS = 10**9
+"""Time of the slices under way while the tables of the next group are made: the thread that makes them cannot begin
+others. They are at least two, and at most as many as a second of a GPU has."""
+
+GPU_SLICE_NS = 100_000_000
+"""Time of a call on a GPU. It is never idle, so that its host has a call's worlds only when the next one has ended."""
 
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
@@ -98,7 +104,7 @@ class MjxWarpEngine(Engine):
         *,
         allow_cpu: bool = False,
         group_size: int = GROUP_WORLDS["mjx-warp"],
-        slice_ns: int = SLICE_NS,
+        slice_ns: int = GPU_SLICE_NS,
     ) -> None:
         problem = None if allow_cpu else why_no_warp()
         if problem:
@@ -175,6 +181,11 @@ class MjxWarpEngine(Engine):
                     outcome.job = int(part[outcome.job])
                     yield outcome
 
+    @property
+    def _while_loading(self) -> int:
+        """Slices under way while the tables of the next group are made."""
+        return max(LOADING_NS // max(self.slice_ns, GPU_SLICE_NS), UNDER_WAY)
+
     def _rounds(self, course: Course) -> Generator[Round]:
         """Of one group after the other, up to one that waits for the host while these do not, or the reverse."""
         waits = course.waits_for_host
@@ -206,7 +217,7 @@ class MjxWarpEngine(Engine):
         group, queues, emitted = self._begin(begun, course)
         begun = begun._replace(left=None)  # its table is not needed any more
         rollout = self._rollout(group) if simulate else None
-        at_once = 1 if waits else 2
+        at_once = 1 if waits else UNDER_WAY
         leaving: Left | None = None
         try:
             if rollout is None:
@@ -243,7 +254,7 @@ class MjxWarpEngine(Engine):
                 rest = np.flatnonzero(~emitted[: len(jobs)])
                 most = READY_SHARE * course.most_left
                 if leaving is None and course.next_is_due(len(rest), most, rollout.march.blocks):
-                    rollout.keep_under_way(WHILE_LOADING, group, queues.order)
+                    rollout.keep_under_way(self._while_loading, group, queues.order)
                     leaving = self._leaving(course, begun, rest, len(group.table.status))
                 if leaving is not None and 0 < len(rest) <= course.most_left:
                     rollout.finish(group)

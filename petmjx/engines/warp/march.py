@@ -41,7 +41,6 @@ from petmjx.engines.warp.streams import own_kernels
 SLICE_NS = 250_000_000
 """Time of a call: short enough for a progress bar, and to stop."""
 
-
 PAIRS_PER_BOX = 10
 """Pairs of near geoms reserved per box, and per board of a carrier."""
 

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petmjx.engines.batch.outcomes import outcomes, pick
+from petmjx.engines.batch.outcomes import outcomes
+from petmjx.engines.batch.picked import pick
 from petmjx.engines.batch.state import State, Status, put_rows, take_rows
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import Batch, load, round_up

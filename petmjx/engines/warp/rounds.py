@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 from petmjx.basics.run_ahead import run_ahead
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.outcomes import outcomes
+from petmjx.engines.batch.picked import Picked
 from petmjx.engines.batch.recorder import Recorder
-from petmjx.engines.batch.running import Measured
-from petmjx.engines.batch.state import State
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
-MOST_AHEAD: Final = 64
-"""Slices whose worlds may wait for the host: 16 s of a device. They are copies of a group's rows, those of a slice
-padded to hundreds: a few hundred megabytes at most."""
+MOST_AHEAD: Final = 160
+"""Slices whose worlds may wait for the host: 16 s of a GPU. They are copies of a group's rows, those of a slice
+filled up to dozens: a few hundred megabytes at most."""
 
 
 class Round(NamedTuple):
@@ -29,13 +28,13 @@ class Round(NamedTuple):
 
     Attributes:
         rows: of a group.
-        picked: their states and metrics, on the device (``batch.outcomes.pick``).
+        picked: their states and metrics, on the device.
         recorder: has their histories.
         jobs, numbers: of all worlds of the group, and their numbers in the run.
     """
 
     rows: NDArray[np.int64]
-    picked: Sequence[tuple[State, Measured]]
+    picked: Sequence[Picked]
     recorder: Recorder
     jobs: Sequence[Job]
     numbers: Sequence[int]

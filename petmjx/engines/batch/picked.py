@@ -1,0 +1,79 @@
+"""Worlds that have ended, on their way from a device to the host."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+from numpy.typing import NDArray
+
+from petmjx.engines.batch.running import Measured, measured
+from petmjx.engines.batch.state import State, take_rows
+from petmjx.engines.batch.worlds import Worlds, uploaded
+from petmjx.options.config import Simulation
+
+PICKED: Final = 64
+"""Rows that are picked at a time, so that it is compiled once for a table."""
+
+
+class Picked(NamedTuple):
+    """States and metrics of ``PICKED`` rows of a table, the bits of all in one array: a host waits for each array
+    that it fetches from a GPU.
+
+    Attributes:
+        kinds: a ``State`` and ``Measured``, with shape and type instead of each array.
+    """
+
+    bits: Int[Array, "row word"]
+    kinds: Any
+
+    def on_host(self) -> tuple[State, Measured]:
+        """The arrays, once the device has picked them."""
+        bits, first = np.asarray(self.bits), 0
+
+        def next_of(kind: Any) -> NDArray[Any]:
+            nonlocal first
+            words = bits[:, first : first + math.prod(kind.shape[1:])]
+            first += words.shape[1]
+            array: NDArray[Any] = words.view(kind.dtype).reshape(kind.shape)
+            return array
+
+        found: tuple[State, Measured] = jax.tree.map(next_of, self.kinds)
+        return found
+
+
+@partial(jax.jit, static_argnames="sim")
+def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> Measured:
+    """Metrics that need the whole run, for every world of a table, on the device."""
+    placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
+    return measured(state.metrics, state.qpos, worlds, placed, state.step >= state.end, sim.thresholds)
+
+
+@partial(jax.jit, static_argnames="sim")
+def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> Int[Array, "row word"]:
+    some = take_rows(table, rows)
+    arrays = jax.tree.leaves((some, reduce_metrics(some, take_rows(worlds, rows), sim)))
+    words = [jax.lax.bitcast_convert_type(array, jnp.int32).reshape(len(rows), -1) for array in arrays]
+    return jnp.concatenate(words, axis=1)
+
+
+def _kind(of_row: tuple[int, ...], dtype: Any) -> Any:
+    return jax.ShapeDtypeStruct((PICKED, *of_row), dtype)  # type: ignore[no-untyped-call]
+
+
+def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Picked]:
+    """Some rows of a table, still on the device, in batches of ``PICKED``; the last one is filled up."""
+    state = jax.tree.map(lambda array: _kind(array.shape[1:], array.dtype), table)
+    number = state.metrics.max_tilt
+    of_axes = _kind((*number.shape[1:], 3), number.dtype)
+    kinds = state, Measured(shift=of_axes, max_tilt=number, max_top_force=number, rest_force=number)
+    batches = []
+    for first in range(0, len(rows), PICKED):
+        padded = np.resize(rows[first : first + PICKED], PICKED).astype(np.int32)
+        batches.append(Picked(_picked(table, worlds, uploaded(padded), sim), kinds))
+    return batches

@@ -1,0 +1,62 @@
+"""Rows of tables on their way to the host: nothing of them changes, and each is where it is looked for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from support.plans import make_scene
+
+from petmjx.engines.batch import repeated
+from petmjx.engines.batch.picked import PICKED, pick, reduce_metrics
+from petmjx.engines.batch.state import NEVER, State, fresh_state, take_rows
+from petmjx.engines.batch.worlds import Worlds, upload_worlds
+from petmjx.options.config import Simulation
+from petmjx.world.job import Job
+
+SIM, ROWS, BOXES = Simulation(), 2 * PICKED + 5, 3
+
+
+@pytest.fixture(scope="module")
+def tables() -> tuple[Worlds, State]:
+    """States of random bits, of which many are no number."""
+    worlds = upload_worlds([Job(make_scene(BOXES))] * ROWS, ROWS, BOXES, {}, SIM)
+    state = fresh_state(worlds, all_placed=False, ends=jnp.full(ROWS, NEVER, jnp.int32), rest_steps=1)
+    rng = np.random.default_rng(7)
+
+    def random(array: jax.Array) -> jax.Array:
+        bits = rng.integers(-(2**31), 2**31, array.shape, np.int64).astype(np.int32)
+        return jnp.asarray(bits.view(array.dtype))
+
+    return worlds, jax.tree.map(random, state)
+
+
+@pytest.mark.parametrize("count", [0, 1, PICKED, PICKED + 1, ROWS])
+def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State]) -> None:
+    worlds, table = tables
+    rows = np.random.default_rng(count).permutation(ROWS)[:count]
+    found = [each.on_host() for each in pick(rows, table, worlds, SIM)]
+    assert len(found) == -(-count // PICKED)
+    for number, (state, measured) in enumerate(found):
+        some = jnp.asarray(np.resize(rows[number * PICKED :][:PICKED], PICKED))
+        chosen = take_rows(table, some)
+        jax.tree.map(assert_same_bits, state, chosen)
+        # what is made of no number is none, with any bits
+        jax.tree.map(np.testing.assert_array_equal, measured, reduce_metrics(chosen, take_rows(worlds, some), SIM))
+
+
+def assert_same_bits(mine: np.ndarray[Any, Any], theirs: jax.Array) -> None:
+    assert mine.dtype == theirs.dtype
+    np.testing.assert_array_equal(mine.view(np.int32), np.asarray(theirs).view(np.int32))
+
+
+@pytest.mark.parametrize("count", [repeated.MANY - 1, repeated.MANY])
+def test_rows_that_are_there_many_times_are_the_same_on_threads(count: int) -> None:
+    rng = np.random.default_rng(count)
+    arrays = [rng.random((7, *shape)) for shape in ((), (3,), (2, 4))]
+    source = rng.integers(0, 7, count)
+    for array, found in zip(arrays, repeated.repeated(iter(arrays), source), strict=True):
+        np.testing.assert_array_equal(found, array[source])
