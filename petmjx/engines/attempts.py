@@ -224,4 +224,5 @@ def ready_for(engine: str, job: Job) -> Job:
     start: it takes the world through its placement again."""
     if not isinstance(job.start, KeptState):
         return job
-    return replace(job, start=job.start.state if job.start.engine == engine else None)
+    start = job.start.state if job.start.engine == engine else None
+    return Job(**{**vars(job), "start": start})  # of thousands of drives, ``replace`` takes three times as long

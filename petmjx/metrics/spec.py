@@ -31,7 +31,7 @@ class When(StrEnum):
 
     PLAN = "plan"
     SAMPLES = "samples"
-    SAMPLES_AND_END = "samples, end"
+    LOOKS = "looks"
     REST = "rest window"
     END = "end"
 
@@ -140,7 +140,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric(
         "margin", DIMENSIONLESS,
         "distance to the nearest threshold as a share of it: 1 nothing moved, 0 on it, < 0 beyond; null if invalid",
-        When.SAMPLES_AND_END,
+        When.LOOKS,
     ),
     WorldMetric(
         "plan_edge_m", "m",
@@ -151,7 +151,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "rest_edge_m", "m", "the same where the boxes came to rest; null unless the world is stable and was not shaken",
         When.END, compared=False,
     ),
-    WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.SAMPLES_AND_END),
+    WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.LOOKS),
     BoxMetric(
         "shift_m", "m",
         {"shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
@@ -162,19 +162,19 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         of_world=OfWorld("max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"),
     ),
     _largest(
-        "max_tilt_deg", "deg", When.SAMPLES_AND_END,
+        "max_tilt_deg", "deg", When.LOOKS,
         "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
         of_box="largest angle of the box's z axis to the world's, over samples and the final pose",
-        of_world="largest angle of any box's z axis to the world's, over samples and the final pose",
+        of_world="largest angle of any box's z axis to the world's",
     ),
     BoxMetric(
-        "dropped", TEXT, {"dropped": "the box fell off the carrier"}, When.SAMPLES_AND_END,
+        "dropped", TEXT, {"dropped": "the box fell off the carrier"}, When.LOOKS,
         "once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
         "R is the box's rotation matrix, h its half sizes",
         dtype=np.bool_, of_world=OfWorld("n_dropped", Reduction.COUNT, "boxes that dropped"),
     ),
     BoxMetric(
-        "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, When.SAMPLES_AND_END,
+        "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, When.LOOKS,
         "time of the first check at which it had dropped", dtype=np.float64,
         of_world=OfWorld("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
     ),
@@ -211,7 +211,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     ),
     BoxMetric(
         "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
-        When.SAMPLES_AND_END, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
+        When.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
     ),
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", When.END),
     WorldMetric("n_steps", DIMENSIONLESS, "simulated steps after the soft start", When.END, np.int64, compared=False),

@@ -201,8 +201,8 @@ class Simulation(Checked):
     )
     early_stop: Annotated[bool, CliFlag("--early-stop/--no-early-stop")] = Field(
         True,
-        description="stop a world once a box has dropped, or with random errors is lost, instead of going on to the "
-        "end of the schedule",
+        description="stop a world once a box has dropped, or with random errors or in a drive is lost, instead of "
+        "going on to the end of the schedule",
     )
     check_timestep: Annotated[bool, CliFlag("--check-timestep")] = Field(
         False,

@@ -30,6 +30,11 @@ EUMOS_COLUMNS = (
 """Additional columns of these worlds."""
 
 
+def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
+    """Height of a load above the carrier's top, z = 0, from (n, 3) settled centres and half extents, m."""
+    return float((settled_pos[:, 2] + half_size[:, 2]).max())
+
+
 def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> dict[str, Any]:
     """The values of ``EUMOS_COLUMNS`` for one world after the test.
 
@@ -45,7 +50,7 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
         half_size: (n, 3) half extents, m.
     """
     bottom = settled_pos[:, 2] - half_size[:, 2]
-    height = float((settled_pos[:, 2] + half_size[:, 2]).max())
+    height = load_height_m(settled_pos, half_size)
     permanent = np.linalg.norm(boxes.pos[:, :2] - settled_pos[:, :2], axis=1)
     elastic_share = float(np.max(boxes.max_sway_m)) / height
     permanent_share = float(permanent.max()) / height

@@ -181,8 +181,12 @@ class SweepPlan(Design):
         placed_s = sim.interval_s * plan.n_boxes if sim.check is Check.ONE_BY_ONE else 0.0
         return placed_s + sim.settle_s
 
-    def drive(self, plan: Plan, variant: Variant) -> Drive | None:
-        """The drive of one world. Worlds with the same samples share the array."""
+    def drive(self, plan: Plan, variant: Variant, allowed_sway_m: float = 0.0) -> Drive | None:
+        """The drive of one world. Worlds with the same samples share the array.
+
+        Args:
+            allowed_sway_m: as of ``Drive``.
+        """
         spec = variant.drive
         if spec is None:
             return None
@@ -195,7 +199,8 @@ class SweepPlan(Design):
         if key not in self._drives:
             world = WorldKey(self.sweep.seed, plan.plan_id, variant.replicate)
             self._drives[key] = self._unit_drive(profile, plan, start_s, world)
-        return replace(self._drives[key], scale=spec.scale, yaw_rad=deg_to_rad(spec.direction_deg))
+        unit, yaw_rad = self._drives[key], deg_to_rad(spec.direction_deg)
+        return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_sway_m)
 
     def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
         """A profile at scale 1, not turned.

@@ -104,7 +104,7 @@ class SweepRun:
             return
         for chunk in self._chunks():
             if self.plan.sweep.search is None:
-                yield from self._fork(self._settle(chunk))
+                yield from self._fork(chunk)
             else:
                 yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
 
@@ -209,13 +209,17 @@ class SweepRun:
                 else:
                     yield placed.undriven(variant)
 
-    def _settle(self, groups: Sequence[PlacementGroup]) -> list[Settled]:
-        """Simulate placements and keep their states, in the order of the groups."""
-        found: dict[int, Settled] = {}
-        for settled in self._place(groups, self.batching.placements, keep_state=True):
-            found[id(settled.group)] = settled
-            self.progress.message = f"placed {len(found):,} of {len(groups):,}"
+    def _settling(self, groups: Sequence[PlacementGroup]) -> Iterator[Settled]:
+        """Simulate placements and keep their states."""
+        placed = self._place(groups, self.batching.placements, keep_state=True)
+        for count, settled in enumerate(placed, start=1):
+            self.progress.message = f"placed {count:,} of {len(groups):,}"
+            yield settled
         self.progress.message = ""
+
+    def _settle(self, groups: Sequence[PlacementGroup]) -> list[Settled]:
+        """The same, in the order of the groups."""
+        found = {id(settled.group): settled for settled in self._settling(groups)}
         return [found[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: Settled) -> bool:
@@ -226,20 +230,33 @@ class SweepRun:
 
     # Drives.
 
-    def _fork(self, settled: Sequence[Settled]) -> Iterator[FinishedWorld]:
-        """All variants of settled placements."""
-        for start in settled:
+    def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
+        """All variants of placements. The first drives are made while others are placed: a device waits for them."""
+        drives: dict[int, Iterable[_Driving]] = {}
+        undriven, made = list[Settled](), 0
+        for start in self._settling(groups):
             if not self._can_be_driven(start):
-                for variant in self._missing(start.group):
-                    yield start.undriven(variant)
-        shaken = (start for start in settled if self._can_be_driven(start))
-        drives = (self._driving(start, variant) for start in shaken for variant in self._missing(start.group))
-        for _, world in self._drive(drives):
+                undriven.append(start)
+                continue
+            drives[id(start.group)] = self._drives_of(start)
+            if made < self.batching.drives:
+                drives[id(start.group)] = ready = list(self._drives_of(start))
+                made += len(ready)
+        for start in undriven:
+            for variant in self._missing(start.group):
+                yield start.undriven(variant)
+        in_order = (drive for group in groups for drive in drives.pop(id(group), ()))
+        for _, world in self._drive(in_order):
             yield world
+
+    def _drives_of(self, start: Settled) -> Iterator[_Driving]:
+        return (self._driving(start, variant) for variant in self._missing(start.group))
 
     def _driving(self, start: Settled, variant: Variant, test: Test = (-1, -1)) -> _Driving:
         plan = start.group.plan
-        drive, record = self.plan.drive(plan, variant), self.recording.of(plan)
+        assert variant.drive is not None
+        name, record = variant.drive.profile, self.recording.of(plan)
+        drive = self.plan.drive(plan, variant, start.allowed_sway_m(name, self.plan.sweep.profiles[name]))
         job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
         return _Driving(plan, variant.index, job, start, variant, test)
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from petmjx.options.config import Thresholds
 from petmjx.study import FinishedWorld
 from petmjx.sweeps.design import SearchItem
+from petmjx.sweeps.eumos import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE, load_height_m
 from petmjx.sweeps.grid import PlacementGroup
 from petmjx.sweeps.search import Found, Probe
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict, judge
+from petmjx.world.profiles.base import Profile, Strength
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
@@ -22,6 +26,20 @@ class Settled:
     scene: Scene
     outcome: Outcome
     attempts: tuple[Attempt, ...]
+
+    def allowed_sway_m(self, name: str, profile: Profile) -> float:
+        """By how much the culprit may have swayed in a drive and is not lost though it tilts, m.
+
+        EUMOS's test may be passed until boxes have swayed by what it allows. On a carrier that is tilted, a box that
+        slides to the edge tips there: that is not how it failed.
+        """
+        if name == EUMOS_PROFILE:
+            return self._eumos_sway_m
+        return math.inf if profile.strength is Strength.ANGLE else 0.0
+
+    @cached_property
+    def _eumos_sway_m(self) -> float:
+        return EUMOS_ELASTIC_SHARE * load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
         """What a fork came to, judged with its placement. Its history begins with that of the placement."""

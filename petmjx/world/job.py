@@ -48,6 +48,8 @@ class Drive:
     yaw_rad: float = 0.0
     rest_s: float = 1.0
     """Time to come to rest after the last sample of the excitation."""
+    allowed_sway_m: float = 0.0
+    """A culprit that tilts too far is not lost until it has swayed by this: a test that allows it may be passed yet."""
 
     def unit(self, total_mass: float) -> float:
         """The unit of the excitation's samples, in N for forces and in m/s² for accelerations (1).
@@ -96,10 +98,12 @@ class Job:
     drive. An engine gets a state of its own; before that it is a ``KeptState``. ``keep_state`` asks for such a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
     window. ``record`` asks for the world's history; it changes nothing else. ``has_errors``: boxes are not quite where
-    the plan has them, and may stand on a neighbour that is a little higher (``petmjx.engines.leaning``). With early
-    stop such a world ends when a box is *lost*, tilted by more than the threshold, and not only when one has dropped.
-    Since the largest tilt counts, its verdict is known then, and what follows is the dearest part of a simulation. A
-    large shift says nothing: a board that tips under one load is level again under the next one.
+    the plan has them, and may stand on a neighbour that is a little higher (``petmjx.engines.leaning``).
+
+    With early stop such a world ends when a box is *lost*, tilted by more than the threshold, and not only when one has
+    dropped. Since the largest tilt counts, its verdict is known then, and what follows is the dearest part of a
+    simulation. A large shift says nothing: a board that tips under one load is level again under the next one. In a
+    drive a world ends when its culprit is lost: then it is also known how the first box failed.
     """
 
     scene: Scene

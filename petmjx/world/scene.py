@@ -119,7 +119,7 @@ class Scene:
         soft[[each.box for each in self.pieces]] = False
         return replace(self, soft=soft)
 
-    @property
+    @cached_property
     def total_mass(self) -> float:
         """Mass of boxes and carrier, kg; force profiles are scaled by it."""
         return float(self.mass.sum() + self.carrier.mass)

@@ -222,6 +222,46 @@ def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> No
     assert on.sim_time_s > whole.sim_time_s
 
 
+def tower() -> Scene:
+    """It topples when it is pushed along x; a flat box beside it does not."""
+    column = stack(4, size_mm=(150, 400, 300), at_mm=(800, 0))
+    return make_scene([*column, ((300, 400, 60), (0, 0, 0), 5.0)], Simulation(carrier=Carrier.EURO_PALLET))
+
+
+@pytest.mark.parametrize("kind", ["force", "acceleration"])
+def test_a_drive_ends_when_its_culprit_is_lost(kind: str) -> None:
+    """With the verdict, the culprit and the first sign that it would have had: how the first box failed is known."""
+    shaken = Drive(Excitation("push", kind, np.tile([4.0 if kind == "acceleration" else 2.0, 0, 0], (300, 1))))
+    asked, whole = (run_one(Job(tower(), shaken), Simulation(early_stop=stop)) for stop in (True, False))
+    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
+    assert asked.flags & Flag.EARLY_STOP
+    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
+    assert asked.first_sign_s < asked.sim_time_s < whole.boxes.drop_s[whole.boxes.dropped].min()
+    limit = Simulation().thresholds.tilt_deg
+    assert asked.boxes.max_tilt_deg[asked.culprit] > limit
+    assert round(asked.sim_time_s / 0.002) % Simulation().quiet.poll_steps == 0
+
+
+def test_a_drive_that_may_be_passed_goes_on_until_the_culprit_has_swayed_too_far() -> None:
+    sway_m, pulse = [], Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1)))
+    for allowed_m in (0.0, 0.6, 10.0):
+        outcome = run_one(Job(tower(), Drive(pulse, allowed_sway_m=allowed_m)), Simulation())
+        assert outcome.verdict is Verdict.UNSTABLE
+        assert outcome.reason is (Reason.DROP if allowed_m > 1 else Reason.TILT)
+        sway_m.append(float(outcome.boxes.max_sway_m[outcome.culprit]))
+    assert sway_m[0] < 0.6 <= sway_m[1] < sway_m[2]
+
+
+def test_what_is_seen_of_a_drive_does_not_depend_on_how_often_samples_are_taken() -> None:
+    """A box on its small side rocks in a pulse of a tenth of a second, between two samples."""
+    scene = make_scene([((200, 400, 400), (0, 0, 0), 10.0)], Simulation(carrier=Carrier.EURO_PALLET))
+    pulse = Drive(Excitation("pulse", "acceleration", np.tile([9.0, 0, 0], (40, 1))), rest_s=1.0)
+    often, seldom = (run_one(Job(scene, pulse), Simulation(sample_interval_s=each)).boxes for each in (0.02, 1.0))
+    assert often.max_tilt_deg[0] > 1.0
+    np.testing.assert_allclose(seldom.max_tilt_deg, often.max_tilt_deg, rtol=0.1)
+    np.testing.assert_allclose(seldom.max_sway_m, often.max_sway_m, rtol=0.1)
+
+
 def test_a_box_that_comes_back_is_not_lost() -> None:
     """A board tips under a box, by more than twice the threshold of shift, until there is one on its other end."""
     sim = Simulation(carrier=Carrier.EURO_PALLET, placing="hand")

@@ -7,7 +7,7 @@ drops, samples, the end. Besides, each engine's outcome must follow from its own
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,7 @@ KINDS: dict[str, tuple[dict[str, Any], Drive | None]] = {
     "static": ({"check": Check.STATIC}, None),
     "fixed": ({"schedule": Schedule.FIXED, "interval_s": 0.15}, None),
     "pushed": ({}, push(FORCE, 0.5, rest_s=0.1)),
-    "braked": ({}, push(ACCELERATION, 3.0, rest_s=0.5)),
+    "braked": ({}, replace(push(ACCELERATION, 3.0, rest_s=0.5), allowed_sway_m=10.0)),  # none ends when a box is lost
     "waited for in vain": ({"longest_wait_s": 0.02}, None),
     "shaken while boxes land": (
         {"schedule": Schedule.FIXED, "settle_s": 0.1, "quiet": Quiet(landing_steps=400)},

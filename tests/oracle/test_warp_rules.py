@@ -68,7 +68,10 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
     worlds = upload_worlds(jobs, WORLDS, BOXES, {}, sim)
     aside = rng.normal(0, 0.02, (WORLDS, BOXES, 3)) * (np.arange(WORLDS) % 2)[:, None, None]
     drive_steps = rng.choice([20, 21, 300], WORLDS).astype(np.int32)
-    worlds = worlds._replace(middle=jnp.asarray(aside, jnp.float32), drive_steps=jnp.asarray(drive_steps))
+    allowed = jnp.asarray(rng.choice([0.0, 0.02], WORLDS), jnp.float32)
+    worlds = worlds._replace(
+        middle=jnp.asarray(aside, jnp.float32), drive_steps=jnp.asarray(drive_steps), allowed_sway=allowed
+    )
     table = fresh_state(worlds, all_placed=False, ends=jnp.full(WORLDS, NEVER, jnp.int32), rest_steps=1)
 
     def some(share: float, shape: Any = WORLDS) -> Any:
@@ -207,9 +210,12 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):
         assert (found["flags"] & int(flag)).any(), flag
     stopped, dropped = found["flags"] & int(Flag.EARLY_STOP) != 0, (found["drop_step"] >= 0).any(axis=1)
-    lost, asked = stopped & ~dropped, np.asarray(worlds.ends_when_lost)
-    assert not lost[~asked].any()
-    assert lost.any() == sim.early_stop
+    lost, driven = stopped & ~dropped, np.asarray(after.driven_from) != NEVER
+    by_culprit = driven & (np.asarray(after.metrics.culprit) >= 0)
+    with_errors = np.asarray(worlds.ends_when_lost)
+    assert not lost[~(with_errors | by_culprit)].any()
+    assert (lost & with_errors).any() == sim.early_stop
+    assert (lost & ~with_errors).any() == (sim.early_stop and sim.waits_for_rest)
 
 
 def device_record(kind: Any, values: Any) -> Any:

@@ -66,7 +66,7 @@ TOWER = stack(2, size_mm=(100, 200, 200), at_mm=(500, 300))
 
 def accelerated(boxes: Sequence[Box], carrier_acceleration: FloatArray) -> Outcome:
     """These boxes, standing, on a held carrier with these accelerations, a row a step."""
-    sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4)
+    sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, early_stop=False)
     return simulate(boxes, sim, Drive(Excitation("test", "acceleration", carrier_acceleration), rest_s=0.4))
 
 

@@ -39,7 +39,8 @@ AGREES_M = 1e-4
 
 
 def simulation(**wrap: Any) -> Simulation:
-    return Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, carrier="euro-pallet", wrap=wrap)
+    options = {"check": Check.STATIC, "schedule": Schedule.FIXED, "settle_s": 0.4, "carrier": "euro-pallet"}
+    return Simulation(**options, wrap=wrap, early_stop=False)
 
 
 def accelerated(scene: Scene, level_g: float) -> Job:

@@ -115,6 +115,15 @@ class Seen:
         every = seconds_to_steps(self.sim.sample_interval_s, self.sim.physics.timestep_s)
         return [frame for frame, step in enumerate(self.steps[:-1]) if (step + 1) % every == 0]
 
+    @cached_property
+    def poses(self) -> list[tuple[int, int]]:
+        """Steps at which poses are looked at, and their frames: of samples, of looks in the drive, and the last one."""
+        found, acts = {self.steps[frame] + 1: frame for frame in self.samples}, self.trace.driven[0]
+        if acts > 0 and self.sim.waits_for_rest:
+            looks = [step for step in self.steps if step >= acts and step % self.sim.quiet.poll_steps == 0]
+            found = {step: self.steps.index(step) for step in looks} | found
+        return sorted(({self.steps[-1]: len(self.steps) - 1} | found).items())
+
     def excess(self, frame: int) -> FloatArray:
         """(placed,) of the boxes of a frame."""
         scene, limits, k = self.job.scene, self.sim.thresholds, int(self.history.n_placed[frame])
@@ -125,19 +134,20 @@ class Seen:
         return over
 
     def first_sign(self) -> tuple[int, int]:
-        """Step and box of the first sign, by the samples and the last frame: (−1, −1) where there is none."""
+        """Step and box of the first sign: (−1, −1) where there is none."""
         begin = self.steps.index(self.trace.driven[0]) - 1 if self.trace.driven[0] > 0 else 0
         if (self.excess(begin) > 1).any():
             begin = 0  # a sign of the placement is forgotten only where nothing is over a threshold
-        for frame in [frame for frame in self.samples if frame >= begin] + [len(self.steps) - 1]:
+        last = self.steps[-1], len(self.steps) - 1
+        for step, frame in [pose for pose in self.poses if pose[1] >= begin] + [last]:
             over = self.excess(frame)
             if (over > 1).any():
-                return min(self.steps[frame] + 1, self.steps[-1]), int(over.argmax())
+                return step, int(over.argmax())
         return -1, -1
 
     def tilt_deg(self) -> FloatArray:
-        """(n,) the largest of samples and the last frame."""
-        quat = self.history.quat[[*self.samples, -1]]
+        """(n,) the largest in all poses that are looked at, and in the last one."""
+        quat = self.history.quat[[*(frame for _, frame in self.poses), -1]]
         angles = np.array([motion_np.tilt_deg(each) for each in quat])
         return np.nan_to_num(np.fmax.reduce(angles, axis=0))
 

@@ -189,9 +189,11 @@ class Rules:
         sample = counted & (state.step % self.timetable.sample_every == 0)
         last = counted & (state.step >= state.end)
         resting = counted & (state.step > state.rest_from)
+        looks = self.driven and self.sim.waits_for_rest
+        look = counted & looks & (state.step % self.sim.quiet.poll_steps == 0) & ~sample
         standing = self.judged(state)
         sampled = standing & sample[:, None]
-        looked = standing & (sample | last)[:, None]
+        looked = standing & (sample | look | last)[:, None]
 
         qpos = jnp.where(sample[:, None, None], seen.qpos, state.qpos)
         pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
@@ -224,6 +226,7 @@ class Rules:
             top_force=seen.top_force,
             dropped=dropped,
             sampled=sampled,
+            tilts=standing & (sample | look)[:, None],
             looked=looked,
             rested=standing & resting[:, None],
             rests=resting,
@@ -231,9 +234,13 @@ class Rules:
         metrics = m.with_sample(found, worlds, driven=self.driven)._replace(
             culprit=culprit,
             sign_step=jnp.where(signs, state.step, m.sign_step),
-            sign_placed=jnp.where(signs & sample, state.placed, m.sign_placed),
+            sign_placed=jnp.where(signs & (sample | look), state.placed, m.sign_placed),
         )
-        lost = dropped | (looked & worlds.ends_when_lost[:, None] & (tilt > limits.tilt_deg))
+        tilted = looked & (tilt > limits.tilt_deg)
+        lost = dropped | (tilted & worlds.ends_when_lost[:, None])
+        if looks:
+            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # as found at an earlier look
+            lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
         return state._replace(

@@ -33,6 +33,7 @@ class Sample(NamedTuple):
     top_force: Float[Array, "world box"]
     dropped: Bool[Array, "world box"]
     sampled: Bool[Array, "world box"]
+    tilts: Bool[Array, "world box"]
     looked: Bool[Array, "world box"]
     rested: Bool[Array, "world box"]
     rests: Bool[Array, " world"]
@@ -62,10 +63,9 @@ class Metrics(NamedTuple):
 
         max_sway = self.max_sway
         if driven:
-            sway = jnp.sqrt(((sample.pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
-            max_sway = largest(max_sway, sway, sample.looked)
+            max_sway = largest(max_sway, self.sway(sample.pos), sample.looked)
         return self._replace(
-            max_tilt=largest(self.max_tilt, sample.tilt, sample.sampled),
+            max_tilt=largest(self.max_tilt, sample.tilt, sample.tilts),
             max_lin_acc=largest(self.max_lin_acc, sample.lin_acc, sample.sampled),
             max_ang_acc=largest(self.max_ang_acc, sample.ang_acc, sample.sampled),
             max_top_force=largest(self.max_top_force, sample.top_force, sample.sampled),
@@ -74,6 +74,10 @@ class Metrics(NamedTuple):
             drop_step=jnp.where(sample.dropped & (self.drop_step < 0), sample.step[:, None], self.drop_step),
             max_sway=max_sway,
         )
+
+    def sway(self, pos: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
+        """Horizontal distance of boxes from where they were when their drive began, m."""
+        return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def without_rest(self, where: Bool[Array, " world"]) -> Metrics:
         """Begin with another rest window."""

@@ -27,12 +27,12 @@ class Worlds(NamedTuple):
     bodies, and ``shape_body`` says whose each is. ``half`` and ``middle`` are the boxes' half extents and their middles
     in their frames; ``inertia_box`` is as in ``petmjx.world.body.Body``. ``floor_friction`` and ``friction``: sliding,
     torsional and rolling coefficients; ``shape_surface`` and ``pair_friction``: petmjx/world/pairs.py; ``shape_give``,
-    m³/N, and ``sinks``, how far boxes are meant to come down: petmjx/world/give.py. ``drive_yaw`` is
-    (cos, sin); ``profile_steps`` counts the drive's samples, and ``drive_steps`` goes on to the world's end, if it does
-    not rest before. ``driven``: a drive follows;
-    ``held``: it holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
-    ``ends_when_lost``: ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest the world waits for
-    more (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``, which it follows by
+    m³/N, and ``sinks``, how far boxes are meant to come down: petmjx/world/give.py. ``drive_yaw`` is (cos, sin);
+    ``profile_steps`` counts the drive's samples, and ``drive_steps`` goes on to the world's end, if it does not rest
+    before. ``driven``: a drive follows; ``held``: it holds the carrier fast. ``settles``: the placement ends in a
+    settled state, for a drive or to keep. ``ends_when_lost``: ``has_errors`` of ``petmjx.world.job.Job``.
+    ``allowed_sway``, m: that of its drive. ``pauses``: when its boxes rest the world waits for more
+    (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``, which it follows by
     ``most_followed``, m, is where the plan has it (petmjx/world/release.py). ``appears``: all boxes begin there. Else
     they begin by ``way_offset`` from there, for a way of ``way_steps``, or 0 if they fall; at its end those that are
     not let go to fall are set down (petmjx/world/placing.py). ``hand_force``, N, ``hand_speed``, m/s, and
@@ -70,6 +70,7 @@ class Worlds(NamedTuple):
     held: Bool[Array, " world"]
     settles: Bool[Array, " world"]
     ends_when_lost: Bool[Array, " world"]
+    allowed_sway: Float[Array, " world"]
     pauses: Bool[Array, " world"]
     appears: Bool[Array, " world"]
     way_offset: Float[Array, "world box 3"]
@@ -135,6 +136,7 @@ def upload_worlds(
         held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
         settles=each(lambda job: job.settles, np.bool_),
         ends_when_lost=each(lambda job: job.has_errors, np.bool_),
+        allowed_sway=each(lambda job: job.drive.allowed_sway_m if job.drive else 0.0, np.float32),
         pauses=uploaded(np.zeros(rows, np.bool_)),
     )
 

@@ -15,6 +15,7 @@ from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Thresholds
 from petmjx.world.give import sinks_m
+from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 
@@ -59,11 +60,22 @@ class OracleMetrics:
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
 
-    @property
-    def any_lost(self) -> bool:
-        """Whether a box has tilted by more than the threshold: its world need not go on, if it is only asked whether it
-        stands."""
-        return bool((self.max_tilt_deg > self._thresholds.tilt_deg).any())
+    def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
+        """Whether it is known that the pallet does not stand, so that its world need not go on: a box has dropped; with
+        errors, one of the k placed boxes is lost in these poses; in a drive, the culprit is.
+
+        Args:
+            culprit: as found at an earlier look; -1: none was, or it does not end a drive.
+        """
+        if self.any_dropped:
+            return True
+        lost = tilt_deg(quat) > self._thresholds.tilt_deg
+        if job.has_errors and lost.any():
+            return True
+        if self._sway_origin is None or job.drive is None or culprit < 0:
+            return False
+        sway = self._sway(pos, self._sway_origin)
+        return bool(lost[culprit] and sway[culprit] >= job.drive.allowed_sway_m)
 
     def add_sample(
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
@@ -82,28 +94,36 @@ class OracleMetrics:
         np.maximum(self.max_ang_acc[:k], ang, out=self.max_ang_acc[:k])
         np.maximum(self.max_top_force_n[:k], top_force_n, out=self.max_top_force_n[:k])
         if k:
-            tilt = self.add_pose(time_s, pos, quat)
-            np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
+            self.add_look(time_s, pos, quat)
         limits = self._thresholds
         too_fast = bool(np.any(lin > limits.lin_acc_m_s2) or np.any(ang > limits.ang_acc_rad_s2))
         return too_fast and self.culprit < 0
 
+    def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
+        """Take in these poses, in a sample or during a drive: tilts, and what ``add_pose`` looks for."""
+        tilt, k = self.add_pose(time_s, pos, quat), len(pos)
+        np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
+
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
-        """Look for drops and for the first sign in these poses: a sample, or the final state. Returns (k,) tilts."""
+        """Look for drops, sway and the first sign in these poses: a look, or the final state. Returns (k,) tilts."""
         k = len(pos)
         tilt = tilt_deg(quat)
         dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
         newly = dropped & np.isnan(self.drop_s[:k])
         self.drop_s[:k][newly] = time_s
         if self._sway_origin is not None:
-            sway = np.hypot(*(pos - self._sway_origin)[:, :2].T)
-            self.max_sway_m[:k] = np.fmax(self.max_sway_m[:k], sway)
+            self.max_sway_m[:k] = np.fmax(self.max_sway_m[:k], self._sway(pos, self._sway_origin))
         if self.culprit < 0:
             over, crossed = self._excess(pos, tilt, dropped)
             if crossed.any():
                 self.culprit = int(np.argmax(np.where(crossed, over, -np.inf)))
                 self.first_sign_s = time_s
         return tilt
+
+    @staticmethod
+    def _sway(pos: FloatArray, origin: FloatArray) -> FloatArray:
+        """(k,) horizontal distance from where boxes were when the drive began, m."""
+        return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
         """One step of the rest window."""

@@ -49,8 +49,7 @@ class WorldRun:
         self._sim = sim
         self._cancelled = cancelled
         self._scene = job.scene
-        dt = sim.physics.timestep_s
-        self._dt = dt
+        self._dt = dt = sim.physics.timestep_s
         self._clock = Clock(dt)
         self._sample_steps = max(seconds_to_steps(sim.sample_interval_s, dt), 1)
         self._rest_steps = seconds_to_steps(sim.rest_window_s, dt)
@@ -177,24 +176,24 @@ class WorldRun:
         return self._job.settles
 
     def _next_event(self) -> int:
-        step = self._step
+        step, poll = self._step, self._sim.quiet.poll_steps
         if self._live.hand is not None:
             return step + 1
         target = min(self._end, step + self._sample_steps - step % self._sample_steps)
         if self._waiting:
-            poll, begin = self._sim.quiet.poll_steps, max(step, self._waits.since)
+            begin = max(step, self._waits.since)
             target = min(target, max(self._waits.deadline(self._sign), step + 1), begin + poll - begin % poll)
         if self._drive is not None:
-            target = min(target, self._drive.next_change(step))
+            look = step + poll - step % poll if self._sim.waits_for_rest else NEVER
+            target = min(target, self._drive.next_change(step), look)
         if step < self._still_from:
             target = min(target, self._still_from)
         window = self._end - self._rest_steps
         return min(target, step + 1 if step >= window else window)
 
     def _observe(self) -> bool:
-        """Take a sample and the resting force after a step, if it is time. Returns whether the world continues."""
-        step = self._step
-        live = self._live
+        """Take a sample and the resting force after a step, or look at poses, if it is time; whether to go on."""
+        step, live = self._step, self._live
         sampled = step % self._sample_steps == 0
         polled = step % self._sim.quiet.poll_steps == 0
         if sampled or polled:
@@ -202,25 +201,26 @@ class WorldRun:
             if self._flags & _FATAL:
                 return False
         in_rest = step > self._end - self._rest_steps
-        if not (sampled or in_rest):
-            return True
-        k = live.n_free
-        force = live.top_forces()[:k]
+        k, looks = live.n_free, self._driving and self._sim.waits_for_rest
         if in_rest:
-            self._metrics.add_rest(force)
-        if not sampled:
+            self._metrics.add_rest(live.top_forces()[:k])
+        if not (sampled or (looks and polled)):
             return True
-        pos, quat = live.sampled_pose()
-        no_sign = self._metrics.culprit < 0
-        too_fast = self._metrics.add_sample(self._clock.time_s(step), pos[:k], quat[:k], live.qacc[:k], force)
-        if no_sign and self._metrics.culprit >= 0:
+        pos, quat = live.sampled_pose() if sampled else np.split(live.pose, [3], axis=1)
+        time_s, pos, quat = self._clock.time_s(step), pos[:k], quat[:k]
+        culprit, too_fast = self._metrics.culprit, False
+        if sampled:
+            too_fast = self._metrics.add_sample(time_s, pos, quat, live.qacc[:k], live.top_forces()[:k])
+        else:
+            self._metrics.add_look(time_s, pos, quat)
+        if culprit < 0 <= self._metrics.culprit:
             self._sign_step, self._n_at_sign = step, live.n_placed
         placing_at = step if live.hand is not None else self._waits.last_placement
         if not self._driving and self._explosion.seen(step, placing_at, too_fast):
             self._flags |= Flag.EXPLOSION
             return False
-        stops = self._metrics.any_dropped or (self._job.has_errors and self._metrics.any_lost)
-        if self._sim.early_stop and stops and step < self._end:
+        known = self._metrics.tells_all(self._job, pos, quat, culprit if looks else -1)
+        if self._sim.early_stop and step < self._end and known:
             self._flags |= Flag.EARLY_STOP
             return False
         return True

@@ -251,13 +251,16 @@ def after_step(
     sample = counted and step % model.sample_every == 0
     last = counted and step >= end
     resting = counted and step > state.rest_from[world]
+    polled = step % model.poll_steps == 0
+    look = counted and driven and model.waits_for_rest != 0 and polled and not sample
+    looks_at_poses = sample or look or last
 
     violent = bool(False)
     lost = bool(False)
-    if sample or last or resting:
+    if looks_at_poses or resting:
         for box in range(at.thread, at.placed - at.carried, at.threads):
-            if sample or last:
-                if measure(model, worlds, at, box, step, sample, driven, state, work):
+            if looks_at_poses:
+                if measure(model, worlds, at, box, step, culprit, sample, look, driven, state, work):
                     lost = True
             if sample:
                 linear = length_of(state.qacc, world, box, 0)
@@ -270,7 +273,7 @@ def after_step(
                 state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
     signs = bool(False)
     exploded = bool(False)
-    if sample or last:
+    if looks_at_poses:
         violent = any_of_all(violent)
         lost = any_of_all(lost)
         worst = work.worst[at.block]
@@ -361,7 +364,7 @@ def after_step(
         if signs:
             state.culprit[world] = culprit
             state.sign_step[world] = step
-            state.sign_placed[world] = wp.where(sample, at.placed, 0)
+            state.sign_placed[world] = wp.where(sample or look, at.placed, 0)
         flags = state.flags[world]
         flags = flags | wp.where(nonfinite, NONFINITE, 0)
         flags = flags | wp.where(exploded, EXPLOSION, 0)

@@ -55,13 +55,20 @@ def measure(
     at: Thread,
     box: int,
     step: int,
+    culprit: int,
     sample: bool,
+    look: bool,
     driven: bool,
     # Data out:
     state: State,
     work: Workspace,
 ) -> bool:
-    """Place of a box in a sample, or at the end; returns whether it is lost: with early stop its world ends."""
+    """Place of a box in a sample, in a look during a drive, or at the end; returns whether it is lost: with early stop
+    its world ends.
+
+    Args:
+        culprit: as found at an earlier look.
+    """
     world = at.world
     place = wp.vec3(0.0, 0.0, 0.0)
     q = wp.vec4(0.0, 0.0, 0.0, 0.0)
@@ -79,16 +86,21 @@ def measure(
     # positive numbers are in the order of their bits; of equal ones the first box counts
     key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
     wp.atomic_max(work.worst, at.block, key)
-    if sample:
+    if sample or look:
         state.max_tilt[world, box] = wp.max(state.max_tilt[world, box], tilt)
+    if sample:
         state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], length_of(state.qacc, world, box, 0))
         state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], length_of(state.qacc, world, box, 3))
         state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[at.block, box])
+    tilts = tilt > model.tilt
+    lost = tilts and worlds.ends_when_lost[world]
     if driven:
         x = place[0] - state.sway_anchor[world, box, 0]
         y = place[1] - state.sway_anchor[world, box, 1]
-        state.max_sway[world, box] = wp.max(state.max_sway[world, box], wp.sqrt(x * x + y * y))
-    return dropped or (worlds.ends_when_lost[world] and tilt > model.tilt)
+        sway = wp.sqrt(x * x + y * y)
+        state.max_sway[world, box] = wp.max(state.max_sway[world, box], sway)
+        lost = lost or (tilts and box == culprit and model.waits_for_rest != 0 and sway >= worlds.allowed_sway[world])
+    return dropped or lost
 
 
 @wp.func
