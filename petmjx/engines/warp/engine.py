@@ -52,14 +52,14 @@ LEFT_SHARE, READY_SHARE = 16, 3
 when so many times as many are left: that takes as long as the device has enough of them."""
 
 UNDER_WAY = 2
-"""Slices that the device has usually."""
+"""Slices that a device has, so that it is never idle. What ends in one comes to the host when the next has ended."""
 
 LOADING_NS = 10**9
 """Time of the slices under way while the tables of the next group are made: the thread that makes them cannot begin
 others. They are at least two, and at most as many as a second of a GPU has."""
 
 GPU_SLICE_NS = 100_000_000
-"""Time of a call on a GPU. It is never idle, so that its host has a call's worlds only when the next one has ended."""
+"""Time of a call on a GPU: if it is longer the host waits for worlds, if shorter the device for calls."""
 
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
