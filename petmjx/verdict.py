@@ -86,7 +86,7 @@ class Outcome:
     flags: Flag
     boxes: BoxMetrics
     n_at_sign: int = 0
-    """Boxes that were placed when the culprit crossed a threshold; 0: none did at a sample."""
+    """Boxes that were placed when the culprit crossed a threshold; 0: none did before the end."""
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""

@@ -225,4 +225,4 @@ def ready_for(engine: str, job: Job) -> Job:
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None
-    return Job(**{**vars(job), "start": start})  # of thousands of drives, ``replace`` takes three times as long
+    return Job(**{**vars(job), "start": start})  # ``replace`` takes three times as long; a Job keeps nothing but fields

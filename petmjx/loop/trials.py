@@ -21,7 +21,7 @@ from petmjx.verdict import Verdict
 from petmjx.world.apply import apply
 from petmjx.world.job import Drive
 from petmjx.world.next_boxes import NextBoxes
-from petmjx.world.profiles.base import Strength
+from petmjx.world.profiles.base import Strength, allowed_sway_m
 from petmjx.world.profiles.registry import resolve
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
@@ -84,7 +84,8 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
     if profile.strength is Strength.ANGLE and strength != 1.0:
         raise InputError(f"level: {drive} has none")
     excitation = profile.excitation(sim.physics.timestep_s)
-    return Drive(excitation, strength, deg_to_rad(number_of(direction_deg, "direction_deg")), sim.rest_s)
+    yaw_rad = deg_to_rad(number_of(direction_deg, "direction_deg"))
+    return Drive(excitation, strength, yaw_rad, sim.rest_s, allowed_sway_m(profile))
 
 
 def told_driven(

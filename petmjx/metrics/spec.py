@@ -164,7 +164,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     _largest(
         "max_tilt_deg", "deg", When.LOOKS,
         "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
-        of_box="largest angle of the box's z axis to the world's, over samples and the final pose",
+        of_box="largest angle of the box's z axis to the world's",
         of_world="largest angle of any box's z axis to the world's",
     ),
     BoxMetric(

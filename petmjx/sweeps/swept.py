@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -13,7 +12,7 @@ from petmjx.sweeps.eumos import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE, load_height_
 from petmjx.sweeps.grid import PlacementGroup
 from petmjx.sweeps.search import Found, Probe
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict, judge
-from petmjx.world.profiles.base import Profile, Strength
+from petmjx.world.profiles.base import Profile, allowed_sway_m
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
@@ -28,14 +27,8 @@ class Settled:
     attempts: tuple[Attempt, ...]
 
     def allowed_sway_m(self, name: str, profile: Profile) -> float:
-        """By how much the culprit may have swayed in a drive and is not lost though it tilts, m.
-
-        EUMOS's test may be passed until boxes have swayed by what it allows. On a carrier that is tilted, a box that
-        slides to the edge tips there: that is not how it failed.
-        """
-        if name == EUMOS_PROFILE:
-            return self._eumos_sway_m
-        return math.inf if profile.strength is Strength.ANGLE else 0.0
+        """As of ``Drive``: EUMOS's test may be passed until boxes have swayed by what it allows."""
+        return self._eumos_sway_m if name == EUMOS_PROFILE else allowed_sway_m(profile)
 
     @cached_property
     def _eumos_sway_m(self) -> float:

@@ -252,6 +252,25 @@ def test_a_drive_that_may_be_passed_goes_on_until_the_culprit_has_swayed_too_far
     assert sway_m[0] < 0.6 <= sway_m[1] < sway_m[2]
 
 
+def test_a_drive_ends_at_the_look_after_the_one_that_finds_its_culprit() -> None:
+    """Where the two thresholds are passed at the same look."""
+    sim = Simulation(thresholds={"tilt_deg": 0.01})
+    outcome = run_one(Job(tower(), Drive(Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1))))), sim)
+    assert outcome.flags & Flag.EARLY_STOP
+    look_s = sim.quiet.poll_steps * sim.physics.timestep_s
+    assert outcome.sim_time_s - outcome.first_sign_s == pytest.approx(look_s)
+
+
+def test_with_pyramidal_cones_a_drive_ends_by_a_drop_alone_and_is_seen_at_samples() -> None:
+    sim = Simulation(physics="reference", carrier=Carrier.EURO_PALLET)
+    column = make_scene(stack(4, size_mm=(150, 400, 300), at_mm=(800, 0)), sim)
+    shaken = Drive(Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1))), rest_s=2.0)
+    outcome = run_one(Job(column, shaken), sim)
+    assert outcome.reason is Reason.DROP
+    at_samples = round(outcome.first_sign_s / sim.physics.timestep_s) % round(sim.sample_interval_s / 0.002)
+    assert at_samples == 0
+
+
 def test_what_is_seen_of_a_drive_does_not_depend_on_how_often_samples_are_taken() -> None:
     """A box on its small side rocks in a pulse of a tenth of a second, between two samples."""
     scene = make_scene([((200, 400, 400), (0, 0, 0), 10.0)], Simulation(carrier=Carrier.EURO_PALLET))

@@ -69,9 +69,17 @@ def test_they_find_what_the_run_would(lookers: Lookers[Any], raw: list[Outcome])
     assert sorted(found) == [(key, job) for key in range(many) for job in range(len(JOBS))]
     for key in range(many):
         assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
-        for job, sent in enumerate(raw):  # what was measured stays with the run
+        for job, sent in enumerate(raw):
             np.testing.assert_array_equal(found[key, job].boxes.pos, sent.boxes.pos)
     assert lookers.exchanged([], [], SIM, wait=True) == []
+
+
+def test_what_was_measured_of_boxes_stays_with_the_run(lookers: Lookers[Any], raw: list[Outcome]) -> None:
+    came = given(raw, "once")
+    boxes = [outcome.boxes for _, outcome in came]
+    found = dict(lookers.exchanged(came, JOBS, SIM, wait=True))
+    assert [found["once", job].boxes is boxes[job] for job in range(len(JOBS))] == [True, True]
+    assert [found["once", job] is came[job][1] for job in range(len(JOBS))] == [False, False]
 
 
 def test_the_run_looks_itself_where_they_do_not(lookers: Lookers[Any], raw: list[Outcome]) -> None:

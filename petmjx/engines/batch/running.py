@@ -21,8 +21,8 @@ from petmjx.options.config import Thresholds
 class Sample(NamedTuple):
     """What a look at boxes sees: middles, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on tops, N.
 
-    ``sampled`` are the boxes of which it is a sample, ``looked`` also those of worlds that are at their end, ``rested``
-    those in a rest window, whose steps ``rests`` counts.
+    ``sampled`` are the boxes of which it is a sample, ``tilts`` also those of a look in a drive, ``looked`` also those
+    of worlds that are at their end, ``rested`` those in a rest window, whose steps ``rests`` counts.
     """
 
     step: Int[Array, " world"]
@@ -40,7 +40,8 @@ class Sample(NamedTuple):
 
 
 class Metrics(NamedTuple):
-    """Running statistics of boxes; everything over the samples since a box was placed. And the first sign."""
+    """Running statistics of boxes; over the samples since a box was placed, tilt and sway also over looks
+    in a drive. And the first sign."""
 
     max_tilt: Float[Array, "world box"]
     max_lin_acc: Float[Array, "world box"]

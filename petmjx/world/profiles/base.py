@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from typing import Protocol
 
@@ -62,6 +63,12 @@ class Profile(Protocol):
             world: the world whose random numbers are used; only random profiles need it.
         """
         ...
+
+
+def allowed_sway_m(profile: Profile) -> float:
+    """As of ``Drive``, m: while the carrier is tilted no box is lost, since one that slides to the edge tips there, and
+    that is not how it failed."""
+    return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 
 def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> FloatArray:
