@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.threads import on_threads
 from petmjx.basics.units import FloatArray
 from petmjx.loop.columns import FIRST_COLUMNS, widened
 from petmjx.loop.heights import spans
-from petmjx.loop.threads import on_threads
 
 _AT_ONCE: Final = 512
 """Pallets whose maps are made at a time: they stay in a core's cache."""

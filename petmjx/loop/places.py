@@ -10,10 +10,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.threads import MOST_THREADS, on_threads
 from petmjx.basics.units import FloatArray
 from petmjx.loop.asked import Asked
 from petmjx.loop.stock import Stock
-from petmjx.loop.threads import MOST_THREADS, on_threads
 from petmjx.plans.samples.balance import SHARE_SLACK, TOUCH_MM
 
 _AT_ONCE: Final = 100_000

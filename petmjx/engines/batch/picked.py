@@ -63,7 +63,7 @@ def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulat
 
 
 def _kind(of_row: tuple[int, ...], dtype: Any) -> Any:
-    return jax.ShapeDtypeStruct((PICKED, *of_row), dtype)  # type: ignore[no-untyped-call]
+    return jax.ShapeDtypeStruct((PICKED, *of_row), dtype)  # type: ignore[no-untyped-call]  # JAX does not say its types
 
 
 def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Picked]:

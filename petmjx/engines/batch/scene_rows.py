@@ -4,13 +4,12 @@ simulation of small worlds."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.machine import cpu_threads
+from petmjx.basics.threads import on_threads
 from petmjx.engines.batch.repeated import MANY, MOST_THREADS, repeated
 from petmjx.history import CARRIER
 from petmjx.options.config import Simulation
@@ -76,12 +75,7 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
         else:
             _put(rows, numbers[0], some[0], sim)
 
-    if n < MANY:
-        for group in groups(scenes):
-            put(group)
-    else:  # NumPy leaves the interpreter's lock
-        with ThreadPoolExecutor(min(cpu_threads(), MOST_THREADS), thread_name_prefix="petmjx-rows") as pool:
-            list(pool.map(put, groups(scenes)))
+    on_threads(put, [*groups(scenes)], MOST_THREADS if n >= MANY else 1)
     for values in rows.values():
         values[n:] = values[0]
     return rows

@@ -19,9 +19,13 @@ Piece = TypeVar("Piece")
 Made = TypeVar("Made")
 
 
-def on_threads(function: Callable[[Piece], Made], pieces: Sequence[Piece]) -> list[Made]:
-    """What a function makes of each piece, in their order; the longest should come first."""
-    if len(pieces) <= _FEW:
+def on_threads(function: Callable[[Piece], Made], pieces: Sequence[Piece], most: int = MOST_THREADS) -> list[Made]:
+    """What a function makes of each piece, in their order; the longest should come first.
+
+    Args:
+        most: threads.
+    """
+    if len(pieces) <= _FEW or most == 1:
         return [function(piece) for piece in pieces]
-    with ThreadPoolExecutor(min(cpu_threads(), MOST_THREADS)) as pool:
+    with ThreadPoolExecutor(min(cpu_threads(), most)) as pool:
         return list(pool.map(function, pieces))
