@@ -18,9 +18,10 @@ from petmjx.plans.plan_set import Skipped
 from petmjx.study import MAX_WORLDS
 from petmjx.sweeps.axes import AXIS_KINDS
 from petmjx.sweeps.design import Design
+from petmjx.sweeps.eumos import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE
 from petmjx.world.apply import apply_all
 from petmjx.world.job import Drive, Job
-from petmjx.world.profiles.base import Profile, Strength
+from petmjx.world.profiles.base import Profile, Strength, allowed_sway_m
 from petmjx.world.random import WorldKey
 from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, Variant
@@ -181,11 +182,11 @@ class SweepPlan(Design):
         placed_s = sim.interval_s * plan.n_boxes if sim.check is Check.ONE_BY_ONE else 0.0
         return placed_s + sim.settle_s
 
-    def drive(self, plan: Plan, variant: Variant, allowed_sway_m: float = 0.0) -> Drive | None:
+    def drive(self, plan: Plan, variant: Variant, load_height_m: float = 0.0) -> Drive | None:
         """The drive of one world. Worlds with the same samples share the array.
 
         Args:
-            allowed_sway_m: as of ``Drive``.
+            load_height_m: of the settled load, m; EUMOS's test may be passed until boxes have swayed by a share of it.
         """
         spec = variant.drive
         if spec is None:
@@ -200,7 +201,9 @@ class SweepPlan(Design):
             world = WorldKey(self.sweep.seed, plan.plan_id, variant.replicate)
             self._drives[key] = self._unit_drive(profile, plan, start_s, world)
         unit, yaw_rad = self._drives[key], deg_to_rad(spec.direction_deg)
-        return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_sway_m)
+        tested = spec.profile == EUMOS_PROFILE
+        allowed_m = EUMOS_ELASTIC_SHARE * load_height_m if tested else allowed_sway_m(profile)
+        return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
 
     def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
         """A profile at scale 1, not turned.

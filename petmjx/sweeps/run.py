@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain, islice
 from typing import Any
 
 from petmjx.engines.attempts import ATTEMPTS
@@ -238,10 +239,10 @@ class SweepRun:
             if not self._can_be_driven(start):
                 undriven.append(start)
                 continue
-            drives[id(start.group)] = self._drives_of(start)
-            if made < self.batching.drives:
-                drives[id(start.group)] = ready = list(self._drives_of(start))
-                made += len(ready)
+            of_start = self._drives_of(start)
+            ready = list(islice(of_start, self.batching.drives - made))
+            drives[id(start.group)] = chain(ready, of_start)
+            made += len(ready)
         for start in undriven:
             for variant in self._missing(start.group):
                 yield start.undriven(variant)
@@ -254,9 +255,7 @@ class SweepRun:
 
     def _driving(self, start: Settled, variant: Variant, test: Test = (-1, -1)) -> _Driving:
         plan = start.group.plan
-        assert variant.drive is not None
-        name, record = variant.drive.profile, self.recording.of(plan)
-        drive = self.plan.drive(plan, variant, start.allowed_sway_m(name, self.plan.sweep.profiles[name]))
+        drive, record = self.plan.drive(plan, variant, start.load_height_m), self.recording.of(plan)
         job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
         return _Driving(plan, variant.index, job, start, variant, test)
 

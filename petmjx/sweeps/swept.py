@@ -8,11 +8,10 @@ from functools import cached_property
 from petmjx.options.config import Thresholds
 from petmjx.study import FinishedWorld
 from petmjx.sweeps.design import SearchItem
-from petmjx.sweeps.eumos import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE, load_height_m
+from petmjx.sweeps.eumos import load_height_m
 from petmjx.sweeps.grid import PlacementGroup
 from petmjx.sweeps.search import Found, Probe
 from petmjx.verdict import Attempt, Flag, Outcome, Verdict, judge
-from petmjx.world.profiles.base import Profile, allowed_sway_m
 from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant
 
@@ -26,13 +25,10 @@ class Settled:
     outcome: Outcome
     attempts: tuple[Attempt, ...]
 
-    def allowed_sway_m(self, name: str, profile: Profile) -> float:
-        """As of ``Drive``: EUMOS's test may be passed until boxes have swayed by what it allows."""
-        return self._eumos_sway_m if name == EUMOS_PROFILE else allowed_sway_m(profile)
-
     @cached_property
-    def _eumos_sway_m(self) -> float:
-        return EUMOS_ELASTIC_SHARE * load_height_m(self.outcome.boxes.pos, self.scene.half_size)
+    def load_height_m(self) -> float:
+        """Of the load at rest, m: the same for all its drives."""
+        return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
         """What a fork came to, judged with its placement. Its history begins with that of the placement."""
