@@ -14,20 +14,20 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from support.plans import make_scene, stack
+from support.plans import falling, make_scene, stack
+from support.worlds import run_one
 
 from petmjx.engines.base import GrowingJobs, Progress
 from petmjx.engines.clock import Clock
 from petmjx.engines.cpu import live as mujoco_live
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.history import Record
 from petmjx.metrics.force_np import contact_normal_and_tangents
 from petmjx.metrics.motion_np import lowest_z, tilt_deg
 from petmjx.options.carrier import Carrier
 from petmjx.options.config import Schedule, Simulation, Thresholds
 from petmjx.options.physics import PHYSICS, Cone
-from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
+from petmjx.verdict import Flag, Reason, Verdict, judge
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.mjcf import to_mjcf
 from petmjx.world.model import build_spec
@@ -41,16 +41,6 @@ def leaning(n: int = 5, overhang_mm: float = 20.0, physics: str = "pallet") -> S
     """A tower that stands: each box sits ``overhang_mm`` further along x on every other level."""
     boxes = stack(n, overhang_mm, size_mm=(300, 200, 150), kg=np.linspace(8.0, 3.0, n).tolist(), at_mm=(100, 100))
     return make_scene(boxes, Simulation(physics=physics, carrier=Carrier.EURO_PALLET))
-
-
-def falling() -> Scene:
-    """The second box reaches over the first one's edge by more than half, and takes the third with it."""
-    return make_scene(stack(3, -200.0, size_mm=(300, 200, 150)))
-
-
-def run_one(job: Job, sim: Simulation) -> Outcome:
-    (outcome,) = MujocoEngine(1).run([job], sim)
-    return outcome
 
 
 def push(n_steps: int = 50, level: float = 0.3, kind: str = "force") -> Drive:
@@ -197,107 +187,6 @@ def test_how_the_world_grows_does_not_matter(physics: str, ordered_from: int, mo
         np.testing.assert_allclose(other.boxes.rest_top_force_n, outcomes[0].boxes.rest_top_force_n, rtol=1e-6)
 
 
-def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
-    scene = falling()
-    early = run_one(Job(scene), Simulation())
-    whole = run_one(Job(scene), Simulation(early_stop=False))
-    assert early.verdict is whole.verdict is Verdict.UNSTABLE
-    assert early.culprit == whole.culprit == 1
-    assert early.flags & Flag.EARLY_STOP
-    assert not whole.flags & Flag.EARLY_STOP
-    assert early.sim_time_s < whole.sim_time_s
-    assert np.isnan(early.boxes.rest_top_force_n).all()
-    assert np.isfinite(whole.boxes.rest_top_force_n).all()
-
-
-def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
-    """With the verdict, the culprit and the first sign that it would have had, and without what follows."""
-    asked, whole = (run_one(Job(falling(), has_errors=asked), Simulation()) for asked in (True, False))
-    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
-    assert asked.first_sign_s <= asked.sim_time_s < whole.sim_time_s
-    assert asked.flags & Flag.EARLY_STOP
-    assert asked.boxes.max_tilt_deg.max() > Simulation().thresholds.tilt_deg
-    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
-    on = run_one(Job(falling(), has_errors=True), Simulation(early_stop=False))
-    assert on.sim_time_s > whole.sim_time_s
-
-
-def tower() -> Scene:
-    """It topples when it is pushed along x; a flat box beside it does not."""
-    column = stack(4, size_mm=(150, 400, 300), at_mm=(800, 0))
-    return make_scene([*column, ((300, 400, 60), (0, 0, 0), 5.0)], Simulation(carrier=Carrier.EURO_PALLET))
-
-
-@pytest.mark.parametrize("kind", ["force", "acceleration"])
-def test_a_drive_ends_when_its_culprit_is_lost(kind: str) -> None:
-    """With the verdict, the culprit and the first sign that it would have had: how the first box failed is known."""
-    shaken = Drive(Excitation("push", kind, np.tile([4.0 if kind == "acceleration" else 2.0, 0, 0], (300, 1))))
-    asked, whole = (run_one(Job(tower(), shaken), Simulation(early_stop=stop)) for stop in (True, False))
-    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
-    assert asked.flags & Flag.EARLY_STOP
-    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
-    assert asked.first_sign_s < asked.sim_time_s < whole.boxes.drop_s[whole.boxes.dropped].min()
-    limit = Simulation().thresholds.tilt_deg
-    assert asked.boxes.max_tilt_deg[asked.culprit] > limit
-    assert round(asked.sim_time_s / 0.002) % Simulation().quiet.poll_steps == 0
-
-
-def test_a_drive_that_may_be_passed_goes_on_until_the_culprit_has_swayed_too_far() -> None:
-    sway_m, pulse = [], Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1)))
-    for allowed_m in (0.0, 0.6, 10.0):
-        outcome = run_one(Job(tower(), Drive(pulse, allowed_sway_m=allowed_m)), Simulation())
-        assert outcome.verdict is Verdict.UNSTABLE
-        assert outcome.reason is (Reason.DROP if allowed_m > 1 else Reason.TILT)
-        sway_m.append(float(outcome.boxes.max_sway_m[outcome.culprit]))
-    assert sway_m[0] < 0.6 <= sway_m[1] < sway_m[2]
-
-
-def test_a_drive_ends_at_the_look_after_the_one_that_finds_its_culprit() -> None:
-    """Where the two thresholds are passed at the same look."""
-    sim = Simulation(thresholds={"tilt_deg": 0.01})
-    outcome = run_one(Job(tower(), Drive(Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1))))), sim)
-    assert outcome.flags & Flag.EARLY_STOP
-    look_s = sim.quiet.poll_steps * sim.physics.timestep_s
-    assert outcome.sim_time_s - outcome.first_sign_s == pytest.approx(look_s)
-
-
-def test_with_pyramidal_cones_a_drive_ends_by_a_drop_alone_and_is_seen_at_samples() -> None:
-    sim = Simulation(physics="reference", carrier=Carrier.EURO_PALLET)
-    column = make_scene(stack(4, size_mm=(150, 400, 300), at_mm=(800, 0)), sim)
-    shaken = Drive(Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1))), rest_s=2.0)
-    outcome = run_one(Job(column, shaken), sim)
-    assert outcome.reason is Reason.DROP
-    at_samples = round(outcome.first_sign_s / sim.physics.timestep_s) % round(sim.sample_interval_s / 0.002)
-    assert at_samples == 0
-
-
-def test_what_is_seen_of_a_drive_does_not_depend_on_how_often_samples_are_taken() -> None:
-    """A box on its small side rocks in a pulse of a tenth of a second, between two samples."""
-    scene = make_scene([((200, 400, 400), (0, 0, 0), 10.0)], Simulation(carrier=Carrier.EURO_PALLET))
-    pulse = Drive(Excitation("pulse", "acceleration", np.tile([9.0, 0, 0], (40, 1))), rest_s=1.0)
-    often, seldom = (run_one(Job(scene, pulse), Simulation(sample_interval_s=each)).boxes for each in (0.02, 1.0))
-    assert often.max_tilt_deg[0] > 1.0
-    np.testing.assert_allclose(seldom.max_tilt_deg, often.max_tilt_deg, rtol=0.1)
-    np.testing.assert_allclose(seldom.max_sway_m, often.max_sway_m, rtol=0.1)
-
-
-def test_a_box_that_comes_back_is_not_lost() -> None:
-    """A board tips under a box, by more than twice the threshold of shift, until there is one on its other end."""
-    sim = Simulation(carrier=Carrier.EURO_PALLET, placing="hand")
-    boxes = [
-        ((200, 800, 60), (500, 0, 0), 10.0),
-        ((1200, 800, 20), (0, 0, 60), 2.0),
-        ((200, 800, 100), (0, 0, 80), 5.0),
-        ((200, 800, 100), (1000, 0, 80), 5.0),
-    ]
-    scene = make_scene(boxes, sim)
-    outcome = run_one(Job(scene, record=Record(0.1), has_errors=True), sim)
-    assert outcome.verdict is Verdict.STABLE
-    assert outcome.history is not None
-    sunk = scene.target[2, 2] - np.nanmin(outcome.history.pos[:, 2, 2])
-    assert sunk > 2 * sim.thresholds.shift_m
-
-
 # ---------------------------------------------------------------------- forking
 
 
@@ -388,7 +277,8 @@ import sys
 from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.world.job import Job
-from support.plans import make_scene, stack
+from support.plans import falling, make_scene, stack
+from support.worlds import run_one
 sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=600)
 short, long = Job(make_scene(stack(3, -200.0))), Job(make_scene(3))
 try:

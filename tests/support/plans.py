@@ -95,3 +95,8 @@ def on_boards(scene: Scene) -> Scene:
 def make_world(plan: Plan, sim: Simulation | None = None) -> World:
     """The unchanged world of a plan, without a drive."""
     return World(plan, 0, Job(build_scene(plan, sim or Simulation())))
+
+
+def falling() -> Scene:
+    """The second box reaches over the first one's edge by more than half, and takes the third with it."""
+    return make_scene(stack(3, -200.0, size_mm=(300, 200, 150)))

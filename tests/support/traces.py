@@ -118,11 +118,11 @@ class Seen:
     @cached_property
     def poses(self) -> list[tuple[int, int]]:
         """Steps at which poses are looked at, and their frames: of samples, of looks in the drive, and the last one."""
-        found, acts = {self.steps[frame] + 1: frame for frame in self.samples}, self.trace.driven[0]
+        found, acts, first = {}, self.trace.driven[0], self.steps[0]
         if acts > 0 and self.sim.waits_for_rest:
-            looks = [step for step in self.steps if step >= acts and step % self.sim.quiet.poll_steps == 0]
-            found = {step: self.steps.index(step) for step in looks} | found
-        return sorted(({self.steps[-1]: len(self.steps) - 1} | found).items())
+            found = {step: step - first for step in self.steps if step >= acts and not step % self.sim.quiet.poll_steps}
+        found |= {self.steps[frame] + 1: frame for frame in self.samples}
+        return [*sorted(found.items()), (self.steps[-1], len(self.steps) - 1)]
 
     def excess(self, frame: int) -> FloatArray:
         """(placed,) of the boxes of a frame."""
@@ -138,16 +138,15 @@ class Seen:
         begin = self.steps.index(self.trace.driven[0]) - 1 if self.trace.driven[0] > 0 else 0
         if (self.excess(begin) > 1).any():
             begin = 0  # a sign of the placement is forgotten only where nothing is over a threshold
-        last = self.steps[-1], len(self.steps) - 1
-        for step, frame in [pose for pose in self.poses if pose[1] >= begin] + [last]:
+        for step, frame in [pose for pose in self.poses if pose[1] >= begin]:
             over = self.excess(frame)
             if (over > 1).any():
                 return step, int(over.argmax())
         return -1, -1
 
     def tilt_deg(self) -> FloatArray:
-        """(n,) the largest in all poses that are looked at, and in the last one."""
-        quat = self.history.quat[[*(frame for _, frame in self.poses), -1]]
+        """(n,) the largest in all poses that are looked at."""
+        quat = self.history.quat[[frame for _, frame in self.poses]]
         angles = np.array([motion_np.tilt_deg(each) for each in quat])
         return np.nan_to_num(np.fmax.reduce(angles, axis=0))
 

@@ -88,3 +88,9 @@ def jax_outcomes() -> dict[str, Outcome]:
 @functools.cache
 def exact_outcomes() -> dict[str, Outcome]:
     return simulate(MujocoEngine(2), scenes(), Simulation())
+
+
+def run_one(job: Job, sim: Simulation) -> Outcome:
+    """One world on C MuJoCo."""
+    (outcome,) = MujocoEngine(1).run([job], sim)
+    return outcome

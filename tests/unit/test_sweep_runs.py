@@ -11,16 +11,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from support.command_line import write
 from support.plan_files import placement
 from support.plans import make_plan, make_scene, stack
+from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 
 import petmjx
 from petmjx.engines.base import Progress
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.options.config import Simulation, Thresholds
-from petmjx.plans.plan import Plan
 from petmjx.sweeps.batching import Batching
 from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.grid import SweepPlan
@@ -30,42 +29,6 @@ from petmjx.world.job import Job
 
 SOONEST, LATEST = 200 + 115, 200 + 250
 """Fewest and most steps of EUMOS's profile at 2 ms, 0.4 s, with 0.5 s to come to rest."""
-
-QUICK = """
-[simulation]
-settle_s = 0.4
-rest_s = 0.5
-early_stop = false
-"""
-
-
-def leaning(plan_id: str, n: int = 2, overhang_mm: float = 0.0) -> Plan:
-    """Cartons on top of each other, every second moved along x."""
-    return make_plan(plan_id, stack(n, overhang_mm))
-
-
-def write_sweep(folder: Path, text: str) -> Path:
-    return write(folder / "x.toml", text)
-
-
-class Recorder(MujocoEngine):
-    """The engine, which remembers what it was asked."""
-
-    def __init__(self, threads: int | None = None) -> None:
-        super().__init__(threads)
-        self.batches: list[tuple[list[Job], Simulation]] = []
-
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        self.batches.append((list(jobs), sim))
-        return super().run(jobs, sim, progress)
-
-
-EUMOS_GRID = """
-[axes]
-profile = "eumos-40509"
-direction = ["+x", "-x", "+y", "-y"]
-level = { from = 0.05, to = 0.8, step = 0.05 }
-"""
 
 
 def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Path) -> None:
@@ -84,29 +47,6 @@ def test_64_profiles_cost_one_placement_and_64_profiles_to_the_step(tmp_path: Pa
     assert (run.tally.drives, run.tally.drive_steps) == (64, sum(steps))
     assert (min(steps), max(steps)) == (SOONEST, LATEST)
     assert sorted(world.variant.index for world in worlds) == list(range(1, 65))
-
-
-def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
-    """A world ends when its culprit is lost: but not before it has swayed by more than the test allows."""
-    plans = [leaning("low"), leaning("tall", 6, 20.0)]
-    grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.2, to = 0.8, step = 0.2")
-    file = write_sweep(tmp_path, QUICK.replace("early_stop = false", "") + grid)
-    engine = Recorder(2)
-    run = SweepRun(SweepPlan(load_sweep(file, plans_given=True), plans), engine)
-    list(run.worlds())
-    allowed_m = {job.scene.n_boxes: job.drive.allowed_sway_m for job in engine.batches[1][0] if job.drive}
-    height_m = {plan.n_boxes: (plan.corner_mm + plan.size_mm)[:, 2].max() / 1000 for plan in plans}
-    assert allowed_m == {n: pytest.approx(0.1 * height, rel=1e-3) for n, height in height_m.items()}
-
-    ended, whole = (
-        petmjx.sweep(write_sweep(tmp_path, text), plans, engine="mujoco") for text in (file.read_text(), QUICK + grid)
-    )
-    for column in ("verdict", "culprit", "first_sign_s", "eumos_passed"):
-        pd.testing.assert_series_equal(ended.worlds[column], whole.worlds[column])
-    fell = (ended.worlds["flags"] & int(Flag.EARLY_STOP)) > 0
-    assert (ended.worlds["reason"][fell] == "tilt").any()
-    assert (ended.worlds["n_steps"][fell] < whole.worlds["n_steps"][fell]).all()
-    assert whole.worlds["eumos_passed"].any()
 
 
 MIXED = (
@@ -290,21 +230,6 @@ def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path) -> 
         pd.testing.assert_frame_equal(
             one.drop(columns="wall_s", errors="ignore"), other.drop(columns="wall_s", errors="ignore")
         )
-
-
-def test_tilting_tells_the_angle(tmp_path: Path) -> None:
-    text = """
-[simulation]
-settle_s = 0.2
-sample_interval_s = 0.04
-[axes]
-profile = "tilt"
-"""
-    (world,) = petmjx.sweep(write_sweep(tmp_path, text), [leaning("a", 1)], engine="mujoco").worlds.to_dict("records")
-    # atan 0.5 = 26.57°, and the time a box takes to slide 20 mm once it is past it
-    assert 26.5 < world["fail_angle_deg"] < 30.0
-    assert world["fail_angle_deg"] == pytest.approx(5.0 * world["sign_in_profile_s"])
-    assert world["mode"] in ("slide", "drop")
 
 
 class _NeverBelieved(Recorder):

@@ -1,0 +1,120 @@
+"""Worlds that end once it is known that the pallet does not stand, and what is seen of drives, on C MuJoCo."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.plans import falling, make_scene, stack
+from support.worlds import run_one
+
+from petmjx.basics.units import seconds_to_steps
+from petmjx.history import Record
+from petmjx.options.carrier import Carrier
+from petmjx.options.config import Simulation
+from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.world.job import Drive, Excitation, Job
+from petmjx.world.scene import Scene
+
+
+def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
+    scene = falling()
+    early = run_one(Job(scene), Simulation())
+    whole = run_one(Job(scene), Simulation(early_stop=False))
+    assert early.verdict is whole.verdict is Verdict.UNSTABLE
+    assert early.culprit == whole.culprit == 1
+    assert early.flags & Flag.EARLY_STOP
+    assert not whole.flags & Flag.EARLY_STOP
+    assert early.sim_time_s < whole.sim_time_s
+    assert np.isnan(early.boxes.rest_top_force_n).all()
+    assert np.isfinite(whole.boxes.rest_top_force_n).all()
+
+
+def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
+    """With the verdict, the culprit and the first sign that it would have had, and without what follows."""
+    asked, whole = (run_one(Job(falling(), has_errors=asked), Simulation()) for asked in (True, False))
+    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
+    assert asked.first_sign_s <= asked.sim_time_s < whole.sim_time_s
+    assert asked.flags & Flag.EARLY_STOP
+    assert asked.boxes.max_tilt_deg.max() > Simulation().thresholds.tilt_deg
+    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
+    on = run_one(Job(falling(), has_errors=True), Simulation(early_stop=False))
+    assert on.sim_time_s > whole.sim_time_s
+
+
+PUSH = Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1)))
+"""What topples a tower."""
+
+
+def tower() -> Scene:
+    """It topples when it is pushed along x; a flat box beside it does not."""
+    column = stack(4, size_mm=(150, 400, 300), at_mm=(800, 0))
+    return make_scene([*column, ((300, 400, 60), (0, 0, 0), 5.0)], Simulation(carrier=Carrier.EURO_PALLET))
+
+
+@pytest.mark.parametrize("kind", ["force", "acceleration"])
+def test_a_drive_ends_when_its_culprit_is_lost(kind: str) -> None:
+    """With the verdict, the culprit and the first sign that it would have had: how the first box failed is known."""
+    shaken = Drive(Excitation("push", kind, np.tile([4.0 if kind == "acceleration" else 2.0, 0, 0], (300, 1))))
+    asked, whole = (run_one(Job(tower(), shaken), Simulation(early_stop=stop)) for stop in (True, False))
+    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
+    assert asked.flags & Flag.EARLY_STOP
+    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
+    assert asked.first_sign_s < asked.sim_time_s < whole.boxes.drop_s[whole.boxes.dropped].min()
+    limit = Simulation().thresholds.tilt_deg
+    assert asked.boxes.max_tilt_deg[asked.culprit] > limit
+    assert round(asked.sim_time_s / Simulation().physics.timestep_s) % Simulation().quiet.poll_steps == 0
+
+
+def test_a_drive_that_may_be_passed_goes_on_until_the_culprit_has_swayed_too_far() -> None:
+    sway_m = []
+    for allowed_m in (0.0, 0.6, 10.0):
+        outcome = run_one(Job(tower(), Drive(PUSH, allowed_sway_m=allowed_m)), Simulation())
+        assert outcome.verdict is Verdict.UNSTABLE
+        assert outcome.reason is (Reason.DROP if allowed_m > 1 else Reason.TILT)
+        sway_m.append(float(outcome.boxes.max_sway_m[outcome.culprit]))
+    assert sway_m[0] < 0.6 <= sway_m[1] < sway_m[2]
+
+
+def test_a_drive_ends_at_the_look_after_the_one_that_finds_its_culprit() -> None:
+    """Where the two thresholds are passed at the same look."""
+    sim = Simulation(thresholds={"tilt_deg": 0.01})
+    outcome = run_one(Job(tower(), Drive(PUSH)), sim)
+    assert outcome.flags & Flag.EARLY_STOP
+    look_s = sim.quiet.poll_steps * sim.physics.timestep_s
+    assert outcome.sim_time_s - outcome.first_sign_s == pytest.approx(look_s)
+
+
+def test_with_pyramidal_cones_a_drive_ends_by_a_drop_alone_and_is_seen_at_samples() -> None:
+    sim = Simulation(physics="reference", carrier=Carrier.EURO_PALLET)
+    column = make_scene(stack(4, size_mm=(150, 400, 300), at_mm=(800, 0)), sim)
+    outcome = run_one(Job(column, Drive(PUSH, rest_s=2.0)), sim)
+    assert outcome.reason is Reason.DROP
+    timestep_s = sim.physics.timestep_s
+    assert round(outcome.first_sign_s / timestep_s) % seconds_to_steps(sim.sample_interval_s, timestep_s) == 0
+
+
+def test_what_is_seen_of_a_drive_does_not_depend_on_how_often_samples_are_taken() -> None:
+    """A box on its small side rocks in a pulse of a tenth of a second, between two samples."""
+    scene = make_scene([((200, 400, 400), (0, 0, 0), 10.0)], Simulation(carrier=Carrier.EURO_PALLET))
+    pulse = Drive(Excitation("pulse", "acceleration", np.tile([9.0, 0, 0], (40, 1))), rest_s=1.0)
+    often, seldom = (run_one(Job(scene, pulse), Simulation(sample_interval_s=each)).boxes for each in (0.02, 1.0))
+    assert often.max_tilt_deg[0] > 1.0
+    np.testing.assert_allclose(seldom.max_tilt_deg, often.max_tilt_deg, rtol=0.1)
+    np.testing.assert_allclose(seldom.max_sway_m, often.max_sway_m, rtol=0.1)
+
+
+def test_a_box_that_comes_back_is_not_lost() -> None:
+    """A board tips under a box, by more than twice the threshold of shift, until there is one on its other end."""
+    sim = Simulation(carrier=Carrier.EURO_PALLET, placing="hand")
+    boxes = [
+        ((200, 800, 60), (500, 0, 0), 10.0),
+        ((1200, 800, 20), (0, 0, 60), 2.0),
+        ((200, 800, 100), (0, 0, 80), 5.0),
+        ((200, 800, 100), (1000, 0, 80), 5.0),
+    ]
+    scene = make_scene(boxes, sim)
+    outcome = run_one(Job(scene, record=Record(0.1), has_errors=True), sim)
+    assert outcome.verdict is Verdict.STABLE
+    assert outcome.history is not None
+    sunk = scene.target[2, 2] - np.nanmin(outcome.history.pos[:, 2, 2])
+    assert sunk > 2 * sim.thresholds.shift_m

@@ -1,0 +1,51 @@
+"""Small sweeps, and an engine that remembers what it was asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from petmjx.engines.base import Progress
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.config import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.verdict import Outcome
+from petmjx.world.job import Job
+from support.command_line import write
+from support.plans import make_plan, stack
+
+QUICK = """
+[simulation]
+settle_s = 0.4
+rest_s = 0.5
+early_stop = false
+"""
+
+
+def leaning(plan_id: str, n: int = 2, overhang_mm: float = 0.0) -> Plan:
+    """Cartons on top of each other, every second moved along x."""
+    return make_plan(plan_id, stack(n, overhang_mm))
+
+
+def write_sweep(folder: Path, text: str) -> Path:
+    return write(folder / "x.toml", text)
+
+
+class Recorder(MujocoEngine):
+    """The engine, which remembers what it was asked."""
+
+    def __init__(self, threads: int | None = None) -> None:
+        super().__init__(threads)
+        self.batches: list[tuple[list[Job], Simulation]] = []
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        self.batches.append((list(jobs), sim))
+        return super().run(jobs, sim, progress)
+
+
+EUMOS_GRID = """
+[axes]
+profile = "eumos-40509"
+direction = ["+x", "-x", "+y", "-y"]
+level = { from = 0.05, to = 0.8, step = 0.05 }
+"""

@@ -1,0 +1,68 @@
+"""Drives of sweeps: which start from which placement, and what ends them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
+
+import petmjx
+from petmjx.sweeps.batching import Batching
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.run import SweepRun
+from petmjx.verdict import Flag
+
+
+def test_drives_start_from_their_own_placement_in_the_order_of_plans(tmp_path: Path) -> None:
+    """Those of the second plan are partly made while it is placed, and those of the third only when they are due."""
+    grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.1, to = 0.2, step = 0.1")
+    plan = SweepPlan(
+        load_sweep(write_sweep(tmp_path, QUICK + grid), plans_given=True), [leaning(f"of {n}", n) for n in (1, 2, 3)]
+    )
+    engine = Recorder(1)
+    run = SweepRun(plan, engine, batching=Batching(drives=12))
+    assert {(world.plan.n_boxes, world.outcome.n_boxes) for world in run.worlds()} == {(1, 1), (2, 2), (3, 3)}
+    drives = [job for batch, _ in engine.batches[1:] for job in batch]
+    assert [job.scene.n_boxes for job in drives] == [1] * 8 + [2] * 8 + [3] * 8
+    assert len({(job.scene.n_boxes, id(job.start)) for job in drives}) == 3
+
+
+def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
+    """A world ends when its culprit is lost: but not before it has swayed by more than the test allows."""
+    plans = [leaning("low"), leaning("tall", 6, 20.0)]
+    grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.2, to = 0.8, step = 0.2")
+    file = write_sweep(tmp_path, QUICK.replace("early_stop = false", "") + grid)
+    engine = Recorder(2)
+    run = SweepRun(SweepPlan(load_sweep(file, plans_given=True), plans), engine)
+    list(run.worlds())
+    allowed_m = {job.scene.n_boxes: job.drive.allowed_sway_m for job in engine.batches[1][0] if job.drive}
+    height_m = {plan.n_boxes: (plan.corner_mm + plan.size_mm)[:, 2].max() / 1000 for plan in plans}
+    assert allowed_m == {n: pytest.approx(0.1 * height, rel=1e-3) for n, height in height_m.items()}
+
+    ended, whole = (
+        petmjx.sweep(write_sweep(tmp_path, text), plans, engine="mujoco") for text in (file.read_text(), QUICK + grid)
+    )
+    for column in ("verdict", "culprit", "first_sign_s", "eumos_passed"):
+        pd.testing.assert_series_equal(ended.worlds[column], whole.worlds[column])
+    fell = (ended.worlds["flags"] & int(Flag.EARLY_STOP)) > 0
+    assert (ended.worlds["reason"][fell] == "tilt").any()
+    assert (ended.worlds["n_steps"][fell] < whole.worlds["n_steps"][fell]).all()
+    assert whole.worlds["eumos_passed"].any()
+
+
+def test_tilting_tells_the_angle(tmp_path: Path) -> None:
+    text = """
+[simulation]
+settle_s = 0.2
+sample_interval_s = 0.04
+[axes]
+profile = "tilt"
+"""
+    (world,) = petmjx.sweep(write_sweep(tmp_path, text), [leaning("a", 1)], engine="mujoco").worlds.to_dict("records")
+    # atan 0.5 = 26.57°, and the time a box takes to slide 20 mm once it is past it
+    assert 26.5 < world["fail_angle_deg"] < 30.0
+    assert world["fail_angle_deg"] == pytest.approx(5.0 * world["sign_in_profile_s"])
+    assert world["mode"] in ("slide", "drop")
