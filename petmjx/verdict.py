@@ -114,6 +114,8 @@ INVALID_FLAGS: Final = (
 )
 """Flags that make a world invalid, with their reasons. The first one that is set decides."""
 
+_INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
+
 
 class Signs(NamedTuple):
     """Of (…, n) boxes what may decide whether they fail, as in ``BoxMetrics``."""
@@ -157,7 +159,7 @@ def judge(
         placement: of a world that was shaken, what it was before. What did not stand then has not passed, even if it
             ends where the plan has it.
     """
-    for bits, reason in INVALID_FLAGS if flags else ():
+    for bits, reason in INVALID_FLAGS if int(flags) & _INVALID_BITS else ():
         if flags & bits:
             return Verdict.INVALID, reason
     if sank:

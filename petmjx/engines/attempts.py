@@ -85,8 +85,8 @@ class AttemptRecipe:
         """Whether this attempt may give what the one before did not. More time is not given to a world."""
         if self.checks:
             # of a world that ended early it is the margin of a box on its way down
-            return sim.check_timestep and abs(outcome.margin) < NEAR and not outcome.flags & Flag.EARLY_STOP
-        sinks = bool(outcome.flags & Flag.SINKING) and sim.physics.cone is Cone.ELLIPTIC
+            return sim.check_timestep and abs(outcome.margin) < NEAR and Flag.EARLY_STOP not in outcome.flags
+        sinks = Flag.SINKING in outcome.flags and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
             invalid = outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT
             return sim.attempts is Attempts.SOFT and (invalid or sinks)

@@ -9,6 +9,7 @@ How to add a metric, step by step: docs/extending.md.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -245,9 +246,8 @@ class BoxMetrics:
         Raises:
             TypeError: there is no metric of that name.
         """
-        of_boxes = (metric for metric in METRICS if isinstance(metric, BoxMetric))
         missing: dict[str, Any] = {
-            metric.attribute: metric.nothing(*n) for metric in of_boxes if metric.attribute not in values
+            metric.attribute: metric.nothing(*n) for metric in box_metrics() if metric.attribute not in values
         }
         return cls(**missing, **values)
 
@@ -262,15 +262,17 @@ FORCE_INTERVAL: Final = tuple(
 """Columns of ``boxes`` in runs that are asked for them, after the metrics (petmjx.statics.intervals)."""
 
 
-def box_metrics(driven: bool = True) -> list[BoxMetric]:
+@functools.cache
+def box_metrics(driven: bool = True) -> tuple[BoxMetric, ...]:
     """Metrics of boxes in the order of their columns; ``driven``: include those that only runs with profiles have."""
     found = [metric for metric in METRICS if isinstance(metric, BoxMetric) and (driven or not metric.driven_only)]
-    return sorted(found, key=lambda metric: metric.driven_only)
+    return tuple(sorted(found, key=lambda metric: metric.driven_only))
 
 
-def world_metrics() -> list[WorldMetric]:
+@functools.cache
+def world_metrics() -> tuple[WorldMetric, ...]:
     """Metrics of whole worlds."""
-    return [metric for metric in METRICS if isinstance(metric, WorldMetric)]
+    return tuple(metric for metric in METRICS if isinstance(metric, WorldMetric))
 
 
 def box_columns(driven: bool = True) -> list[Column]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -54,12 +55,31 @@ class MoreMetrics(BoxMetrics):
     spin: FloatArray
 
 
-def test_a_new_metric_reaches_files_units_and_comparison(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def add_metric(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[BoxMetric], None]]:
+    """Puts a metric into the table, which is read anew, and after the test once more without it."""
+
+    def read_anew() -> None:
+        spec.box_metrics.cache_clear()
+        spec.world_metrics.cache_clear()
+
+    def add(metric: BoxMetric) -> None:
+        monkeypatch.setattr(spec, "METRICS", (*spec.METRICS, metric))
+        read_anew()
+
+    yield add
+    monkeypatch.undo()
+    read_anew()
+
+
+def test_a_new_metric_reaches_files_units_and_comparison(
+    tmp_path: Path, add_metric: Callable[[BoxMetric], None]
+) -> None:
     columns = {"spin_x": "turns about x", "spin_y": "turns about y"}
     most = OfWorld("max_spin", Reduction.LARGEST, "most turns of any box")
     spin = BoxMetric("spin", "1", columns, When.SAMPLES, "turns", of_world=most, relative=True)
     made = {"a": (make_outcome(), 1.0), "b": (make_outcome(), 1.5)}
-    monkeypatch.setattr(spec, "METRICS", (*spec.METRICS, spin))
+    add_metric(spin)
     for folder, (outcome, factor) in made.items():
         values = np.array([[1.0, -2.0], [0.5, 0.0], [np.nan, np.nan]]) * 100 * factor
         outcome.boxes = MoreMetrics(**vars(outcome.boxes), spin=values)
