@@ -147,7 +147,7 @@ class Making(Generic[AnyWorld]):
             soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
             idle = not (soon if at_hand is None else at_hand > 0)
             if len(came) == MOST_TOGETHER or idle:
-                yield from self.made(came, engine.name, looks=engine.looks, wait=idle)
+                yield from self.made(came, engine.name, looks=engine.looks, wait=idle, until=self._has_outcomes)
                 came, looked_s = [], time.monotonic()
             if takes_more:
                 assert self.more is not None
@@ -197,18 +197,26 @@ class Making(Generic[AnyWorld]):
         return jobs
 
     def made(
-        self, came: list[tuple[Pending[AnyWorld], Outcome]], engine: str, *, looks: bool = False, wait: bool = True
+        self,
+        came: list[tuple[Pending[AnyWorld], Outcome]],
+        engine: str,
+        *,
+        looks: bool = False,
+        wait: bool = True,
+        until: Callable[[], bool] = lambda: False,
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """What becomes of the answers of many worlds.
 
         Args:
             looks: the engine has looked at them itself.
-            wait: for those that are looked at beside the run; else some of them follow in later calls.
+            wait: for those that are looked at beside the run, or until there is something else to do; what is not
+                waited for follows in later calls.
         """
         if looks:
             found = came
         elif self.lookers is not None:
-            found = self.lookers.exchanged(came, [world.job for (world, _, _), _ in came], self.sim, wait=wait)
+            jobs = [world.job for (world, _, _), _ in came]
+            found = self.lookers.exchanged(came, jobs, self.sim, wait=wait, until=until)
         else:
             jobs = [world.job for (world, _, _), _ in came]
             jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
@@ -223,6 +231,10 @@ class Making(Generic[AnyWorld]):
             if self.attempt.checks and before is not None:
                 outcome = self._checked(world, before, outcome)
             yield world, outcome, records
+
+    def _has_outcomes(self) -> bool:
+        """Whether the engine says that outcomes are at hand."""
+        return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
         """The outcome of a world that was checked at half the timestep: the one before, which says so if it changed."""

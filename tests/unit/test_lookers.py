@@ -124,6 +124,25 @@ def test_a_process_that_hangs_is_not_waited_for_without_end(
         os.kill(one, 0)
 
 
+def test_waiting_ends_when_there_is_something_else_to_do(lookers: Lookers[Any], raw: list[Outcome]) -> None:
+    stopped, asked = pids(lookers), list[bool]()
+
+    def later() -> bool:
+        asked.append(len(asked) > 2)
+        return asked[-1]
+
+    for pid in stopped:
+        os.kill(pid, signal.SIGSTOP)
+    assert lookers.exchanged(given(raw, 0), JOBS, SIM, wait=True, until=later) == []
+    assert asked[-1]
+    assert lookers.exchanged([], [], SIM, wait=True, until=lambda: True) == []
+    for pid in stopped:
+        os.kill(pid, signal.SIGCONT)
+    found = dict(lookers.exchanged([], [], SIM, wait=True, until=lambda: False))
+    assert told([found[0, job] for job in range(len(JOBS))]) == expected(raw)
+    assert pids(lookers) == stopped
+
+
 @pytest.mark.parametrize("sent", [b"", pickle.dumps(range(9))[:-3], b"cno_such_module\nname\n.", b"\x80\x04]K\x01R."])
 def test_what_cannot_be_read_is_the_end_of_a_pipe(sent: bytes) -> None:
     assert next_of(io.BytesIO(sent)) is None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from support.plans import make_plan, make_world
 import petmjx.engines.looked_at as looked_at
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
 from petmjx.engines.base import Engine, Progress
+from petmjx.engines.beside.lookers import Lookers
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import score_worlds
 from petmjx.engines.worlds import World
@@ -86,6 +88,36 @@ def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_th
     for result in score_worlds(worlds[:3], Simulation(), InSlices(), more=more):
         queue += worlds[3:] if result.world is worlds[2] else []
     assert [number for number in together if number] == [3, 2]
+
+
+def test_what_looks_at_answers_is_waited_for_until_more_are_at_hand() -> None:
+    class Answering(FailingEngine):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            for outcome in super().run(jobs, sim, progress):
+                assert progress is not None
+                progress.at_hand = 0
+                yield outcome
+
+    class Waiting(Lookers[Any]):
+        """While they wait, other answers are at hand."""
+
+        def exchanged(self, came: Any, *_: Any, wait: bool, until: Callable[[], bool]) -> Any:
+            assert wait
+            assert not until()
+            kept.extend(came)
+            progress.at_hand = 1
+            if until():
+                return []
+            found = kept.copy()
+            kept.clear()
+            went_on.append(len(found))
+            return found
+
+    kept, went_on = list[Any](), list[int]()
+    progress, worlds = Progress(), worlds_failing(0, 0, 0)
+    results = score_worlds(worlds, Simulation(), Answering(), progress=progress, lookers=Waiting(0))
+    assert sorted(result.world.plan.plan_id for result in results) == ["p0", "p1", "p2"]
+    assert [count for count in went_on if count] == [3], "in the end all are waited for"
 
 
 def test_valid_worlds_run_once() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import queue
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Generic, TypeVar
 
@@ -29,8 +29,8 @@ THREADS_EACH: Final = 4
 MOST_WAITING: Final = 8
 """Looks that wait for one of them: with 64 outcomes each, 5 MB."""
 
-LOOK_S: Final = 0.25
-"""Longest wait for an answer, s: a signal is noticed after it."""
+LOOK_S: Final = 0.005
+"""Longest wait for an answer, s: a signal is noticed after it, or that there is something else to do."""
 
 HANGS_S: Final = 60.0
 """A process that is waited for and has not answered for so long hangs, s. It starts in a few seconds, and a look takes
@@ -68,20 +68,26 @@ class Lookers(Generic[Key]):
         return cls(most_lookers(cpu_threads()))
 
     def exchanged(
-        self, came: Sequence[tuple[Key, Outcome]], jobs: Sequence[Job], sim: Simulation, *, wait: bool
+        self,
+        came: Sequence[tuple[Key, Outcome]],
+        jobs: Sequence[Job],
+        sim: Simulation,
+        *,
+        wait: bool,
+        until: Callable[[], bool] = lambda: False,
     ) -> list[tuple[Key, Outcome]]:
         """Give outcomes to be looked at, and take those that have been. Nobody may change outcomes meanwhile.
 
         Args:
             jobs: one for each outcome.
-            wait: for all outcomes.
+            wait: for all outcomes, or until there is something else to do.
         """
         if came:
             self._begin([key for key, _ in came], ([outcome for _, outcome in came], jobs, sim))
         for looker in self._lookers.copy():
             self._take(looker, wait=False)
-        while wait and (busy := [looker for looker in self._lookers if looker.unanswered]):
-            self._take(busy[0], wait=True)
+        while wait and not until() and (busy := [looker for looker in self._lookers if looker.unanswered]):
+            self._take(busy[0], wait=True, until=until)
         found, self._found = self._found, []
         return found
 
@@ -108,14 +114,15 @@ class Lookers(Generic[Key]):
         """Look here."""
         self._found += zip(keys, looked_at(*look), strict=True)
 
-    def _take(self, looker: _Looker[Key], *, wait: bool) -> None:
-        """Take the answers of a process, with ``wait`` one at least. One that died or hangs is done without."""
+    def _take(self, looker: _Looker[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
+        """Take the answers of a process, with ``wait`` one at least, or until there is something else to do. One that
+        died or hangs is done without."""
         waits = 0  # not the time: while this process is stopped itself (Ctrl-Z), no answer is late
         while looker.unanswered:
             try:
                 answer = looker.child.answers.get(timeout=LOOK_S) if wait else looker.child.answers.get_nowait()
             except queue.Empty:
-                if not wait:
+                if not wait or until():
                     return
                 waits += 1
                 if waits * LOOK_S < HANGS_S:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
+from threading import Lock
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -47,20 +48,22 @@ def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *
         waits: each slice waits for them. Else a thread runs the slices: the host may take longer for small worlds than
             the device.
     """
-    ended = taken = 0
+    counting = Lock()
+    progress.at_hand = 0
+
+    def count(more: int) -> None:
+        with counting:
+            progress.at_hand = (progress.at_hand or 0) + more
 
     def counted() -> Generator[Round]:
-        nonlocal ended
         with closing(rounds):
             for each in rounds:
-                ended += len(each.rows)
+                count(len(each.rows))  # a slice that waits may have none
                 yield each
 
     with closing(counted() if waits else run_ahead(counted(), MOST_AHEAD)) as each_slice:
         for rows, picked, recorder, jobs, numbers in each_slice:
-            taken += len(rows)
-            found = outcomes(rows, picked, jobs, 0, sim, recorder)
-            for left, outcome in zip(reversed(range(len(rows))), found, strict=True):
+            for outcome in outcomes(rows, picked, jobs, 0, sim, recorder):
                 outcome.job = numbers[outcome.job]
-                progress.at_hand = left + ended - taken  # a slice that waits may have none
+                count(-1)
                 yield outcome
