@@ -134,6 +134,15 @@ inline CUDA_CALLABLE int add_to(int* number, int amount) {
 #endif
 }
 
+// The multiprocessor of a GPU on which a thread runs.
+inline CUDA_CALLABLE int multiprocessor() {
+    int number = 0;
+#if defined(__CUDA_ARCH__)
+    asm volatile("mov.u32 %0, %smid;" : "=r"(number));
+#endif
+    return number;
+}
+
 // Replaces a number that all blocks share by a larger one.
 inline CUDA_CALLABLE void raise_to(int* number, int value) {
 #if defined(__CUDA_ARCH__)

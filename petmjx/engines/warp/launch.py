@@ -139,6 +139,7 @@ def kernel(launch: Launch) -> Any:
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps = int(launch.hands), int(launch.gives), int(launch.wraps)
+    shares = int(launch.per_sm > 1)
 
     def march(
         # Model:
@@ -164,13 +165,13 @@ def kernel(launch: Launch) -> Any:
             run_worlds(
                 model, worlds,
                 of_block * block + thread // threads, thread % threads, threads, n_blocks, slice_ns,
-                hands, gives, wraps, shared, shared_words,
+                0, hands, gives, wraps, shared, shared_words,
                 state, work, frames, counts,
             )  # fmt: skip
         else:
             run_worlds(
                 model, worlds,
-                block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, shared, shared_words,
+                block, thread, threads, n_blocks, slice_ns, shares, hands, gives, wraps, shared, shared_words,
                 state, work, frames, counts,
             )  # fmt: skip
 

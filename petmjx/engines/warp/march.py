@@ -138,7 +138,8 @@ class March:
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
         """States after a time slice, the workspace, frames, and what was counted. What the kernels do not know of a
         state stays as it is."""
-        kinds, shapes = array_types(Counts), records.array_shapes(Counts, {"queue": len(self.fleets)})
+        sizes = {"queue": len(self.fleets), "sm": max(wp.get_device().sm_count, 1)}
+        kinds, shapes = array_types(Counts), records.array_shapes(Counts, sizes)
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         given = {**worlds, **state, **counts, "workspace": workspace}
         given |= {_of_frames(name): values for name, values in frames.items()}

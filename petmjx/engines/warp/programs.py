@@ -8,6 +8,7 @@ from threading import Lock
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import warp as wp
 from jaxtyping import Array, Int
 
@@ -17,6 +18,7 @@ from petmjx.engines.batch.state import NEVER, State, of_flat
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
+from petmjx.engines.warp.alone import expected_last
 from petmjx.engines.warp.few import with_few_first
 from petmjx.engines.warp.march import Fleet, March
 from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
@@ -110,6 +112,7 @@ class Programs:
     def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> None:
         self.march = March(constants(sim, timetable), fleets, slice_ns)
         self._few = fleets[0] if fleets[0].least else None
+        self._shares = any(fleet.launch.per_sm > 1 for fleet in fleets)
         self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
@@ -142,7 +145,10 @@ class Programs:
         table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = with_few_first(self._few, order, table.placed, table.running)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
+        alone = jnp.zeros(len(table.status), bool)
+        if self._shares:
+            alone = expected_last(order, table.steps_done, table.running, self.march.lanes)
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order, "alone": alone}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
         return table, workspace, table.status + 0, frames, counts

@@ -12,10 +12,10 @@ import warp as wp
     do asm volatile("mov.u64 %0, %globaltimer;" : "=l"(now)); while (now - begin < time_ns);
 #endif
 """)
-def _let_pass(time_ns: wp.int64) -> None: ...
+def let_pass(time_ns: wp.int64) -> None: ...
 
 
 @wp.kernel(enable_backward=False, module="unique", module_options={"block_dim": 1})
 def pause(time_ns: wp.int64) -> None:
     """Let a time pass, ns; none on a CPU."""
-    _let_pass(time_ns)
+    let_pass(time_ns)
