@@ -35,9 +35,12 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import fleets
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.fleets import most_room
 from petmjx.engines.warp.group import Group
 from petmjx.engines.warp.launch import SIZES
+from petmjx.engines.warp.march import MORE_BOXES
 from petmjx.engines.warp.records import MAX_BOXES
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
@@ -52,8 +55,8 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(
     # 4 of each a world: of the bricks at least 5 pairs touch, in 20 contacts.
     some = tiny_scenes(("hand-one-box", "brickwork"))
     expected = simulate(shared_engine(), some, SHORT)
-    monkeypatch.setattr(mjx_warp, buffer, 1)
-    monkeypatch.setattr(mjx_warp, "MORE_BOXES", 0)
+    monkeypatch.setattr(fleets, buffer, 1)
+    monkeypatch.setattr(fleets, "MORE_BOXES", 0)
     found = simulate(engine(), some, SHORT)
     assert found["brickwork"].flags & Flag.RERUN_AFTER_OVERFLOW
     for name, outcome in found.items():
@@ -67,8 +70,8 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
     some = {**tiny_scenes(("hand-one-box", "brickwork")), "one more": tiny("hand-one-box")}
     expected = simulate(shared_engine(), some, SHORT)
     sizes_apart(monkeypatch, 1)
-    monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 2)
-    monkeypatch.setattr(mjx_warp, "MORE_BOXES", 0)
+    monkeypatch.setattr(fleets, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(fleets, "MORE_BOXES", 0)
     made = watched_rollouts(monkeypatch, lambda *_: None)
     for name, outcome in simulate(engine(), some, SHORT).items():
         assert_same(outcome, expected[name])
@@ -79,12 +82,12 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 0)
+    monkeypatch.setattr(fleets, "CONTACTS_PER_BOX", 0)
     small = engine()
     found = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (found.verdict, found.reason) == (Verdict.INVALID, Reason.OVERFLOW)
-    (growth,) = small._room.values()
-    room, most = GRANULE + mjx_warp.MORE_BOXES, mjx_warp.MAX_GROWTH * (SIZES[0].most_boxes + mjx_warp.MORE_BOXES)
+    (growth,) = small._fleets._growth.values()
+    room, most = GRANULE + MORE_BOXES, most_room(SIZES[0].most_boxes)
     assert growth // 2 * room < most <= growth * room
 
 

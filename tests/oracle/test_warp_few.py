@@ -19,8 +19,7 @@ from support.worlds import simulate
 
 from petmjx.basics.warp_cpp import with_cpp
 from petmjx.engines.batch.state import NEVER
-from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import newton
+from petmjx.engines.warp import fleets, newton
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.few import fleet_for_few, with_few_first
 from petmjx.engines.warp.group import Group
@@ -57,7 +56,7 @@ def test_a_world_goes_on_in_other_blocks_when_few_such_worlds_are_left(
     most: int, monkeypatch: pytest.MonkeyPatch, taken: list[list[int]], crowd: dict[str, Outcome]
 ) -> None:
     few = {"n_boxes": most, "blocks": 2, "least": 1 if most == 1 else 2}
-    monkeypatch.setattr(mjx_warp, "fleet_for_few", lambda fleet, worlds, lanes: replace(fleet, **few))
+    monkeypatch.setattr(fleets, "fleet_for_few", lambda fleet, worlds, lanes: replace(fleet, **few))
     scenes = tiny_scenes()
     assert_equal_worlds(simulate(engine(slice_ns=SOME_NS), scenes, SHORT), crowd)
     (_, lanes), *asked = taken
@@ -113,7 +112,7 @@ def test_memory_without_room_for_them_has_room_for_others(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     tried = room_for_one_fleet(monkeypatch)
-    monkeypatch.setattr(mjx_warp, "fleet_for_few", lambda fleet, *_: replace(fleet, n_boxes=1, least=1))
+    monkeypatch.setattr(fleets, "fleet_for_few", lambda fleet, *_: replace(fleet, n_boxes=1, least=1))
     assert_equal_worlds(simulate(engine(), tiny_scenes(TINY[:1]), SHORT), crowd)
     assert tried == [2, 1]
 
@@ -201,6 +200,6 @@ def test_blocks_of_many_worlds_give_what_blocks_of_one_give(
     together = simulate(MjxWarpEngine(slice_ns=3_000_000), scenes, sim)
     assert len(taken[0]) == 2
     assert min(np.array(taken[1:]).max(0)) > 100
-    monkeypatch.setattr(mjx_warp, "fleet_for_few", lambda *_: None)
+    monkeypatch.setattr(fleets, "fleet_for_few", lambda *_: None)
     assert_equal_worlds(simulate(MjxWarpEngine(), scenes, sim), together)
     assert len(taken[-1]) == 1

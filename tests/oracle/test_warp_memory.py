@@ -41,6 +41,7 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import fleets, march
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.launch import Launch
@@ -112,7 +113,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
 ) -> None:
     """One world has its outcome already, one waits for its drive, and one needs more room than there is. If no more
     jobs may come the slice in which the drive ends is under way when that is seen."""
-    monkeypatch.setattr(mjx_warp, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(fleets, "CONTACTS_PER_BOX", 2)
     small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
@@ -249,8 +250,8 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
     alone = simulate(MjxWarpEngine(), some, SHORT)
     gc.collect()  # that engine's memory, which would else become free in the middle of the next run
     crowded = MjxWarpEngine()
-    blocks, room = Launch.here(120).blocks, 120 + mjx_warp.MORE_BOXES
-    sizes = axes(blocks, 120, 1, mjx_warp.PAIRS_PER_BOX * room, mjx_warp.CONTACTS_PER_BOX * room)
+    blocks, room = Launch.here(120).blocks, 120 + march.MORE_BOXES
+    sizes = axes(blocks, 120, 1, march.PAIRS_PER_BOX * room, march.CONTACTS_PER_BOX * room)
     whole = 4 * BUFFER_WORDS * buffer_rows(sizes)
     # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
     # a piece that is up to 128 MB larger.

@@ -21,22 +21,20 @@ from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, tables
 from petmjx.engines.open import MOST_BOXES
 from petmjx.engines.warp.ahead import Ahead
 from petmjx.engines.warp.course import Begun, Course
-from petmjx.engines.warp.few import fleet_for_few
+from petmjx.engines.warp.fleets import Fleets
 from petmjx.engines.warp.frames import hand_over, pick_frames
-from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
+from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.groups import Groups
 from petmjx.engines.warp.handover import Left
-from petmjx.engines.warp.launch import FEW_BOXES, Launch
-from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, Fleet
+from petmjx.engines.warp.launch import Launch
+from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.needs import size_of
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.queues import Queues
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.rounds import Round, outcomes_of
 from petmjx.options.config import Simulation
-from petmjx.options.physics import Cone
 from petmjx.verdict import Flag, Outcome
-from petmjx.world.contact import is_stiff
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -63,12 +61,6 @@ GPU_SLICE_NS = 100_000_000
 
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
-
-
-def _most_room(size: int) -> int:
-    """Boxes for which a world of a size may have contacts and pairs at most: the same in all runs, so that which
-    worlds are given up does not depend on the largest plan of a run."""
-    return MAX_GROWTH * (size + MORE_BOXES)
 
 
 def _halved(fleet: Fleet) -> Fleet:
@@ -116,8 +108,7 @@ class MjxWarpEngine(Engine):
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
         """The last rollout for each kind of launches, and what it depends on."""
-        self._room: dict[tuple[Cone, int], int] = {}
-        """How much larger than usual buffers have to be, by size of worlds."""
+        self._fleets = Fleets(lanes, self._blocks)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
         """As in the protocol."""
@@ -324,16 +315,14 @@ class MjxWarpEngine(Engine):
         return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
-        """Larger buffers for worlds that are stopped since they need them; at ``_most_room`` they are given up."""
-        cone = group.run.sim.physics.cone
+        """Larger buffers for worlds that are stopped since they need them; at ``most_room`` they are given up."""
         sizes = np.array([size_of(group.jobs[row]) for row in rows.tolist()])
         for size in np.unique(sizes).tolist():
             some = rows[sizes == size]
-            growth = self._room.get((cone, size), 1)
-            if self._boxes_of_room(group.run, size) == _most_room(size):
+            growth = self._fleets.grow(group.run, size)
+            if growth is None:
                 group.give_up(some, Flag.NONE)
                 continue
-            self._room[cone, size] = growth = 2 * growth
             group.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
             group.retry(some)
             group.table = group.table._replace(status=group.table.status.at[some].set(Status.RUNNING))
@@ -346,15 +335,7 @@ class MjxWarpEngine(Engine):
         """The programs for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. What
         says that memory is short is raised if these are blocks of two sizes."""
         run = group.run
-        fleets = tuple(self._fleet(run, size, group.boards) for size in run.needs.sizes)
-        smallest = run.needs.sizes[-1]
-        usual = self._room.get((run.sim.physics.cone, smallest), 1) == 1
-        # not with larger buffers of all lanes, and not in stiff contacts: there a step takes five times as many
-        # iterations, in some worlds many more, for which the others of their block would wait
-        if usual and not is_stiff(run.sim.physics):
-            worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
-            few = fleet_for_few(fleets[-1], worlds, self.lanes)
-            fleets = (few, *fleets) if few else fleets
+        fleets = self._fleets.of(group)
         launches = tuple(fleet.launch for fleet in fleets)
         key = run.sim, run.timetable, fleets
         if launches in self._kept and self._kept[launches][0] == key:
@@ -381,18 +362,6 @@ class MjxWarpEngine(Engine):
             else:
                 self._kept[launches] = (key, rollout)
                 return rollout
-
-    def _boxes_of_room(self, run: Run, size: int) -> int:
-        """Boxes for which a world of a size has contacts and pairs, as far as buffers have grown."""
-        growth = self._room.get((run.sim.physics.cone, size), 1)
-        return min(growth * (run.needs.widths[size] + MORE_BOXES), _most_room(size))
-
-    def _fleet(self, run: Run, size: int, boards: int) -> Fleet:
-        """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
-        n_boxes = run.needs.widths[size]
-        launch = Launch.here(n_boxes, run.needs.hands, run.needs.gives, run.needs.wraps)
-        shapes = self._boxes_of_room(run, size) + boards - 1
-        return Fleet(launch, self._blocks(launch), n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
 
     def _blocks(self, launch: Launch) -> int:
         """Blocks of a launch."""
