@@ -36,7 +36,10 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
+from petmjx.engines.batch.state import fresh_state
 from petmjx.engines.batch.template import MAX_ITERATIONS
+from petmjx.engines.batch.timetable import build_timetable
+from petmjx.engines.batch.upload import load
 from petmjx.engines.warp import programs
 from petmjx.engines.warp import rollout as rollouts
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -164,6 +167,22 @@ def test_a_state_goes_on_in_a_narrower_table_than_it_came_from() -> None:
         run_all(shared_engine(), [Job(scenes[0], drive, start=o.state)], SHORT)[0] for o in (kept, alone)
     )
     assert_same(crowded, single)
+
+
+@pytest.mark.slow
+def test_only_worlds_that_begin_anew_need_a_program_for_that() -> None:
+    scene, rows = tiny("hand-one-box"), 5  # as no other table has
+    (kept,) = run_all(shared_engine(), [Job(scene, keep_state=True)], SHORT)
+    forks, timetable = [Job(scene, pushes("force", 0.5), start=kept.state)] * 4, build_timetable(SHORT, 4)
+    compiled = fresh_state._cache_size()  # type: ignore[attr-defined]
+    forked = load(forks, rows, 4, SHORT, timetable).table
+    assert fresh_state._cache_size() == compiled  # type: ignore[attr-defined]
+    mixed = load([*forks[1:], Job(scene)], rows, 4, SHORT, timetable).table
+    assert fresh_state._cache_size() == compiled + 1  # type: ignore[attr-defined]
+    assert np.asarray(forked.placed).tolist() == [1] * 5
+    assert np.asarray(mixed.placed).tolist() == [1, 1, 1, 0, 1]
+    for name, values in forked.flat().items():
+        np.testing.assert_array_equal(np.asarray(values)[:3], np.asarray(mixed.flat()[name])[:3], err_msg=name)
 
 
 @pytest.mark.slow

@@ -91,6 +91,9 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
 
     Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device
     only if a job needs them: rows behind the jobs', which never run, may have any state.
+
+    Args:
+        fresh: their kinds are enough if all jobs start from kept states.
     """
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:
@@ -100,7 +103,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     source = np.array([row_of.get(id(job.start), 0) for job in jobs] + [0] * spare)
     forked = np.array([isinstance(job.start, State) for job in jobs] + [True] * spare)
 
-    def stack(new: jax.Array, *kept: Any) -> NDArray[Any]:
+    def stack(new: jax.Array | jax.ShapeDtypeStruct, *kept: Any) -> NDArray[Any]:
         stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)
         for row, values in enumerate(kept):
             if stacked.ndim > 1 and np.ndim(values):
@@ -109,11 +112,11 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
                 stacked[row] = values
         return stacked
 
-    def fork(new: jax.Array, rows: NDArray[Any]) -> jax.Array:
+    def fork(new: jax.Array | jax.ShapeDtypeStruct, rows: NDArray[Any]) -> jax.Array:
         if not forked.all():
             rows[~forked] = np.asarray(new)[~forked]
         return uploaded(rows)
 
     leaves, structure = jax.tree.flatten(jax.tree.map(stack, fresh, *starts))
     forks: State = jax.tree.map(fork, fresh, jax.tree.unflatten(structure, repeated(leaves, source)))
-    return forks._replace(steps_done=fresh.steps_done)
+    return forks._replace(steps_done=uploaded(np.zeros(len(source), np.int32)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import numpy as np
@@ -89,8 +90,11 @@ def tables(
         for row, job in enumerate(jobs):
             if not job.settles:
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
-    fresh = fresh_state(worlds, all_placed=static, ends=uploaded(ends), rest_steps=timetable.rest_steps)
-    return worlds, started_states(jobs, fresh)
+    fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
+    if all(isinstance(job.start, State) for job in jobs):
+        # no job needs a fresh state, for whose program a device would wait
+        return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
+    return worlds, started_states(jobs, fresh(worlds, ends=uploaded(ends)))
 
 
 def round_up(n: int, granule: int = GRANULE) -> int:
