@@ -209,8 +209,8 @@ class Making(Generic[AnyWorld]):
 
         Args:
             looks: the engine has looked at them itself.
-            wait: for those that are looked at beside the run, or until there is something else to do; what is not
-                waited for follows in later calls.
+            wait: for those that are looked at beside the run; else some of them follow in later calls.
+            until: as of ``Lookers.exchanged``.
         """
         if looks:
             found = came
