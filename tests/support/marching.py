@@ -12,10 +12,10 @@ import numpy as np
 from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.warp.engine import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, MjxWarpEngine
+from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.launch import Launch, size_for
-from petmjx.engines.warp.march import Fleet
+from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, Fleet
 from petmjx.engines.warp.needs import Needs
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.options.config import Check, Simulation

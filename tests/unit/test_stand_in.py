@@ -202,9 +202,9 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
                 raise KeyboardInterrupt
             super()._begin(keys, look)
 
-        def _take(self, looker: Any, *, wait: bool) -> None:
+        def _take(self, looker: Any, *, wait: bool, **until: Any) -> None:
             if wait:
-                super()._take(looker, wait=True)
+                super()._take(looker, wait=True, **until)
 
     monkeypatch.setattr(retry, "LARGE", WORLDS)
     monkeypatch.setattr(making, "MOST_TOGETHER", 1)
