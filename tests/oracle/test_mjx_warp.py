@@ -36,7 +36,6 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.state import fresh_state
 from petmjx.engines.batch.template import MAX_ITERATIONS
 from petmjx.engines.batch.timetable import build_timetable
@@ -168,19 +167,6 @@ def test_a_state_goes_on_in_a_narrower_table_than_it_came_from() -> None:
         run_all(shared_engine(), [Job(scenes[0], drive, start=o.state)], SHORT)[0] for o in (kept, alone)
     )
     assert_same(crowded, single)
-
-
-@pytest.mark.slow
-def test_only_runs_with_drives_have_programs_that_begin_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    def asked(*_: Any) -> Any:
-        raise NotImplementedError("to begin drives")
-
-    monkeypatch.setattr(Rules, "begin_drives", asked)
-    some, scene = engine(slice_ns=LONG_NS + 2), tiny("hand-one-box")  # programs are kept by the slice, too
-    for job in (Job(scene), Job(scene, keep_state=True)):
-        assert_same(*run_all(some, [job], SHORT), *run_all(shared_engine(), [job], SHORT))
-    with pytest.raises(NotImplementedError, match="to begin drives"):
-        run_all(some, [Job(scene, pushes("force", 0.5))], SHORT)
 
 
 @pytest.mark.slow

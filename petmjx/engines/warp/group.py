@@ -80,11 +80,6 @@ class Group(Batch):
         ended: NDArray[np.bool_] = (status == Status.FINISHED) | ((status == Status.SETTLED) & ~self.driven)
         return ended
 
-    @property
-    def drives(self) -> bool:
-        """Whether any job has a drive, or may have one that joins."""
-        return bool(self.profile_rows)
-
     @cached_property
     def driven(self) -> NDArray[np.bool_]:
         """Jobs with a drive."""

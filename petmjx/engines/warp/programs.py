@@ -114,21 +114,21 @@ class Programs:
         self._few = fleets[0] if fleets[0].least else None
         self._shares = any(fleet.launch.per_sm > 1 for fleet in fleets)
         self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
-        self._advancing = jax.jit(self._advance, donate_argnums=(0, 1), static_argnames="drives")
-        self._compiled: dict[tuple[Any, ...], Any] = {}
+        self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
+        self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
 
-    def compiled(self, arguments: tuple[Any, ...], drives: bool, progress: Progress) -> Any:
+    def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
         """The program for arguments of these sizes: those of ``_advance``. ``progress`` learns how long compiling
-        took. ``drives``: worlds may begin any; without, it takes half as long to make."""
+        took."""
         table, _, _, profiles, order, frames = arguments
-        sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape, drives
+        sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:
             return self._compiled[sizes]
         with _COMPILING:
             if sizes not in self._compiled:
                 begin, progress.message = time.perf_counter(), "compiling"
                 self.march.load()
-                self._compiled[sizes] = self._advancing.lower(*arguments, drives=drives).compile()
+                self._compiled[sizes] = self._advancing.lower(*arguments).compile()
                 progress.compile_s += time.perf_counter() - begin
             return self._compiled[sizes]
 
@@ -140,12 +140,9 @@ class Programs:
         profiles: Array,
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
-        *,
-        drives: bool,
     ) -> tuple[State, jax.Array, Int[Array, " world"], dict[str, jax.Array], dict[str, jax.Array]]:
         """A time slice. Returns states, workspace, a copy of the statuses, frames, and counts."""
-        if drives:
-            table = self._rules.begin_drives(table, worlds)
+        table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = with_few_first(self._few, order, table.placed, table.running)
         alone = jnp.zeros(len(table.status), bool)

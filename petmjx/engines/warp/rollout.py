@@ -54,7 +54,7 @@ class Rollout:
         if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
             group.frames = room_for(group, lanes)
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
-        program = self.programs.compiled(arguments, group.drives, group.run.progress)
+        program = self.programs.compiled(arguments, group.run.progress)
         began = time.perf_counter()
         group.table, self.workspace, status, frames, counts = program(*arguments)
         self._slices.append(Slice(began, status, frames, counts))
