@@ -26,6 +26,11 @@ MOST_DELAY_S: Final = 0.1
 """Up to ``MOST_TOGETHER`` answers are looked at together. If an engine says how many are at hand, it is these; else
 those that come within so many seconds, or, if more worlds may follow from them, each alone."""
 
+
+def _never() -> bool:
+    return False
+
+
 Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts: with the outcome of the last one, and the records of all before."""
 
@@ -147,7 +152,8 @@ class Making(Generic[AnyWorld]):
             soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
             idle = not (soon if at_hand is None else at_hand > 0)
             if len(came) == MOST_TOGETHER or idle:
-                yield from self.made(came, engine.name, looks=engine.looks, wait=idle, until=self._has_outcomes)
+                until = self._has_outcomes if engine is self.engines.own else _never
+                yield from self.made(came, engine.name, looks=engine.looks, wait=idle, until=until)
                 came, looked_s = [], time.monotonic()
             if takes_more:
                 assert self.more is not None
@@ -203,14 +209,14 @@ class Making(Generic[AnyWorld]):
         *,
         looks: bool = False,
         wait: bool = True,
-        until: Callable[[], bool] = lambda: False,
+        until: Callable[[], bool] = _never,
     ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
         """What becomes of the answers of many worlds.
 
         Args:
             looks: the engine has looked at them itself.
             wait: for those that are looked at beside the run; else some of them follow in later calls.
-            until: as of ``Lookers.exchanged``.
+            until: as in ``Lookers.exchanged``.
         """
         if looks:
             found = came
@@ -233,7 +239,7 @@ class Making(Generic[AnyWorld]):
             yield world, outcome, records
 
     def _has_outcomes(self) -> bool:
-        """Whether the engine says that outcomes are at hand."""
+        """Whether the run's own engine says that outcomes are at hand."""
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:

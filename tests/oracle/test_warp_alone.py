@@ -35,6 +35,9 @@ def test_worlds_that_have_taken_many_times_the_usual_steps_are_expected_to_be_la
     assert found([9, 31, 30, 10, 400, 95, 12], ended=[3]) == [1, 4, 5]
     assert found([500, 3, 1, 0], ended=[]) == [], "none has ended"
     assert found([500, 3, 1, 10, 90], ended=[3, 4]) == [0], "50 in the mean"
+    assert found([9, 400, 10, 10, 10, 10, 500], ended=[2, 3, 4, 5, 6]) == [1], "the last one has ended"
+    many = [70_000] * 32_768  # more steps in all than an int32 holds
+    assert found([*many, 80_000, 300_000], ended=list(range(len(many)))) == [len(many) + 1]
 
 
 def test_a_long_world_is_not_the_last_one_as_long_as_many_wait() -> None:

@@ -144,6 +144,15 @@ def test_invalid_worlds_run_again_as_one_batch_until_they_are_valid() -> None:
     assert [a.timestep_s for a in results["p3"].attempts] == [0.002] * 4 + [0.001]
 
 
+def test_flags_of_an_engine_of_one_s_own_may_be_numbers() -> None:
+    outcome = make_outcome(1, Verdict.STABLE, flags=int(Flag.SINKING))  # type: ignore[arg-type]
+    found = [each.number for each in ATTEMPTS if each.is_for(outcome, Simulation())]
+    assert found == [
+        each.number for each in ATTEMPTS if each.is_for(replace(outcome, flags=Flag.SINKING), Simulation())
+    ]
+    assert found
+
+
 def test_no_attempt_repeats_another() -> None:
     engine = FailingEngine()
     list(score_worlds(worlds_failing(9), Simulation(), engine))

@@ -46,3 +46,4 @@ def test_a_slice_in_which_no_world_has_ended_has_no_outcome_at_hand(
         if len(at_hand) == sum(ended):
             due.set()
     assert at_hand == [*reversed(range(sum(ended))), 0]
+    assert progress.at_hand is None, "nobody says so any more"

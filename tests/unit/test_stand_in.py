@@ -216,6 +216,32 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
         next(results)
 
 
+def test_looks_are_waited_for_whatever_an_engine_that_raised_had_at_hand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It raises while it still says that some are. Each outcome that it did give, or the stand-in, is looked at."""
+    untils = list[bool]()
+
+    class Left(Scripted):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            for outcome in super().run(jobs, sim, progress):
+                assert progress is not None
+                progress.at_hand = 7
+                yield outcome
+
+    class Watched(Lookers[Any]):
+        def exchanged(self, *args: Any, until: Callable[[], bool], **how: Any) -> Any:
+            untils.append(until())
+            return super().exchanged(*args, until=until, **how)
+
+    monkeypatch.setattr(retry, "LARGE", WORLDS)
+    monkeypatch.setattr(retry.Lookers, "here", lambda: Watched(0))
+    results, _ = scored(Left("mjx-warp", in_run(1)), Scripted("mujoco", never), monkeypatch)
+    assert len(results) == WORLDS
+    assert len(untils) > WORLDS - 1
+    assert not any(untils)
+
+
 @pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # of the weight
 def test_of_a_plan_that_sinks_worlds_with_errors_are_not_simulated_beside_the_gpu(
     monkeypatch: pytest.MonkeyPatch,

@@ -93,7 +93,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     only if a job needs them: rows behind the jobs', which never run, may have any state.
 
     Args:
-        fresh: their kinds are enough if all jobs start from kept states.
+        fresh: shapes and types are enough if all jobs start from kept states.
     """
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:

@@ -92,7 +92,7 @@ def tables(
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
     if all(isinstance(job.start, State) for job in jobs):
-        # no job needs a fresh state, for whose program a device would wait
+        # no job needs a fresh state, whose program would have to be made first
         return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
     return worlds, started_states(jobs, fresh(worlds, ends=uploaded(ends)))
 

@@ -81,7 +81,7 @@ class Lookers(Generic[Key]):
         Args:
             jobs: one for each outcome.
             wait: for all outcomes.
-            until: there is something else to do: what has not been looked at by then follows in later calls.
+            until: whether there is something else to do: what has not been looked at by then follows in later calls.
         """
         if came:
             self._begin([key for key, _ in came], ([outcome for _, outcome in came], jobs, sim))

@@ -48,12 +48,14 @@ def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *
         waits: each slice waits for them. Else a thread runs the slices: the host may take longer for small worlds than
             the device.
     """
-    counting = Lock()
+    counting, at_hand = Lock(), 0
     progress.at_hand = 0
 
     def count(more: int) -> None:
+        nonlocal at_hand
         with counting:
-            progress.at_hand = (progress.at_hand or 0) + more
+            at_hand += more
+            progress.at_hand = at_hand
 
     def counted() -> Generator[Round]:
         with closing(rounds):
@@ -61,9 +63,12 @@ def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *
                 count(len(each.rows))  # a slice that waits may have none
                 yield each
 
-    with closing(counted() if waits else run_ahead(counted(), MOST_AHEAD)) as each_slice:
-        for rows, picked, recorder, jobs, numbers in each_slice:
-            for outcome in outcomes(rows, picked, jobs, 0, sim, recorder):
-                outcome.job = numbers[outcome.job]
-                count(-1)
-                yield outcome
+    try:
+        with closing(counted() if waits else run_ahead(counted(), MOST_AHEAD)) as each_slice:
+            for rows, picked, recorder, jobs, numbers in each_slice:
+                for outcome in outcomes(rows, picked, jobs, 0, sim, recorder):
+                    outcome.job = numbers[outcome.job]
+                    count(-1)
+                    yield outcome
+    finally:
+        progress.at_hand = None  # after an error none follows

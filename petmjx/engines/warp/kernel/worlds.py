@@ -40,8 +40,8 @@ from petmjx.verdict import Flag
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 
-HEAD_START_NS = wp.constant(wp.int64(50_000))
-"""In which the first block on a multiprocessor takes its world, before others there look at that."""
+LOOKS_AFTER_NS = wp.constant(wp.int64(50_000))
+"""The first block on a multiprocessor has so long to take its world before others there look at that, ns."""
 
 
 @wp.func
@@ -201,7 +201,7 @@ def _gives_way(
     if thread == 0:
         here = multiprocessor() % counts.arrived.shape[0]
         if add_to(counts.arrived, here, 1) > 0:
-            let_pass(HEAD_START_NS)
+            let_pass(LOOKS_AFTER_NS)
             full = add_to(counts.alone_on, here, 0) > 0
     return any_of_all(full)
 
