@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Progress
@@ -76,10 +77,12 @@ class OneStep:
             step=jnp.zeros(1, jnp.int32),
             rest_from=jnp.zeros(1, jnp.int32),
         )
+        before = self._taken()
         self.rollout.start(self.group, jnp.zeros((1, 1), jnp.int32))
         _, ended = self.rollout.wait(self.group)
         after, counts = jax.device_get((self.group.table, ended.counts))
         assert int(after.step[0]) == int(counts["steps"][0]) == 1
+        assert (self._taken() - before).tolist() == [1, counts["iterations"][0]]
 
         def joined(carrier: FloatArray, boxes: FloatArray) -> FloatArray:
             return np.vstack([carrier, boxes[0]]).astype(float)
@@ -93,3 +96,8 @@ class OneStep:
             iterations=int(counts["iterations"][0]),
             flags=int(after.flags[0]),
         )
+
+    def _taken(self) -> NDArray[np.float64]:
+        """Steps and iterations so far, as the progress has them."""
+        progress = self.group.run.progress
+        return np.array([progress.world_steps, progress.extra.get("march iterations", 0)])

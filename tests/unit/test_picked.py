@@ -48,6 +48,13 @@ def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State
         jax.tree.map(np.testing.assert_array_equal, measured, reduce_metrics(chosen, take_rows(worlds, some), SIM))
 
 
+def test_of_a_small_table_no_more_rows_are_picked_than_it_has(tables: tuple[Worlds, State]) -> None:
+    worlds, table = (take_rows(record, jnp.arange(5)) for record in tables)
+    rows = np.array([4, 0, 2])
+    ((state, _),) = (each.on_host() for each in pick(rows, table, worlds, SIM))
+    jax.tree.map(assert_same_bits, state, take_rows(table, jnp.asarray([4, 0, 2, 4, 0])))
+
+
 def assert_same_bits(mine: np.ndarray[Any, Any], theirs: jax.Array) -> None:
     assert mine.dtype == theirs.dtype
     np.testing.assert_array_equal(mine.view(np.int32), np.asarray(theirs).view(np.int32))

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.batch.picked import PICKED, Picked
+from petmjx.engines.batch.picked import Picked
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.repeated import repeated
 from petmjx.engines.batch.running import Measured, of_boxes
@@ -31,10 +31,12 @@ def outcomes(
     recorder: Recorder,
 ) -> Iterator[Outcome]:
     """Outcomes of rows of a table that ``pick`` has picked, with their histories."""
-    clock = Clock(sim.physics.timestep_s)
-    for batch, first in zip(picked, range(0, len(rows), PICKED), strict=True):
+    clock, first = Clock(sim.physics.timestep_s), 0
+    for batch in picked:
         state, found = batch.on_host()
-        yield from _outcomes(rows[first : first + PICKED], state, found, jobs, first_job, clock, sim, recorder)
+        some = rows[first : first + len(state.status)]
+        yield from _outcomes(some, state, found, jobs, first_job, clock, sim, recorder)
+        first += len(some)
 
 
 def _outcomes(

@@ -17,13 +17,13 @@ from petmjx.engines.batch.state import State, take_rows
 from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.options.config import Simulation
 
-PICKED: Final = 64
-"""Rows that are picked at a time, so that it is compiled once for a table."""
+PICKED: Final = 256
+"""Rows that are picked at a time, or all of a smaller table: each number would be compiled."""
 
 
 class Picked(NamedTuple):
-    """States and metrics of ``PICKED`` rows of a table, the bits of all in one array: a host waits for each array
-    that it fetches from a GPU.
+    """States and metrics of rows of a table, the bits of all in one array: a host waits for each array that it fetches
+    from a GPU.
 
     Attributes:
         kinds: a ``State`` and ``Measured``, with shape and type instead of each array.
@@ -62,18 +62,20 @@ def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulat
     return jnp.concatenate(words, axis=1)
 
 
-def _kind(of_row: tuple[int, ...], dtype: Any) -> Any:
-    return jax.ShapeDtypeStruct((PICKED, *of_row), dtype)  # type: ignore[no-untyped-call]  # JAX does not say its types
-
-
 def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Picked]:
-    """Some rows of a table, still on the device, in batches of ``PICKED``; the last one is filled up."""
-    state = jax.tree.map(lambda array: _kind(array.shape[1:], array.dtype), table)
+    """Some rows of a table, still on the device, in batches of the same size; the last one is filled up."""
+    size = min(PICKED, len(table.status))
+
+    def kind(array: jax.Array) -> Any:
+        # JAX does not say its types
+        return jax.ShapeDtypeStruct((size, *array.shape[1:]), array.dtype)  # type: ignore[no-untyped-call]
+
+    state = jax.tree.map(kind, table)
     number = state.metrics.max_tilt
-    of_axes = _kind((*number.shape[1:], 3), number.dtype)
+    of_axes = jax.ShapeDtypeStruct((*number.shape, 3), number.dtype)  # type: ignore[no-untyped-call]
     kinds = state, Measured(shift=of_axes, max_tilt=number, max_top_force=number, rest_force=number)
     batches = []
-    for first in range(0, len(rows), PICKED):
-        padded = np.resize(rows[first : first + PICKED], PICKED).astype(np.int32)
+    for first in range(0, len(rows), size):
+        padded = np.resize(rows[first : first + size], size).astype(np.int32)
         batches.append(Picked(_picked(table, worlds, uploaded(padded), sim), kinds))
     return batches

@@ -16,14 +16,19 @@ from numpy.typing import NDArray
 from petmjx.engines.warp.frames import room_for
 from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.march import SLICE_NS, Fleet
-from petmjx.engines.warp.programs import programs
+from petmjx.engines.warp.programs import LOOKED_AT, programs
 
 
 class Slice(NamedTuple):
-    """What a time slice gives beside states, when it has ended. ``began``: when the host began it, s."""
+    """What a time slice gives beside states, when it has ended.
+
+    Attributes:
+        began: when the host began it, s.
+        looked_at: statuses of all worlds, then the counts ``LOOKED_AT``.
+    """
 
     began: float
-    status: Int[Array, " world"]
+    looked_at: Int[Array, " word"]
     frames: dict[str, jax.Array]
     counts: dict[str, jax.Array]
 
@@ -56,8 +61,8 @@ class Rollout:
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
         program = self.programs.compiled(arguments, group.run.progress)
         began = time.perf_counter()
-        group.table, self.workspace, status, frames, counts = program(*arguments)
-        self._slices.append(Slice(began, status, frames, counts))
+        group.table, self.workspace, looked_at, frames, counts = program(*arguments)
+        self._slices.append(Slice(began, looked_at, frames, counts))
 
     def keep_under_way(self, count: int, group: Group, order: Int[Array, "queue world"]) -> None:
         """Begin slices until so many are under way."""
@@ -73,7 +78,7 @@ class Rollout:
         """Wait for slices that are under way, and free the workspace."""
         while self._slices:
             with suppress(jax.errors.JaxRuntimeError):  # it may be because of this error that it is closed
-                self._slices.popleft().status.block_until_ready()
+                self._slices.popleft().looked_at.block_until_ready()
         if not self.workspace.is_deleted():
             with suppress(jax.errors.JaxRuntimeError):
                 self.workspace.block_until_ready()
@@ -82,11 +87,10 @@ class Rollout:
     def wait(self, group: Group) -> tuple[NDArray[np.int32], Slice]:
         """Statuses of a group's worlds after the first slice under way, and that slice, which has ended."""
         ended = self._slices.popleft()
-        status = np.array(ended.status)[: len(group.jobs)]
+        looked_at = np.array(ended.looked_at)
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
         progress = group.run.progress
-        counts = jax.device_get(ended.counts)  # whole: to pick an element on the device takes longer than all of them
-        steps, iterations, contacts = (int(counts[name][0]) for name in ("steps", "iterations", "contacts"))
+        steps, iterations, contacts = looked_at[-len(LOOKED_AT) :].tolist()
         progress.message = group.run.message
         progress.world_steps += steps
         extra = progress.extra
@@ -95,4 +99,4 @@ class Rollout:
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
         extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
         extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
-        return status, ended
+        return looked_at[: len(group.jobs)], ended

@@ -19,9 +19,9 @@ from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
-MOST_AHEAD: Final = 160
-"""Slices whose worlds may wait for the host: 16 s of a GPU. They are copies of a group's rows, those of a slice
-filled up to dozens: a few hundred megabytes at most."""
+MOST_AHEAD: Final = 64
+"""Slices whose worlds may wait for the host: 6 s of a GPU. They are copies of a group's rows, those of a slice filled
+up to hundreds: 400 MB for plans of up to 76 boxes."""
 
 
 class Round(NamedTuple):
