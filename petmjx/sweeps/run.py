@@ -232,20 +232,19 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """All variants of placements. The first drives are made while others are placed: a device waits for them."""
+        """All variants of placements. While some are placed, the first drives are made, for which a device waits, and
+        what others give that are not driven is written."""
         drives: dict[int, Iterable[_Driving]] = {}
-        undriven, made = list[Settled](), 0
+        made = 0
         for start in self._settling(groups):
             if not self._can_be_driven(start):
-                undriven.append(start)
+                for variant in self._missing(start.group):
+                    yield start.undriven(variant)
                 continue
             of_start = self._drives_of(start)
             ready = list(islice(of_start, self.batching.drives - made))
             drives[id(start.group)] = chain(ready, of_start)
             made += len(ready)
-        for start in undriven:
-            for variant in self._missing(start.group):
-                yield start.undriven(variant)
         in_order = (drive for group in groups for drive in drives.pop(id(group), ()))
         for _, world in self._drive(in_order):
             yield world

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -11,8 +12,9 @@ from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 import petmjx
 from petmjx.sweeps.batching import Batching
 from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.grid import PlacementGroup, SweepPlan
 from petmjx.sweeps.run import SweepRun
+from petmjx.sweeps.swept import Settled
 from petmjx.verdict import Flag
 
 
@@ -28,6 +30,23 @@ def test_drives_start_from_their_own_placement_in_the_order_of_plans(tmp_path: P
     drives = [job for batch, _ in engine.batches[1:] for job in batch]
     assert [job.scene.n_boxes for job in drives] == [1] * 8 + [2] * 8 + [3] * 8
     assert len({(job.scene.n_boxes, id(job.start)) for job in drives}) == 3
+
+
+def test_a_placement_that_is_not_driven_is_told_while_others_are_placed(tmp_path: Path) -> None:
+    plans = [leaning("falls", 2, 300.0), leaning("stands")]
+    text = QUICK.replace("early_stop = false", "") + EUMOS_GRID
+    sweep = load_sweep(write_sweep(tmp_path, text), plans_given=True)
+    run = SweepRun(SweepPlan(sweep, plans), Recorder(1))
+    settling, placed = run._settling, list[str]()
+
+    def watched(groups: Sequence[PlacementGroup]) -> Iterator[Settled]:
+        yield from settling(groups)
+        placed.append("all")
+
+    run._settling = watched  # type: ignore[method-assign]
+    worlds = [(world.plan.plan_id, bool(placed)) for world in run.worlds()]
+    assert [all_placed for plan_id, all_placed in worlds if plan_id == "falls"] == [False] * 64
+    assert [all_placed for plan_id, all_placed in worlds if plan_id == "stands"] == [True] * 64
 
 
 def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
