@@ -124,7 +124,10 @@ def test_a_process_that_hangs_is_not_waited_for_without_end(
         os.kill(one, 0)
 
 
-def test_waiting_ends_when_there_is_something_else_to_do(lookers: Lookers[Any], raw: list[Outcome]) -> None:
+def test_waiting_ends_when_there_is_something_else_to_do(
+    lookers: Lookers[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("petmjx.engines.beside.lookers.HANGS_S", 5.0)
     stopped, asked = pids(lookers), list[bool]()
 
     def later() -> bool:
