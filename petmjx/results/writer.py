@@ -23,7 +23,7 @@ from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
 from petmjx.results.given import Given
 from petmjx.results.going_on import run_there
 from petmjx.results.info import RunFolder, now
-from petmjx.results.listed import LISTED, Parts
+from petmjx.results.listed import Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.memory import MemoryParts
@@ -31,7 +31,6 @@ from petmjx.results.parts import Part, Pending, Row
 from petmjx.results.plain import plain
 from petmjx.results.reader import FINISHED, RunResults, load_run
 from petmjx.results.recorded import Recorded
-from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
@@ -235,11 +234,6 @@ class RunWriter(RunFolder):
             return False
         return self._tables.write_plans(self._manifest.table(self.orders.of_plan if self.orders else None))
 
-    @property
-    def info(self) -> dict[str, Any]:
-        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
-        return {**self.entries(self.counts), LISTED: self.parts.digests}
-
     def add(
         self,
         plan: Plan,
@@ -390,8 +384,3 @@ class RunWriter(RunFolder):
                 self._write_info()
                 if put_together:
                     self._tables.drop_others()
-
-    def _write_info(self) -> None:
-        if not self._in_memory:
-            with self._writing():
-                write_run_file(self.info, self.out_dir)
