@@ -66,13 +66,12 @@ def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation)
     """Some rows of a table, still on the device, in batches of the same size; the last one is filled up."""
     size = min(PICKED, len(table.status))
 
-    def kind(array: jax.Array) -> Any:
-        # JAX does not say its types
-        return jax.ShapeDtypeStruct((size, *array.shape[1:]), array.dtype)  # type: ignore[no-untyped-call]
+    def kind(of_row: tuple[int, ...], dtype: Any) -> Any:
+        return jax.ShapeDtypeStruct((size, *of_row), dtype)  # type: ignore[no-untyped-call]  # JAX has no types for it
 
-    state = jax.tree.map(kind, table)
+    state = jax.tree.map(lambda array: kind(array.shape[1:], array.dtype), table)
     number = state.metrics.max_tilt
-    of_axes = jax.ShapeDtypeStruct((*number.shape, 3), number.dtype)  # type: ignore[no-untyped-call]
+    of_axes = kind((*number.shape[1:], 3), number.dtype)
     kinds = state, Measured(shift=of_axes, max_tilt=number, max_top_force=number, rest_force=number)
     batches = []
     for first in range(0, len(rows), size):
