@@ -37,11 +37,15 @@ class Tables:
 
     def write_part(self, number: int, tables: Iterable[tuple[str, pa.Table]]) -> None:
         """Write the tables of a part, by name. None counts before all are there."""
+        self.parts.add(self.files_of(number, tables))
+
+    def files_of(self, number: int, tables: Iterable[tuple[str, pa.Table]]) -> dict[Path, str]:
+        """The same, but none counts; returns the digest of each file."""
         digests: dict[Path, str] = {}
         for table, content in tables:
             place = self._folder / table / part_name(number)
             digests[place] = write_table(content, place)
-        self.parts.add(digests)
+        return digests
 
     def forget(self, numbers: Collection[int]) -> None:
         """Parts of worlds that others have taken the place of: they go with :meth:`drop_others`."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import tempfile
 import threading
-import time
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from petmjx.plans.plan import Plan
 from petmjx.results.by_place import ByPlace, Places
 from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
+from petmjx.results.gathering import Gathering
 from petmjx.results.given import Given
 from petmjx.results.going_on import run_there
 from petmjx.results.info import RunFolder, now
@@ -27,7 +27,7 @@ from petmjx.results.listed import Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.memory import MemoryParts
-from petmjx.results.parts import Part, Pending, Row
+from petmjx.results.parts import Row
 from petmjx.results.plain import plain
 from petmjx.results.reader import FINISHED, RunResults, load_run
 from petmjx.results.recorded import Recorded
@@ -38,10 +38,7 @@ from petmjx.results.tables import Tables
 from petmjx.verdict import Attempt, Outcome
 
 WORLDS_PER_PART: Final = 1_000
-"""A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little."""
-
-HISTORY_BYTES_PER_PART: Final = 64 << 20
-"""Histories of a part, in memory: of about 60 worlds of 43 boxes, a third as many with details."""
+"""A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little, two parts at most."""
 
 SECONDS_PER_PART: Final = 60.0
 """A part is written at the latest after this time, even if worlds finish slowly."""
@@ -51,8 +48,8 @@ class RunWriter(RunFolder):
     """Writes one run's results as its worlds finish. A context manager.
 
     At the end of the body, also after Ctrl-C or an error, the collected worlds are written as a last part, and
-    ``run.json`` says how the run ended: ``finished``, ``interrupted`` or ``failed``. Only one part is in memory at a
-    time.
+    ``run.json`` says how the run ended: ``finished``, ``interrupted`` or ``failed``. In memory are one part that is
+    gathered, and one that a thread writes.
 
     Args:
         out_dir: the run's folder; made if it is not there. None: the run stays in memory if it is no more than a part;
@@ -107,9 +104,9 @@ class RunWriter(RunFolder):
         self.recorded = Recorded()
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
-        self._lock = threading.Lock()  # of the pending part and of run.json
+        self._lock = threading.Lock()  # of what is gathered and of run.json
         self._timer = threading.Timer(0, self._time_is_up)
-        self._pending = Pending(Part(0))
+        self._gathering = Gathering()
         self._by_place = None if places is None else ByPlace(places, self.schemas)
         self._until_exit = contextlib.ExitStack()
 
@@ -137,7 +134,7 @@ class RunWriter(RunFolder):
 
     @property
     def counts(self) -> WorldCounts:
-        return (self._by_place or self._pending).counts
+        return (self._by_place or self._gathering).counts
 
     def _open(self) -> None:
         """Take the folder, and write what is known before the first world.
@@ -187,8 +184,8 @@ class RunWriter(RunFolder):
         self.recorded = Recorded(parts, [param.name for param in self.params])
         parts.check_tables(SORTED)
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self.recorded.counts())
-        if self._by_place is not None and not self._by_place.goes_on(parts, self._pending.counts):
+        self._gathering.begin(self.parts.next_number(*OF_WORLDS), self.recorded.counts())
+        if self._by_place is not None and not self._by_place.goes_on(parts, self._gathering.counts):
             self._by_place = None  # they are in another order, or of other sizes
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
@@ -202,7 +199,8 @@ class RunWriter(RunFolder):
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         # of several Ctrl-C in a row the first one ends the run; the others must not cost what it has gathered
-        with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit:
+        ended = contextlib.closing(self._gathering)
+        with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit, ended:
             self._timer.cancel()
             if error is None:
                 self.status = FINISHED
@@ -212,6 +210,8 @@ class RunWriter(RunFolder):
                 self.status, self.error = "failed", one_line(error)
             try:
                 with self._lock:
+                    with contextlib.suppress(PetmjxError):  # what could not be written is gathered, and tried once more
+                        self._land()
                     self._write_part(last=True)
             except PetmjxError as trouble:
                 if error is None:
@@ -230,9 +230,8 @@ class RunWriter(RunFolder):
 
     def _write_plans(self) -> bool:
         """Write the table ``plans`` if there is none that says the same; returns whether it did."""
-        if self._manifest is None:
-            return False
-        return self._tables.write_plans(self._manifest.table(self.orders.of_plan if self.orders else None))
+        of_plan = self.orders.of_plan if self.orders else None
+        return self._manifest is not None and self._tables.write_plans(self._manifest.table(of_plan))
 
     def add(
         self,
@@ -269,18 +268,17 @@ class RunWriter(RunFolder):
                     self._start_timer()
                 self._write_by_place(self._by_place.add(row))
                 return
-            pending, rows = self._pending, self._pending.part.rows
-            if not rows:
-                pending.since_s = time.monotonic()
-                if not self._in_memory:
-                    self._start_timer()
-            pending.part.add(row)
-            enough = len(rows) >= self._worlds_per_part or pending.part.history_bytes >= HISTORY_BYTES_PER_PART
-            late = time.monotonic() - pending.since_s >= self._seconds_per_part and not self._in_memory
-            if enough or late:
-                self._write_part()
+            if not (self._gathering.part.rows or self._in_memory):
+                self._start_timer()
+            self._gathering.add(row)
+            late = self._gathering.is_old(self._seconds_per_part) and not self._in_memory
+            if late or self._gathering.is_full(self._worlds_per_part):
+                self._write_part(beside=True)
+            else:
+                self._land(wait=False)
 
     def _start_timer(self) -> None:
+        self._timer.cancel()
         self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
         self._timer.daemon = True
         self._timer.start()
@@ -302,11 +300,12 @@ class RunWriter(RunFolder):
             PetmjxError: a part cannot be written.
         """
         with self._lock:
+            self._land()
             for worlds in parts.table("worlds", COUNTED):
-                self._pending.counts.add_worlds(worlds)
+                self._gathering.counts.add_worlds(worlds)
             with self._writing():
                 self._tables.adopt(parts)
-            self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self._pending.counts)
+            self._gathering.begin(self.parts.next_number(*OF_WORLDS))
             self._write_info()
 
     def put_in_order(self) -> None:
@@ -327,20 +326,21 @@ class RunWriter(RunFolder):
         plans = self._manifest.plans
         given = Given(list(plans), [plan.number or 0 for plan in plans.values()])
         with self._lock:
+            self._land()
             place = {plan_id: at for at, plan_id in enumerate(plans)}
-            self._pending.part.rows.sort(key=lambda row: (place[row.plan.plan_id], row.cells["variant"]))
+            self._gathering.part.rows.sort(key=lambda row: (place[row.plan.plan_id], row.cells["variant"]))
             if not self.parts.files("worlds"):
                 return  # the part that waits is all there is
             self._write_part()
             try:
-                done = sort_parts(self.parts, given, self._pending.part.number, self._worlds_per_part)
+                done = sort_parts(self.parts, given, self._gathering.part.number, self._worlds_per_part)
             except OSError as error:
                 self.warn(f"rows are in the order in which worlds finished: {error.strerror or error}")
                 return
             if done is not None:
                 with shielded(afterwards=True), self._writing():
                     self._tables.replace(done)
-                    self._pending = Pending(Part(self.parts.next_number(*OF_WORLDS)), self._pending.counts)
+                    self._gathering.begin(self.parts.next_number(*OF_WORLDS))
                     self._write_info()
                     self._tables.drop_others()
 
@@ -353,27 +353,41 @@ class RunWriter(RunFolder):
                 if self._by_place.left():
                     self._start_timer()
                 return
-            old = time.monotonic() - self._pending.since_s >= self._seconds_per_part
-            if self.status == "running" and self._pending.part.rows and old:
+            self._land(wait=False)
+            if self.status == "running" and self._gathering.is_old(self._seconds_per_part):
                 self._write_part()
 
-    def _write_part(self, last: bool = False) -> None:
-        """Write the pending part and begin the next one, with the lock held."""
+    def _write_part(self, last: bool = False, beside: bool = False) -> None:
+        """Write the part that is gathered and begin the next one, with the lock held.
+
+        Args:
+            last: of the run, which needs no folder for it.
+            beside: let a thread write it, while the next one is gathered.
+        """
         if self._by_place is not None:
             self._write_by_place(self._by_place.left())
             return
-        part = self._pending.part
+        self._land()
         # a run without worlds still gets one empty part, so that readers find the columns
-        if not part.rows and not (last and not self.parts.files("worlds")):
+        if not self._gathering.part.rows and not (last and not self.parts.files("worlds")):
             return
         self._timer.cancel()
         with self._writing():
             if self._in_memory and not last:
                 self._leave_memory()
-            self._tables.write_part(part.number, part.tables(self.schemas))
-        # one assignment: an interrupt before it writes the same part again
-        self._pending = self._pending.following()
+            if beside:
+                self._gathering.write_beside(self._tables, self.schemas)
+                self._start_timer()  # it is to land, also if no world follows
+                return
+            self._gathering.write(self._tables, self.schemas)
         self._write_info()
+
+    def _land(self, wait: bool = True) -> None:
+        """Let the part count that was written beside others, with the lock held."""
+        with self._writing():
+            landed = self._gathering.land(self._tables, wait=wait)
+        if landed:
+            self._write_info()
 
     def _write_by_place(self, numbers: Sequence[int]) -> None:
         """Write what there is of some parts of a large run, with the lock held."""

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,23 +25,74 @@ from petmjx.results.reader import load_run
 from petmjx.results.writer import RunWriter
 
 
+def worlds_on_disk(folder: Path) -> int:
+    """As run.json has them."""
+    found: int = json.loads((folder / "run.json").read_text())["counts"]["worlds"]
+    return found
+
+
+def wait_for(reached: Callable[[], bool]) -> None:
+    until = time.monotonic() + 20
+    while not reached():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+class Holding:
+    """Holds up the writing of tables for as long as it is told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.let_go = threading.Event()
+        write = files.pq.write_table
+
+        def late(*args: Any, **options: Any) -> None:
+            assert self.let_go.wait(20)
+            write(*args, **options)
+
+        monkeypatch.setattr(files.pq, "write_table", late)
+
+
 def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}, worlds_per_part=2, expected_worlds=5) as run:
         assert json.loads((tmp_path / "run.json").read_text())["status"] == "running"
         for number in range(5):
             run.add(make_plan(str(number)), 0, "fixed", make_outcome())
-            on_disk = json.loads((tmp_path / "run.json").read_text())["counts"]["worlds"]
-            assert on_disk == (number + 1) // 2 * 2
+            assert worlds_on_disk(tmp_path) == run.info["counts"]["worlds"] == number // 2 * 2, (
+                "the last part has not landed"
+            )
+            if number % 2:
+                beside = run._gathering._beside
+                assert beside is not None
+                beside.digests.result()
     assert [file for file in part_files(tmp_path) if file.startswith("worlds")] == [
         f"worlds/part-0000{number}.parquet" for number in range(3)
     ]
     assert load_run(tmp_path).worlds.plan_id.tolist() == list("01234")
 
 
+def test_worlds_are_gathered_while_a_part_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    holding = Holding(monkeypatch)
+    with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
+        for number in range(3):
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+        assert worlds_on_disk(tmp_path) == 0
+        holding.let_go.set()
+        run.flush()
+        assert worlds_on_disk(tmp_path) == 3
+    assert load_run(tmp_path).worlds.plan_id.tolist() == list("012")
+
+
+def test_a_part_lands_though_no_world_follows(tmp_path: Path) -> None:
+    with RunWriter(tmp_path, {}, worlds_per_part=2, seconds_per_part=0.2) as run:
+        for number in range(2):
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+        wait_for(lambda: worlds_on_disk(tmp_path) == 2)
+
+
 def test_slow_worlds_are_written_after_a_while(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}, seconds_per_part=0.0) as run:
         run.add(make_plan(), 0, "fixed", make_outcome())
-        assert (tmp_path / "worlds/part-00000.parquet").exists()
+        wait_for((tmp_path / "worlds/part-00000.parquet").exists)
 
 
 def test_ctrl_c_keeps_whole_parts_and_says_how_many(tmp_path: Path) -> None:
@@ -64,11 +120,39 @@ def test_ctrl_c_while_a_part_is_written_neither_loses_nor_doubles_worlds(
 
     monkeypatch.setattr(files.os, "replace", interrupted_replace)
     with pytest.raises(KeyboardInterrupt):
-        write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
-    results = load_run(tmp_path)
-    assert results.worlds.plan_id.tolist() == ["0", "1"]
-    assert results.boxes.plan_id.tolist() == ["0"] * 3 + ["1"] * 3
-    assert results.info["counts"]["worlds"] == 2
+        write_and_flush(tmp_path)
+    assert_has_whole(tmp_path, 2)
+
+
+def test_ctrl_c_while_a_part_is_waited_for_neither_loses_nor_doubles_worlds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    holding = Holding(monkeypatch)
+    timers = [
+        threading.Timer(0.3, signal.raise_signal, [signal.SIGINT]),
+        threading.Timer(0.6, holding.let_go.set),
+    ]
+    for timer in timers:
+        timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        write_run(tmp_path, ids=("0", "1", "2", "3"), worlds_per_part=2)  # with the last one a part waits for another
+    assert_has_whole(tmp_path, 4)
+
+
+def write_and_flush(folder: Path) -> None:
+    with RunWriter(folder, {}) as run:
+        for number in range(2):
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+        run.flush()
+
+
+def assert_has_whole(folder: Path, worlds: int) -> None:
+    """An interrupted run has so many worlds, each once."""
+    results = load_run(folder)
+    numbers = [str(number) for number in range(worlds)]
+    assert results.worlds.plan_id.tolist() == numbers
+    assert results.boxes.plan_id.tolist() == [number for number in numbers for _ in range(3)]
+    assert (results.info["status"], results.info["counts"]["worlds"]) == ("interrupted", worlds)
 
 
 def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
@@ -141,3 +225,34 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         write_run(tmp_path)
     assert load_run(tmp_path).info["status"] == "failed"
     assert load_run(tmp_path).worlds.empty
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_worlds_that_could_not_be_written_beside_others_are_written_in_the_end(
+    late: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next world meets the error, or the run ends before that."""
+    real, calls, added = files.pq.write_table, itertools.count(), list[str]()
+
+    def full_once(*args: Any, **options: Any) -> None:
+        if next(calls) == 0:
+            time.sleep(0.3)
+            raise OSError(28, "No space left on device")
+        real(*args, **options)
+
+    def write() -> None:
+        with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
+            for number in range(2 if late else 4):
+                added.append(str(number))
+                run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+
+    monkeypatch.setattr(files.pq, "write_table", full_once)
+    if late:
+        write()
+    else:
+        with pytest.raises(PetmjxError, match="cannot write results: No space left"):
+            write()
+    results = load_run(tmp_path)
+    assert results.worlds.plan_id.tolist() == added, "also the one with which the error was met"
+    assert results.info["status"] == ("finished" if late else "failed")
+    assert results.info["counts"]["worlds"] == len(added) == (2 if late else 4)
