@@ -54,6 +54,7 @@ class OneStep:
         fleet = Fleet(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
         self.rollout = Rollout(run, [fleet], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.group.table)
+        self.most_contacts = 0
 
     def __call__(self, data: mujoco.MjData) -> Stepped:
         """The step after that of C's data. Forces are there, since the rest window has begun."""
@@ -83,6 +84,8 @@ class OneStep:
         after, counts = jax.device_get((self.group.table, ended.counts))
         assert int(after.step[0]) == int(counts["steps"][0]) == 1
         assert (self._taken() - before).tolist() == [1, counts["iterations"][0]]
+        self.most_contacts = max(self.most_contacts, counts["contacts"][0])
+        assert self.group.run.progress.extra["march contacts"] == self.most_contacts
 
         def joined(carrier: FloatArray, boxes: FloatArray) -> FloatArray:
             return np.vstack([carrier, boxes[0]]).astype(float)

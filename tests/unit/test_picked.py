@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from support.plans import make_scene
 
-from petmjx.engines.batch import repeated
+from petmjx.engines.batch import picked, repeated
+from petmjx.engines.batch.outcomes import outcomes
 from petmjx.engines.batch.picked import PICKED, pick, reduce_metrics
+from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.state import NEVER, State, fresh_state, take_rows
 from petmjx.engines.batch.worlds import Worlds, upload_worlds
 from petmjx.options.config import Simulation
@@ -53,6 +55,16 @@ def test_of_a_small_table_no_more_rows_are_picked_than_it_has(tables: tuple[Worl
     rows = np.array([4, 0, 2])
     ((state, _),) = (each.on_host() for each in pick(rows, table, worlds, SIM))
     jax.tree.map(assert_same_bits, state, take_rows(table, jnp.asarray([4, 0, 2, 4, 0])))
+
+
+def test_outcomes_have_their_rows_in_each_batch(tables: tuple[Worlds, State], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(picked, "PICKED", 2)
+    jobs, rows = [Job(make_scene(BOXES))] * 5, np.array([4, 0, 2, 3, 1])
+    worlds = take_rows(tables[0], jnp.arange(5))
+    table = fresh_state(worlds, all_placed=True, ends=jnp.full(5, NEVER, jnp.int32), rest_steps=1)
+    table = table._replace(steps_done=10 * jnp.arange(5, dtype=jnp.int32))
+    found = outcomes(rows, pick(rows, table, worlds, SIM), jobs, 0, SIM, Recorder(jobs, SIM))
+    assert [(outcome.job, outcome.n_steps) for outcome in found] == [(4, 40), (0, 0), (2, 20), (3, 30), (1, 10)]
 
 
 def assert_same_bits(mine: np.ndarray[Any, Any], theirs: jax.Array) -> None:

@@ -37,6 +37,7 @@ def outcomes(
         some = rows[first : first + len(state.status)]
         yield from _outcomes(some, state, found, jobs, first_job, clock, sim, recorder)
         first += len(some)
+    assert first == len(rows)
 
 
 def _outcomes(

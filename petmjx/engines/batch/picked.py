@@ -18,7 +18,7 @@ from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.options.config import Simulation
 
 PICKED: Final = 256
-"""Rows that are picked at a time, or all of a smaller table: each number would be compiled."""
+"""Rows that are picked at a time, or as many as a smaller table has: XLA compiles a program for each number."""
 
 
 class Picked(NamedTuple):

@@ -155,6 +155,7 @@ class Programs:
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order, "alone": alone}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
+        # a copy: the next slice takes the table's own memory
         looked_at = jnp.concatenate([table.status, *(counts[name] for name in LOOKED_AT)])
         return table, workspace, looked_at, frames, counts
 

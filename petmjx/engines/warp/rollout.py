@@ -24,7 +24,7 @@ class Slice(NamedTuple):
 
     Attributes:
         began: when the host began it, s.
-        looked_at: statuses of all worlds, then the counts ``LOOKED_AT``.
+        looked_at: statuses of all rows, then the counts ``LOOKED_AT``.
     """
 
     began: float
@@ -90,13 +90,13 @@ class Rollout:
         looked_at = np.array(ended.looked_at)
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
         progress = group.run.progress
-        steps, iterations, contacts = looked_at[-len(LOOKED_AT) :].tolist()
+        counts = dict(zip(LOOKED_AT, looked_at[-len(LOOKED_AT) :].tolist(), strict=True))
         progress.message = group.run.message
-        progress.world_steps += steps
+        progress.world_steps += counts["steps"]
         extra = progress.extra
-        sums = {"seconds": self._last_end - began, "steps": steps, "iterations": iterations}
+        sums = {"seconds": self._last_end - began, **{name: counts[name] for name in ("steps", "iterations")}}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
         extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
-        extra["march contacts"] = max(extra.get("march contacts", 0), contacts)
+        extra["march contacts"] = max(extra.get("march contacts", 0), counts["contacts"])
         return looked_at[: len(group.jobs)], ended

@@ -19,9 +19,10 @@ from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 
-MOST_AHEAD: Final = 64
-"""Slices whose worlds may wait for the host: 6 s of a GPU. They are copies of a group's rows, those of a slice filled
-up to hundreds: 400 MB for plans of up to 76 boxes."""
+MOST_AHEAD: Final = 40
+"""Slices whose worlds may wait for the host: 4 s of a GPU. They are copies of a group's rows, those of a slice filled
+up to hundreds: 200 MB for plans of up to 76 boxes, 700 MB for 250; more where so many end in a slice that it has
+several batches."""
 
 
 class Round(NamedTuple):
