@@ -18,11 +18,10 @@ from petmjx.basics.errors import PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.counts import WorldCounts
-from petmjx.results.listed import LISTED, Parts
+from petmjx.results.listed import Parts
 from petmjx.results.memory import MemoryTables
 from petmjx.results.ordered import counts_block, orders_block
 from petmjx.results.reader import FINISHED
-from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import SCHEMA_VERSION, Param
 from petmjx.results.tables import Tables
 
@@ -123,16 +122,6 @@ class RunFolder(RunInfo):
         """The files of the tables, as they are now."""
         return self._tables.parts
 
-    @property
-    def counts(self) -> WorldCounts:
-        """Of the worlds on disk."""
-        raise NotImplementedError
-
-    @property
-    def info(self) -> dict[str, Any]:
-        """What ``run.json`` says now, without its digest."""
-        return {**self.entries(self.counts), LISTED: self.parts.digests}
-
     def write_summary(self, answers: pa.Table) -> None:
         """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An old one is replaced.
 
@@ -141,11 +130,6 @@ class RunFolder(RunInfo):
         """
         with self._writing():
             self._tables.write_first("summary", answers)
-
-    def _write_info(self) -> None:
-        if not self._in_memory:
-            with self._writing():
-                write_run_file(self.info, self.out_dir)
 
     @contextlib.contextmanager
     def _unless_temporary(self) -> Iterator[None]:

@@ -9,7 +9,7 @@ import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Self
 
 from petmjx.basics.errors import InputError, PetmjxError
 from petmjx.basics.text import one_line
@@ -19,29 +19,23 @@ from petmjx.plans.plan import Plan
 from petmjx.results.by_place import ByPlace, Places
 from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
-from petmjx.results.gathering import Gathering
 from petmjx.results.given import Given
 from petmjx.results.going_on import run_there
 from petmjx.results.info import RunFolder, now
-from petmjx.results.listed import Parts
+from petmjx.results.listed import LISTED, Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.memory import MemoryParts
-from petmjx.results.parts import Row
+from petmjx.results.parts import SECONDS_PER_PART, WORLDS_PER_PART, Gathering, Row
 from petmjx.results.plain import plain
 from petmjx.results.reader import FINISHED, RunResults, load_run
 from petmjx.results.recorded import Recorded
+from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
 from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
 from petmjx.results.tables import Tables
 from petmjx.verdict import Attempt, Outcome
-
-WORLDS_PER_PART: Final = 1_000
-"""A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little, two parts at most."""
-
-SECONDS_PER_PART: Final = 60.0
-"""A part is written at the latest after this time, even if worlds finish slowly."""
 
 
 class RunWriter(RunFolder):
@@ -61,10 +55,8 @@ class RunWriter(RunFolder):
         expected_worlds: number of worlds of the run, if known.
         places: of its worlds, in a run so large that no part shall be written twice.
         manifest: what the run is of; without one it cannot be resumed.
-        orders: how its plans compare with their orders. A run that is resumed has those of this time: the table
-            ``plans`` is written anew, since no world depends on them.
-        overwrite: replace a run that is in the folder.
-        resume: continue the same run, if there is one.
+        orders: how its plans compare with their orders; those of now also where a run is resumed.
+        overwrite, resume: replace a run that is in the folder, or continue it, if it is the same.
         worlds_per_part, seconds_per_part: a part is written when one of them is reached.
 
     Attributes:
@@ -233,6 +225,11 @@ class RunWriter(RunFolder):
         of_plan = self.orders.of_plan if self.orders else None
         return self._manifest is not None and self._tables.write_plans(self._manifest.table(of_plan))
 
+    @property
+    def info(self) -> dict[str, Any]:
+        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
+        return {**self.entries(self.counts), LISTED: self.parts.digests}
+
     def add(
         self,
         plan: Plan,
@@ -358,18 +355,15 @@ class RunWriter(RunFolder):
                 self._write_part()
 
     def _write_part(self, last: bool = False, beside: bool = False) -> None:
-        """Write the part that is gathered and begin the next one, with the lock held.
-
-        Args:
-            last: of the run, which needs no folder for it.
-            beside: let a thread write it, while the next one is gathered.
-        """
+        """Write the part that is gathered and begin the next one, with the lock held. ``beside``: let a thread write
+        it; ``last``: a run in memory stays there."""
         if self._by_place is not None:
             self._write_by_place(self._by_place.left())
             return
         self._land()
+        part = self._gathering.part
         # a run without worlds still gets one empty part, so that readers find the columns
-        if not self._gathering.part.rows and not (last and not self.parts.files("worlds")):
+        if not part.rows and not (last and not self.parts.files("worlds")):
             return
         self._timer.cancel()
         with self._writing():
@@ -379,7 +373,8 @@ class RunWriter(RunFolder):
                 self._gathering.write_beside(self._tables, self.schemas)
                 self._start_timer()  # it is to land, also if no world follows
                 return
-            self._gathering.write(self._tables, self.schemas)
+            self._tables.write_part(part.number, part.tables(self.schemas))
+        self._gathering.written()
         self._write_info()
 
     def _land(self, wait: bool = True) -> None:
@@ -398,3 +393,8 @@ class RunWriter(RunFolder):
                 self._write_info()
                 if put_together:
                     self._tables.drop_others()
+
+    def _write_info(self) -> None:
+        if not self._in_memory:
+            with self._writing():
+                write_run_file(self.info, self.out_dir)

@@ -25,8 +25,8 @@ from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import score_worlds
 from petmjx.history import Record
 from petmjx.options.config import Check, Schedule, Simulation, Solver
-from petmjx.results import gathering
 from petmjx.results import histories as history_tables
+from petmjx.results import parts
 from petmjx.results.histories import read_history
 from petmjx.results.schema import schemas
 from petmjx.verdict import Outcome, Reason, Verdict
@@ -259,7 +259,7 @@ def test_drives_come_back_as_they_were() -> None:
 
 
 def test_histories_end_a_part_before_they_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gathering, "HISTORY_BYTES_PER_PART", 10_000)
+    monkeypatch.setattr(parts, "HISTORY_BYTES_PER_PART", 10_000)
     run = recorded(tmp_path / "run")
     assert len(list((run.path / "worlds").iterdir())) > 2
     assert_same(run, tables(recorded(tmp_path / "other")))
