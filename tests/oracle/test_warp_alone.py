@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from support.plans import heap, make_scene
-from support.tiny_worlds import SHORT, SOME_NS, assert_equal_worlds, engine, tiny_scenes
+from support.tiny_worlds import SHORT, STEP_NS, assert_equal_worlds, engine, tiny_scenes
 from support.worlds import simulate
 
 from petmjx.engines.warp import alone
@@ -87,7 +87,7 @@ def test_blocks_that_give_way_change_no_bit(
         return replace(of(size, *traits), blocks=4, per_sm=4)
 
     monkeypatch.setattr(Launch, "of", sharing)
-    assert_equal_worlds(simulate(engine(slice_ns=SOME_NS), tiny_scenes(), SHORT), crowd)
+    assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(), SHORT), crowd)
     arrived, alone_on = np.array(found).T
     assert arrived.max() == 4
     assert alone_on.max() > 0
