@@ -63,7 +63,7 @@ def test_outcomes_have_their_rows_in_each_batch(tables: tuple[Worlds, State], mo
     worlds = take_rows(tables[0], jnp.arange(5))
     table = fresh_state(worlds, all_placed=True, ends=jnp.full(5, NEVER, jnp.int32), rest_steps=1)
     table = table._replace(steps_done=10 * jnp.arange(5, dtype=jnp.int32))
-    found = outcomes(rows, pick(rows, table, worlds, SIM), jobs, 0, SIM, Recorder(jobs, SIM))
+    found = outcomes(pick(rows, table, worlds, SIM), jobs, SIM, Recorder(jobs, SIM))
     assert [(outcome.job, outcome.n_steps) for outcome in found] == [(4, 40), (0, 0), (2, 20), (3, 30), (1, 10)]
 
 

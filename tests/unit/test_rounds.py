@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support.outcomes import make_outcome
 
 from petmjx.engines.base import Progress
+from petmjx.engines.batch.picked import Picked
 from petmjx.engines.warp import rounds
 from petmjx.engines.warp.rounds import Round, outcomes_of
 from petmjx.options.config import Simulation
@@ -19,24 +22,32 @@ from petmjx.verdict import Outcome, Verdict
 WAIT_S = 30
 
 
+def round_of(rows: NDArray[np.int64]) -> Round:
+    """A batch for every two rows."""
+    picked: Any = [SimpleNamespace(rows=rows[first : first + 2]) for first in range(0, len(rows), 2)]
+    recorder: Any = None
+    return Round(picked, recorder, (), range(10))
+
+
 @pytest.mark.parametrize("ended", [[2, 0], [2, 0, 2], [2, 2, 0, 0]], ids=str)
 def test_a_slice_in_which_no_world_has_ended_has_no_outcome_at_hand(
     ended: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """So many worlds end in slices that have gone through before the first outcome is made, and one in a slice that
     goes through after their last one."""
-    gone_through, due, recorder = threading.Event(), threading.Event(), object()
+    gone_through, due = threading.Event(), threading.Event()
 
     def slices() -> Generator[Round]:
         for number, count in enumerate(ended):
-            yield Round(np.arange(count) + sum(ended[:number]), (), recorder, (), range(10))  # type: ignore[arg-type]
+            yield round_of(np.arange(count) + sum(ended[:number]))
         gone_through.set()
         assert due.wait(WAIT_S)
-        yield Round(np.array([sum(ended)]), (), recorder, (), range(10))  # type: ignore[arg-type]
+        yield round_of(np.array([sum(ended)]))
 
-    def made(rows: Any, *_: Any) -> Iterator[Outcome]:
+    def made(picked: Sequence[Picked], *_: Any) -> Iterator[Outcome]:
         assert gone_through.wait(WAIT_S)
-        yield from (make_outcome(1, Verdict.STABLE, job=row) for row in rows.tolist())
+        rows = [row for batch in picked for row in batch.rows.tolist()]
+        yield from (make_outcome(1, Verdict.STABLE, job=row) for row in rows)
 
     monkeypatch.setattr(rounds, "outcomes", made)
     progress, at_hand = Progress(), list[int | None]()

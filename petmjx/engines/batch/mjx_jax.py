@@ -120,7 +120,7 @@ class MjxJaxEngine(Engine):
                         batch = _load(jobs, some, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)
                     picked = pick(rows, batch.table, batch.worlds, sim)
-                    for outcome in outcomes(rows, picked, batch.jobs, 0, sim, batch.recorder):
+                    for outcome in outcomes(picked, batch.jobs, sim, batch.recorder):
                         outcome.job = some[outcome.job]
                         yield outcome
                     alike = alike[len(some) :]

@@ -22,22 +22,12 @@ from petmjx.verdict import Flag, Outcome, Verdict, judge
 from petmjx.world.job import Job
 
 
-def outcomes(
-    rows: NDArray[np.int64],
-    picked: Sequence[Picked],
-    jobs: Sequence[Job],
-    first_job: int,
-    sim: Simulation,
-    recorder: Recorder,
-) -> Iterator[Outcome]:
-    """Outcomes of rows of a table that ``pick`` has picked, with their histories."""
-    clock, first = Clock(sim.physics.timestep_s), 0
+def outcomes(picked: Sequence[Picked], jobs: Sequence[Job], sim: Simulation, recorder: Recorder) -> Iterator[Outcome]:
+    """Outcomes of rows of a table that ``pick`` has picked, with their histories; job i has row i."""
+    clock = Clock(sim.physics.timestep_s)
     for batch in picked:
         state, found = batch.on_host()
-        some = rows[first : first + len(state.status)]
-        yield from _outcomes(some, state, found, jobs, first_job, clock, sim, recorder)
-        first += len(some)
-    assert first == len(rows)
+        yield from _outcomes(batch.rows, state, found, jobs, clock, sim, recorder)
 
 
 def _outcomes(
@@ -45,7 +35,6 @@ def _outcomes(
     host: State,
     found: Measured,
     jobs: Sequence[Job],
-    first_job: int,
     clock: Clock,
     sim: Simulation,
     recorder: Recorder,
@@ -68,7 +57,7 @@ def _outcomes(
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
         known = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
-            job=first_job + int(row),
+            job=int(row),
             verdict=verdict,
             reason=reason,
             culprit=int(m.culprit[i]) if known else -1,

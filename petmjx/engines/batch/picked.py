@@ -26,9 +26,11 @@ class Picked(NamedTuple):
     from a GPU.
 
     Attributes:
+        rows: which these are; in ``bits`` more may follow, which fill it up.
         kinds: a ``State`` and ``Measured``, with shape and type instead of each array.
     """
 
+    rows: NDArray[np.int64]
     bits: Int[Array, "row word"]
     kinds: Any
 
@@ -75,6 +77,7 @@ def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation)
     kinds = state, Measured(shift=of_axes, max_tilt=number, max_top_force=number, rest_force=number)
     batches = []
     for first in range(0, len(rows), size):
-        padded = np.resize(rows[first : first + size], size).astype(np.int32)
-        batches.append(Picked(_picked(table, worlds, uploaded(padded), sim), kinds))
+        some = rows[first : first + size]
+        padded = uploaded(np.resize(some, size).astype(np.int32))
+        batches.append(Picked(some, _picked(table, worlds, padded, sim), kinds))
     return batches

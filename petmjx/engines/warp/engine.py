@@ -237,7 +237,7 @@ class MjxWarpEngine(Engine):
                         rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                yield Round(ended, picked, group.recorder, jobs, numbers)
+                yield Round(picked, group.recorder, jobs, numbers)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, numbers, queues, course):
                     rollout.keep_under_way(at_once, group, queues.order)
                 if rollout is None or not group.recorder.idle:

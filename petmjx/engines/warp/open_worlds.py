@@ -182,9 +182,9 @@ class WarpWorlds(OpenWorlds):
     def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
         """Outcomes of worlds that have paused, when nothing more is put in."""
         begun = Open(batch.worlds, self._jitted_finish(Open(batch.worlds, state)))
-        ended, rows = self._to_the_end(begun, batch.profiles), np.arange(len(jobs))
-        picked = pick(rows, ended.state, ended.worlds, self._sim)
-        return list(outcomes(rows, picked, jobs, 0, self._sim, batch.recorder))
+        ended = self._to_the_end(begun, batch.profiles)
+        picked = pick(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
+        return list(outcomes(picked, jobs, self._sim, batch.recorder))
 
     def _to_the_end(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
         """Let worlds go on; those whose buffers are too small again in larger ones."""

@@ -94,7 +94,7 @@ class Rollout:
         progress.message = group.run.message
         progress.world_steps += counts["steps"]
         extra = progress.extra
-        sums = {"seconds": self._last_end - began, **{name: counts[name] for name in ("steps", "iterations")}}
+        sums = {"seconds": self._last_end - began, "steps": counts["steps"], "iterations": counts["iterations"]}
         for what, amount in sums.items():
             extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
         extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)

@@ -7,9 +7,6 @@ from contextlib import closing
 from threading import Lock
 from typing import Final, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from petmjx.basics.run_ahead import run_ahead
 from petmjx.engines.base import Progress
 from petmjx.engines.batch.outcomes import outcomes
@@ -29,13 +26,11 @@ class Round(NamedTuple):
     """The worlds that have ended in a time slice.
 
     Attributes:
-        rows: of a group.
-        picked: their states and metrics, on the device.
+        picked: their rows of a group, states and metrics, on the device.
         recorder: has their histories.
         jobs, numbers: of all worlds of the group, and their numbers in the run.
     """
 
-    rows: NDArray[np.int64]
     picked: Sequence[Picked]
     recorder: Recorder
     jobs: Sequence[Job]
@@ -61,13 +56,13 @@ def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *
     def counted() -> Generator[Round]:
         with closing(rounds):
             for each in rounds:
-                count(len(each.rows))  # a slice that waits may have none
+                count(sum(len(batch.rows) for batch in each.picked))  # a slice that waits may have none
                 yield each
 
     try:
         with closing(counted() if waits else run_ahead(counted(), MOST_AHEAD)) as each_slice:
-            for rows, picked, recorder, jobs, numbers in each_slice:
-                for outcome in outcomes(rows, picked, jobs, 0, sim, recorder):
+            for picked, recorder, jobs, numbers in each_slice:
+                for outcome in outcomes(picked, jobs, sim, recorder):
                     outcome.job = numbers[outcome.job]
                     count(-1)
                     yield outcome
