@@ -66,7 +66,7 @@ SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 """For worlds with so few boxes so far: with a carrier that moves they fill six panels."""
 
-LAST = Size(SIZES[0].most_boxes, 256, 1, 112 << 10)
+LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
 """For a run's last worlds of the smaller size. No other block has room beside one of these."""
 
 
