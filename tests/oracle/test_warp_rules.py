@@ -26,8 +26,7 @@ from support.fake_stepper import fake_scene
 from petmjx.basics.warp_cpp import with_cpp
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.warp import newton, records
-from petmjx.engines.warp.kernel.drive import begin_drive
-from petmjx.engines.warp.kernel.rules import SETTLED, after_step
+from petmjx.engines.warp.kernel.rules import after_step
 from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.records import Model, Thread, Workspace, array_types, filled
 
@@ -46,17 +45,15 @@ def _one(model: Model, worlds: records.Worlds, state: records.State, work: Works
     at.threads = 1
     at.world = world
     at.placed = state.placed[world]
-    if state.status[world] == SETTLED:
-        begin_drive(model, worlds, at, state)
-    else:
-        after_step(model, worlds, at, astray, state, work)
+    after_step(model, worlds, at, astray, state, work)
 
 
 def _all(
     model: Model, worlds: records.Worlds, state: records.State, work: Workspace, astray: wp.array[wp.bool]
 ) -> None:
     world = wp.tid()
-    _one(model, worlds, state, work, world, astray[world])
+    if state.status[world] == 0:
+        _one(model, worlds, state, work, world, astray[world])
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +62,7 @@ def kernel() -> Any:
 
 
 def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, State, State]:
-    """Worlds of one to four boxes, states after some step, and those at its beginning (poses). Some have settled, and
-    their drives are to begin."""
+    """Worlds of one to four boxes, states after some step, and those at its beginning (poses)."""
     jobs = [
         Job(fake_scene(*[1.0] * (1 + k % BOXES)), keep_state=k % 3 == 0, has_errors=k % 5 == 0) for k in range(WORLDS)
     ]
@@ -135,30 +131,10 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
             sway_anchor=jnp.asarray(poses[1][..., :2] + rng.normal(0, 0.03, (WORLDS, BOXES, 2)), jnp.float32),
         ),
     )
-    settled = ~driven & (placed == n_boxes) & some(0.1)
-    worlds = worlds._replace(driven=jnp.asarray(settled), profile_steps=jnp.asarray(pick(10, 200)))
-    drops = np.where(settled[:, None] & some(0.02, (WORLDS, BOXES)), 3, -1)
-    metrics = after.metrics._replace(
-        rest_force_sum=jnp.asarray(rng.random((WORLDS, BOXES)), jnp.float32),
-        rest_samples=jnp.asarray(pick(0, 7)),
-        drop_step=jnp.asarray(drops, jnp.int32),
-    )
-    status = jnp.asarray(np.where(settled, Status.SETTLED, Status.RUNNING), jnp.int32)
-    driven_from = jnp.where(settled, after.step, after.driven_from)
-    after = after._replace(status=status, driven_from=driven_from, metrics=metrics)
     return worlds, after, after._replace(qpos=poses[1])
 
 
-PER_BOX = (
-    "quiet_speed",
-    "rest_force_sum",
-    "sway_anchor",
-    "still_qpos",
-    "trembles",
-    "tremble_path",
-    "tremble_away",
-    "tremble_qpos",
-)
+PER_BOX = "quiet_speed", "still_qpos", "trembles", "tremble_path", "tremble_away", "tremble_qpos"
 
 CASES = [
     {},
@@ -197,8 +173,9 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
             },
         )
         flat = after.flat()
-        flat["step"] = after.step - (after.status == Status.RUNNING)
+        flat["step"] = after.step - 1
         flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
+        flat_worlds["alone"] = np.zeros(WORLDS, bool)
         state = device_record(records.State, flat)
         buffer = wp.zeros((records.buffer_rows(sizes), records.BUFFER_WORDS), dtype=float)
         work = filled(Workspace, records.in_buffer(buffer, sizes))
@@ -231,18 +208,13 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     # Some boxes are found to tremble, and others that did not to do so any more.
     trembled = np.asarray(after.trembles)
     assert {-1, 1} <= set(np.unique((found["trembles"] - trembled)[stood])) or not adapts
-    # Where no box is over a threshold a drive begins without the sign that there was.
-    ran, had_sign = np.asarray(after.status) == Status.RUNNING, np.asarray(after.metrics.culprit) >= 0
-    assert (found["status"][~ran] == Status.RUNNING).all()
-    assert set((found["culprit"] >= 0)[~ran & had_sign].tolist()) == {False, True}
     # In drives some worlds rest before their time, and some that did are found to move.
-    was, now = np.asarray(after.end)[ran], found["end"][ran]
+    was, now = np.asarray(after.end), found["end"]
     assert ((now < was) & (was != NEVER)).any() == adapts
     assert ((now > was) & (now != NEVER)).any() == sim.waits_for_rest
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):
         assert (found["flags"] & int(flag)).any(), flag
-    drops = (found["drop_step"] >= 0) & (np.asarray(after.metrics.drop_step) < 0)
-    stopped, dropped = found["flags"] & int(Flag.EARLY_STOP) != 0, drops.any(axis=1)
+    stopped, dropped = found["flags"] & int(Flag.EARLY_STOP) != 0, (found["drop_step"] >= 0).any(axis=1)
     lost, driven = stopped & ~dropped, np.asarray(after.driven_from) != NEVER
     by_culprit = driven & (np.asarray(after.metrics.culprit) >= 0)
     with_errors = np.asarray(worlds.ends_when_lost)
@@ -253,9 +225,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     tilted = np.asarray(motion.tilt_deg(after.qpos[..., 3:]))[:, 0] > sim.thresholds.tilt_deg
     step = np.asarray(after.step)
     looked = (step > 0) & (step % sim.quiet.poll_steps == 0) & (step % timetable.sample_every != 0)
-    held = (
-        ran & by_culprit & tilted & looked & (found["status"] == Status.RUNNING) & (np.asarray(worlds.allowed_sway) > 0)
-    )
+    held = by_culprit & tilted & looked & (found["status"] == Status.RUNNING) & (np.asarray(worlds.allowed_sway) > 0)
     assert held.any()
 
 
@@ -266,8 +236,7 @@ def device_record(kind: Any, values: Any) -> Any:
 
 
 def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, top_force: jax.Array) -> State:
-    """What the batched rules make of the same worlds: those that place boxes, those that drive settled ones, and those
-    that begin drives."""
+    """What the batched rules make of the same worlds: those that place boxes, and those that drive settled ones."""
     timetable = build_timetable(sim, BOXES)
     with jax.numpy_rank_promotion("allow"):
         placing, driving = (
@@ -280,5 +249,4 @@ def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, top
         return jnp.where(is_driven.reshape(-1, *[1] * (one.ndim - 1)), one, other)
 
     state: State = jax.tree.map(chosen, driving, placing)
-    with jax.numpy_rank_promotion("allow"):
-        return Rules(sim, timetable, BOXES, driven=True).begin_drives(state, worlds)
+    return state

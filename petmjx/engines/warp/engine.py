@@ -348,8 +348,8 @@ class MjxWarpEngine(Engine):
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
-                if not self._kept and any(fleet.is_extra for fleet in fleets):
-                    fleets = tuple(fleet for fleet in fleets if not fleet.is_extra)
+                if not self._kept and fleets[0].least:
+                    fleets = fleets[1:]
                 elif not self._kept:
                     more, fleets = fleets, tuple(_halved(fleet) for fleet in fleets)
                     if fleets == more:

@@ -39,7 +39,7 @@ def fleet_for_few(fleet: Fleet, worlds: int, lanes: int | None = None) -> Fleet 
 
 
 def with_few_first(
-    few: Fleet, order: Int[Array, "queue world"], placed: Int[Array, " world"], goes_on: Bool[Array, " world"]
+    few: Fleet, order: Int[Array, "queue world"], placed: Int[Array, " world"], running: Bool[Array, " world"]
 ) -> Int[Array, "queue+1 world"]:
     """Queues with one more, the first: of the worlds of the last queue that have few boxes now, while they are enough.
 
@@ -47,15 +47,15 @@ def with_few_first(
 
     Args:
         placed: boxes of each world.
-        goes_on: worlds that have not ended.
+        running: worlds that go on.
     """
     last = order[-1]
-    chosen = (last >= 0) & (goes_on & (placed <= few.n_boxes))[last]
+    chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]
     chosen &= chosen.sum() >= few.least
-    return jnp.concatenate([closed_up(last, chosen)[None], order[:-1], closed_up(last, ~chosen)[None]])
+    return jnp.concatenate([_closed_up(last, chosen)[None], order[:-1], _closed_up(last, ~chosen)[None]])
 
 
-def closed_up(queue: Int[Array, " world"], chosen: Bool[Array, " world"]) -> Int[Array, " world"]:
+def _closed_up(queue: Int[Array, " world"], chosen: Bool[Array, " world"]) -> Int[Array, " world"]:
     """The chosen ones of a queue, one behind the other, and negative numbers behind them."""
     place = jnp.where(chosen, jnp.cumsum(chosen) - 1, len(queue))
     return jnp.full_like(queue, -1).at[place].set(queue, mode="drop")

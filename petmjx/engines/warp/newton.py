@@ -59,11 +59,12 @@ def own_bytes(panels: int, worlds: int = 1) -> int:
     return 4 * (PANEL + 4) * panels + (parts << 10)
 
 
-def text_for(panels: int, worlds: int = 1, pause_after: int = 0) -> str:
+def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int = 0) -> str:
     """The solver's C++ for systems of up to so many panels.
 
     Args:
         worlds: of a block; each of several has a warp.
+        threads: of the blocks of one world in whose order those of several sum.
         pause_after: iterations after which the solver pauses; 0: it does not.
     """
     numbers = {
@@ -71,6 +72,7 @@ def text_for(panels: int, worlds: int = 1, pause_after: int = 0) -> str:
         "PETMJX_FEW_PANELS": FEW_PANELS,
         "PETMJX_OWN_BYTES": own_bytes(panels, worlds),
         "PETMJX_WORLDS": worlds,
+        "PETMJX_THREADS": threads,
         "PETMJX_PAUSE_AFTER": pause_after,
     }
     return "".join(f"#define {name} {number}\n" for name, number in numbers.items()) + source("newton.cu")

@@ -78,6 +78,7 @@ class Simulator:
         self._march = March(constants(sim, timetable), [fleet], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
+        self._driving = Rules(sim, timetable, most_boxes, driven=True)
 
     def load(self) -> None:
         """Compile the kernel, or take it from Warp's cache."""
@@ -149,10 +150,11 @@ class Simulator:
     def time_slice(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
         """Let worlds go on for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
-        after, *_ = self._march(
-            flat_worlds, open_.state.flat(), self._march.workspace(), _no_frames(n, worlds.half.shape[1])
-        )
+        order, alone = jnp.arange(n, dtype=jnp.int32)[None], jnp.zeros(n, bool)
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order, "alone": alone}
+        flat = self._driving.begin_drives(open_.state, worlds)._asdict()
+        flat |= flat.pop("metrics")._asdict()
+        after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
         return Open(worlds, of_flat(after))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:

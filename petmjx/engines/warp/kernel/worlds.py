@@ -19,25 +19,29 @@ from petmjx.engines.warp.kernel.block import (
     elapsed,
     fused,
     go_together,
+    multiprocessor,
     raise_to,
     times,
     wait_for_all,
 )
 from petmjx.engines.warp.kernel.collision import APART, NEAR, collide, list_pairs
 from petmjx.engines.warp.kernel.constraint import link_contacts, make_constraint
-from petmjx.engines.warp.kernel.drive import begin_drive
 from petmjx.engines.warp.kernel.film import hold
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.hand import carry
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
-from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, SETTLED, after_step
+from petmjx.engines.warp.kernel.pause import let_pass
+from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import in_pause, newton
 from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
+
+LOOKS_AFTER_NS = wp.constant(wp.int64(50_000))
+"""The first block on a multiprocessor has so long to take its world before others there look at that, ns."""
 
 
 @wp.func
@@ -179,9 +183,27 @@ def advance(
 
 
 @wp.func
-def _goes_on(model: Model, state: State, world: int, status: int) -> bool:
-    """Whether a world has this status, and no more boxes than its blocks are for."""
-    return state.status[world] == status and state.placed[world] <= model.most_placed
+def _goes_on(model: Model, state: State, world: int) -> bool:
+    """Whether a world runs, and has no more boxes than its blocks are for."""
+    return state.status[world] == RUNNING and state.placed[world] <= model.most_placed
+
+
+@wp.func
+def _gives_way(
+    # In:
+    thread: int,
+    # Data out:
+    counts: Counts,
+) -> bool:
+    """Whether a block leaves its multiprocessor to a world that is to have it alone (petmjx/engines/warp/alone.py).
+    The one that comes there first never does: it may be the one to take such a world."""
+    full = bool(False)
+    if thread == 0:
+        here = multiprocessor() % counts.arrived.shape[0]
+        if add_to(counts.arrived, here, 1) > 0:
+            let_pass(LOOKS_AFTER_NS)
+            full = add_to(counts.alone_on, here, 0) > 0
+    return any_of_all(full)
 
 
 @wp.func
@@ -195,6 +217,7 @@ def run_worlds(
     threads: int,
     n_blocks: int,
     slice_ns: wp.int64,
+    shares: int,
     hands: int,
     gives: int,
     wraps: int,
@@ -213,6 +236,7 @@ def run_worlds(
         thread: of the threads that share a world.
         threads: how many these are.
         n_blocks: lanes of the call, of all sizes.
+        shares: 1 if a multiprocessor may have several of these blocks.
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may give.
         wraps: 1 if film may hold boxes.
@@ -229,41 +253,40 @@ def run_worlds(
     at.wraps = wraps
     steps = int(0)
     iterations = int(0)
-    stood = int(-1)  # boxes for which pairs are listed; negative: for none
+    stood = int(-1)  # boxes for which pairs are listed
     listed = int(-1)
     recorded = bool(False)
     late = bool(False)
+    if shares != 0:
+        late = _gives_way(thread, counts)
     others = bool(True)  # a world of the block goes on
     while others:
         goes = bool(False)
-        asks = at.world < 0
+        if at.world >= 0 and not late:
+            goes = _goes_on(model, state, at.world)
         while not goes and not late:
-            if asks:
+            if thread == 0:
+                number = add_to(counts.taken, model.queue, 1)
+                work.world[block] = -1
+                if number < worlds.order.shape[1]:
+                    work.world[block] = worlds.order[model.queue, number]
+                if shares != 0 and work.world[block] >= 0 and worlds.alone[work.world[block]]:
+                    add_to(counts.alone_on, multiprocessor() % counts.alone_on.shape[0], 1)
+            wait_for_all()
+            at.world = work.world[block]
+            wait_for_all()
+            if at.world < 0:
+                late = True
                 if thread == 0:
-                    number = add_to(counts.taken, model.queue, 1)
-                    work.world[block] = -1
-                    if number < worlds.order.shape[1]:
-                        work.world[block] = worlds.order[model.queue, number]
-                wait_for_all()
-                at.world = work.world[block]
-                wait_for_all()
-                if at.world < 0:
-                    late = True
-                    if thread == 0:
-                        add_to(counts.idle, model.queue, 1)
-                else:
-                    stood = -1
-                    recorded = frames.every[at.world] > 0
-                    full = bool(False)
-                    if recorded and thread == 0:
-                        full = no_room(frames, n_blocks)
-                    late = any_of_all(full)
-            if not late:
-                if worlds.driven[at.world] and _goes_on(model, state, at.world, SETTLED):
-                    begin_drive(model, worlds, at, state)
-                    stood = -1  # which bodies are free is another matter now
-                goes = _goes_on(model, state, at.world, RUNNING)
-            asks = True
+                    add_to(counts.idle, model.queue, 1)
+            else:
+                stood = -1
+                recorded = frames.every[at.world] > 0
+                full = bool(False)
+                if recorded and thread == 0:
+                    full = no_room(frames, n_blocks)
+                late = any_of_all(full)
+                goes = not late and _goes_on(model, state, at.world)
         others = any_of_block(goes)
         if goes:
             at.placed = state.placed[at.world]
