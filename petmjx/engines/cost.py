@@ -243,17 +243,28 @@ class Costs:
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
-        """(n,) expected time of each job on one CPU thread, s. On a device only its order counts."""
-        boxes = [job.scene.n_boxes for job in jobs]
-        placed = np.array([job.start is None for job in jobs], dtype=float)
-        placed *= [self.mujoco.errors.of(job) for job in jobs]
-        drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
-        placing = Work(sim, boxes, drives=int(any(job.settles for job in jobs)))
-        return np.asarray(placed * self.mujoco.placing_s(placing) + self.mujoco.driving_s(boxes, drive_steps))
+        """(n,) expected time of each job on one CPU thread, s."""
+        each, placements, drive_steps = _expected(jobs, sim, self.mujoco.errors)
+        drives_s = self.mujoco.driving_s(each.boxes, drive_steps)
+        return np.asarray(placements * self.mujoco.placing_s(each) + drives_s)
+
+    def of_jobs_on_device(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
+        """(n,) expected time of each job in a thread block of ``mjx-warp``, in units of a step of one box."""
+        each, placements, drive_steps = _expected(jobs, sim, ON_DEVICE)
+        placing = placements * each._placing(WARP_POWER, grows=True)
+        return np.asarray(placing + SHAKEN_FACTOR * np.asarray(each.boxes) ** WARP_POWER * drive_steps)
 
     def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
         return self.gpu_step_s * work * (worlds + self.tail_worlds) / self.full_worlds if worlds else 0.0
+
+
+def _expected(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
+    """The placement of each job as planned, how many of these it is worth, and (n,) expected steps of its drive."""
+    placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
+    drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
+    each = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
+    return each, placements, drive_steps
 
 
 MEASURED = Costs()

@@ -175,7 +175,6 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         flat = after.flat()
         flat["step"] = after.step - 1
         flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
-        flat_worlds["alone"] = np.zeros(WORLDS, bool)
         state = device_record(records.State, flat)
         buffer = wp.zeros((records.buffer_rows(sizes), records.BUFFER_WORDS), dtype=float)
         work = filled(Workspace, records.in_buffer(buffer, sizes))

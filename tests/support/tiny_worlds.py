@@ -7,16 +7,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import launch
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.group import Run
+from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.launch import Launch, size_for
 from petmjx.engines.warp.march import Fleet
 from petmjx.engines.warp.records import most_panels
-from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.rollout import Rollout, Slice
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.scene import Scene, build_scene
@@ -105,6 +107,21 @@ def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
         return replace(here(n_boxes, *features), panels=most_panels(size_for(n_boxes).most_boxes))
 
     monkeypatch.setattr(Launch, "here", sized)
+
+
+def watched_queues(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
+    """Worlds that each fleet has taken, slice after slice, with those that have ended."""
+    found: list[list[int]] = []
+    wait = Rollout.wait
+
+    def watched(self: Rollout, group: Group) -> tuple[NDArray[np.int32], Slice]:
+        status, ended = wait(self, group)
+        asked, in_vain = (np.asarray(ended.counts[name]) for name in ("taken", "idle"))
+        found.append((asked - in_vain).tolist())
+        return status, ended
+
+    monkeypatch.setattr(Rollout, "wait", watched)
+    return found
 
 
 def out_of_memory() -> RuntimeError:

@@ -11,7 +11,7 @@ from support.fake_stepper import fake_scene
 
 from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.basics.units import FloatArray
-from petmjx.engines.cost import MEASURED
+from petmjx.engines.cost import CREEPING, MEASURED, ON_DEVICE
 from petmjx.engines.workers.deal import MOST_JOBS, Chunk, Deal
 from petmjx.engines.workers.places import Node, Place, places, threads_beside
 from petmjx.options.config import Simulation
@@ -166,6 +166,30 @@ def test_a_drive_that_shakes_a_pallet_down_is_over_sooner() -> None:
     gentle, steady, hard, harder = MEASURED.of_jobs(jobs, Simulation()).tolist()
     assert gentle == steady > hard == harder
     assert len(set(MEASURED.of_jobs(jobs, Simulation(schedule="fixed")).tolist())) == 1
+
+
+def test_on_a_device_gentle_drives_of_small_pallets_begin_before_hard_ones_of_large_pallets() -> None:
+    """A step of twice as many boxes takes twice as long there, on a CPU four times."""
+    shake = Excitation("shake", "acceleration", np.tile([9.81, 0.0, 0.0], (200, 1)))
+    small, large = fake_scene(*[1.0] * 40), fake_scene(*[1.0] * 60)
+    pairs = [(small, 0.2), (large, 1.0)]
+    jobs = [Job(scene, drive=Drive(shake, scale), start="a state") for scene, scale in pairs]
+    gentle, hard = MEASURED.of_jobs_on_device(jobs, Simulation()).tolist()
+    assert gentle == pytest.approx(CREEPING * 40 / 60 * hard)
+    assert gentle > hard
+    gentle, hard = MEASURED.of_jobs(jobs, Simulation()).tolist()
+    assert gentle < hard
+
+
+def test_on_a_device_as_on_a_cpu_placements_take_longer_with_more_boxes_with_errors_and_before_a_drive() -> None:
+    scene, sim = fake_scene(1.0, 10.0, 20.0), Simulation()
+    drive = Drive(Excitation("shake", "force", np.zeros((500, 3))))
+    displaced = Job(scene, has_errors=True)
+    jobs = [Job(fake_scene(1.0)), Job(scene), displaced, Job(scene, drive=drive), Job(scene, drive=drive, start="it")]
+    one, two, with_errors, placed_and_driven, driven = MEASURED.of_jobs_on_device(jobs, sim).tolist()
+    assert one < two < placed_and_driven
+    assert placed_and_driven == pytest.approx(two + driven)
+    assert with_errors == pytest.approx(ON_DEVICE.displaced * two)
 
 
 NODES = (Node(8, 2), Node(4, 0), Node(0, 0))

@@ -12,7 +12,7 @@ from support.plans import make_scene
 
 from petmjx.engines.batch import picked, repeated
 from petmjx.engines.batch.outcomes import outcomes
-from petmjx.engines.batch.picked import PICKED, pick, reduce_metrics
+from petmjx.engines.batch.picked import PICKED, pick, prepare_pick, reduce_metrics
 from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.state import NEVER, State, fresh_state, take_rows
 from petmjx.engines.batch.worlds import Worlds, upload_worlds
@@ -48,6 +48,22 @@ def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State
         jax.tree.map(assert_same_bits, state, chosen)
         # what is made of no number is none, with any bits
         jax.tree.map(np.testing.assert_array_equal, measured, reduce_metrics(chosen, take_rows(worlds, some), SIM))
+
+
+def test_what_was_prepared_compiles_nothing(tables: tuple[Worlds, State]) -> None:
+    compiled: list[str] = []
+
+    def note(event: str, duration_secs: float, **_: Any) -> None:
+        compiled.extend([event] * (event == "/jax/core/compile/backend_compile_duration"))
+
+    worlds, table = (take_rows(record, jnp.arange(PICKED + 3)) for record in tables)
+    jax.monitoring.register_event_duration_secs_listener(note)
+    prepare_pick(table, worlds, SIM)
+    assert compiled, "the listener hears of programs"
+    compiled.clear()
+    pick(np.arange(3), table, worlds, SIM)
+    pick(np.arange(PICKED + 3), table, worlds, SIM)
+    assert compiled == []
 
 
 def test_of_a_small_table_no_more_rows_are_picked_than_it_has(tables: tuple[Worlds, State]) -> None:

@@ -14,7 +14,7 @@ from petmjx.engines.batch.recorder import Recorder
 from petmjx.engines.batch.repeated import repeated
 from petmjx.engines.batch.running import Measured, of_boxes
 from petmjx.engines.batch.state import State, narrow
-from petmjx.engines.batch.worlds import uploaded
+from petmjx.engines.batch.worlds import uploaded_together
 from petmjx.engines.clock import Clock
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Simulation
@@ -104,11 +104,11 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
                 stacked[row] = values
         return stacked
 
-    def fork(new: jax.Array | jax.ShapeDtypeStruct, rows: NDArray[Any]) -> jax.Array:
-        if not forked.all():
-            rows[~forked] = np.asarray(new)[~forked]
-        return uploaded(rows)
-
-    leaves, structure = jax.tree.flatten(jax.tree.map(stack, fresh, *starts))
-    forks: State = jax.tree.map(fork, fresh, jax.tree.unflatten(structure, repeated(leaves, source)))
-    return forks._replace(steps_done=uploaded(np.zeros(len(source), np.int32)))
+    stacked = jax.tree.map(stack, fresh, *starts)._replace(steps_done=np.zeros(len(starts), np.int32))
+    leaves, structure = jax.tree.flatten(stacked)
+    rows = repeated(leaves, source)
+    if not forked.all():
+        for mine, new in zip(rows, jax.tree.leaves(fresh), strict=True):
+            mine[~forked] = np.asarray(new)[~forked]
+    forks: State = jax.tree.unflatten(structure, uploaded_together(rows))
+    return forks

@@ -64,6 +64,11 @@ def _picked(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulat
     return jnp.concatenate(words, axis=1)
 
 
+def prepare_pick(table: State, worlds: Worlds, sim: Simulation) -> None:
+    """Compile what ``pick`` needs: while the device is at work nobody waits for it."""
+    pick(np.zeros(1, np.int64), table, worlds, sim)
+
+
 def pick(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Picked]:
     """Some rows of a table, still on the device, in batches of the same size; the last one is filled up."""
     size = min(PICKED, len(table.status))

@@ -6,8 +6,8 @@ Box columns are padded to the same number. Axes are named in ``petmjx.engines.ba
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, NamedTuple
 
 import jax
 import numpy as np
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petmjx.basics.units import seconds_to_steps
 from petmjx.engines.batch.scene_rows import Rows, rows_of
 from petmjx.options.config import Simulation
-from petmjx.world.job import Job
+from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
 
 class Worlds(NamedTuple):
@@ -92,6 +92,12 @@ def uploaded(values: NDArray[Any]) -> jax.Array:
     return array
 
 
+def uploaded_together(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
+    """As ``uploaded``: many arrays in one call, which takes half of the time."""
+    uploads: list[jax.Array] = jax.device_put([*arrays])
+    return uploads
+
+
 def upload_worlds(
     jobs: Sequence[Job],
     rows: int,
@@ -113,39 +119,33 @@ def upload_worlds(
     """
     spare = rows - len(jobs)
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare, ready)
-
-    def each(value: Callable[[Job], Any], dtype: Any) -> jax.Array:
-        values = np.array([value(job) for job in jobs], dtype)
-        return uploaded(np.concatenate([values, np.repeat(values[:1], spare, axis=0)]))
-
-    def profile_steps(job: Job) -> int:
-        return len(job.drive.excitation.samples) if job.drive is not None else 0
-
-    def drive_steps(job: Job) -> int:
-        rest_s = job.drive.rest_s if job.drive is not None else 0.0
-        return profile_steps(job) + seconds_to_steps(rest_s, sim.physics.timestep_s)
-
-    return Worlds(
-        **{name: uploaded(values) for name, values in of_scenes.items()},
-        profile=each(lambda job: profiles[id(job.drive.excitation)] if job.drive else 0, np.int32),
-        drive_scale=each(_drive_factor, np.float32),
-        drive_yaw=each(lambda job: _direction(job), np.float32),
-        profile_steps=each(profile_steps, np.int32),
-        drive_steps=each(drive_steps, np.int32),
-        driven=each(lambda job: job.drive is not None, np.bool_),
-        held=each(lambda job: job.drive is not None and job.drive.excitation.kind == "acceleration", np.bool_),
-        settles=each(lambda job: job.settles, np.bool_),
-        ends_when_lost=each(lambda job: job.has_errors, np.bool_),
-        allowed_sway=each(lambda job: job.drive.allowed_sway_m if job.drive else 0.0, np.float32),
-        pauses=uploaded(np.zeros(rows, np.bool_)),
-    )
+    of_jobs = {
+        name: np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
+        for name, values in _rows_of_jobs(jobs, profiles, sim.physics.timestep_s).items()
+    }
+    made = of_scenes | of_jobs | {"pauses": np.zeros(rows, np.bool_)}
+    return Worlds(**dict(zip(made, uploaded_together(made.values()), strict=True)))
 
 
-def _direction(job: Job) -> tuple[float, float]:
-    yaw = job.drive.yaw_rad if job.drive else 0.0
-    return math.cos(yaw), math.sin(yaw)
+_NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
 
 
-def _drive_factor(job: Job) -> float:
-    """What a profile's samples are multiplied by."""
-    return job.drive.scale * job.drive.unit(job.scene.total_mass) if job.drive is not None else 0.0
+def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
+    """What the tables have of some jobs beside their scenes, without ``pauses``."""
+    drives = [job.drive or _NO_DRIVE for job in jobs]
+    profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)
+    rest_steps = np.array([seconds_to_steps(drive.rest_s, timestep_s) for drive in drives], np.int32)
+    scales = [drive.scale * drive.unit(job.scene.total_mass) for drive, job in zip(drives, jobs, strict=True)]
+    yaws = [drive.yaw_rad for drive in drives]
+    return {
+        "profile": np.array([profiles.get(id(drive.excitation), 0) for drive in drives], np.int32),
+        "drive_scale": np.array(scales, np.float32),
+        "drive_yaw": np.array([(math.cos(yaw), math.sin(yaw)) for yaw in yaws], np.float32),
+        "profile_steps": profile_steps,
+        "drive_steps": profile_steps + rest_steps,
+        "driven": np.array([job.drive is not None for job in jobs]),
+        "held": np.array([drive.excitation.kind == ACCELERATION for drive in drives]),
+        "settles": np.array([job.settles for job in jobs]),
+        "ends_when_lost": np.array([job.has_errors for job in jobs]),
+        "allowed_sway": np.array([drive.allowed_sway_m for drive in drives], np.float32),
+    }

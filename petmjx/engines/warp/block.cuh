@@ -3,6 +3,7 @@
 //
 // PETMJX_ONCE: a function that is called at several places, and stands in a GPU's program once.
 // PETMJX_WORLDS: worlds of a block.
+// PETMJX_THREADS: threads of a world.
 //
 // Warp's headers come first: they define CUDA_CALLABLE. NVRTC and Warp's own Clang compile the same source.
 
@@ -134,15 +135,6 @@ inline CUDA_CALLABLE int add_to(int* number, int amount) {
 #endif
 }
 
-// The multiprocessor of a GPU on which a thread runs.
-inline CUDA_CALLABLE int multiprocessor() {
-    int number = 0;
-#if defined(__CUDA_ARCH__)
-    asm volatile("mov.u32 %0, %smid;" : "=r"(number));
-#endif
-    return number;
-}
-
 // Replaces a number that all blocks share by a larger one.
 inline CUDA_CALLABLE void raise_to(int* number, int value) {
 #if defined(__CUDA_ARCH__)
@@ -261,11 +253,14 @@ inline CUDA_CALLABLE void take_larger(int& value, int other) {
 #endif
 }
 
+// Threads in whose order a world's are summed: at most so many share a world, and their number divides it.
+const int ORDER = 256;
+
 // Warps that share a world: at most so many.
 #if defined(PETMJX_WORLD_OF_A_WARP)
 const int MOST_WARPS = 1;
 #else
-const int MOST_WARPS = 8;
+const int MOST_WARPS = ORDER / 32;
 #endif
 
 #if defined(__CUDA_ARCH__)
@@ -282,11 +277,11 @@ inline __device__ void sum_over_warp(double (&x)[COUNT]) {
 
 // Sums x of what `add(i, x)` adds to them for each i from 0 to before `count`, the same to the last bit in every thread and
 // in every run. It is called beyond `count`, too, and must add nothing there: so neighbouring threads may work together.
-// `partial` is shared memory for COUNT numbers of each warp.
+// `partial` is shared memory for COUNT numbers of each of MOST_WARPS.
 //
-// Thread i has i, i + threads, …; the threads of a warp are summed, then the warps in their order. A warp that has a world
-// by itself takes the places of the warps of a block of PETMJX_THREADS threads, one after the other. So it finds the same,
-// and a world may be that of a warp today and of a block tomorrow.
+// The order is that of ORDER threads: thread i has i, i + ORDER, …; the threads of a warp are summed, then the warps in
+// their order. Where fewer threads share a world each has several of those places: a warp one after the other, a block at
+// the same time. So they find the same, and a world may be that of a warp today and of a block of any size tomorrow.
 template <int COUNT, class Add>
 inline CUDA_CALLABLE void sum_over_all(
     int count, int thread, int threads, double* partial, double (&x)[COUNT], const Add& add
@@ -295,34 +290,49 @@ inline CUDA_CALLABLE void sum_over_all(
     for (int i = 0; i < COUNT; ++i) x[i] = 0.0;
 #if defined(PETMJX_WORLD_OF_A_WARP)
     #pragma unroll 1
-    for (int begin = 0; begin < PETMJX_THREADS && begin < count; begin += WARP) {
+    for (int begin = 0; begin < ORDER && begin < count; begin += WARP) {
         double part[COUNT];
         #pragma unroll
         for (int i = 0; i < COUNT; ++i) part[i] = 0.0;
         #pragma unroll 1
-        for (int first = begin; first < count; first += PETMJX_THREADS) add(first + thread, part);
+        for (int first = begin; first < count; first += ORDER) add(first + thread, part);
         sum_over_warp(part);
         #pragma unroll
         for (int i = 0; i < COUNT; ++i) x[i] += part[i];
     }
     __syncwarp();
-#else
+#elif defined(__CUDA_ARCH__)
+    const int PLACES = ORDER / PETMJX_THREADS;  // of a thread
+    double part[PLACES][COUNT];
+    #pragma unroll
+    for (int p = 0; p < PLACES; ++p) {
+        #pragma unroll
+        for (int i = 0; i < COUNT; ++i) part[p][i] = 0.0;
+    }
     #pragma unroll 1
-    for (int first = 0; first < count; first += threads) add(first + thread, x);
-#if defined(__CUDA_ARCH__)
-    sum_over_warp(x);
-    wait_for_all();
+    for (int first = 0; first < count; first += ORDER) {
+        #pragma unroll
+        for (int p = 0; p < PLACES; ++p) add(first + p * PETMJX_THREADS + thread, part[p]);
+    }
+    #pragma unroll
+    for (int p = 0; p < PLACES; ++p) sum_over_warp(part[p]);
+    wait_for_all();  // until then some may read what the last sum has left
     if ((thread & 31) == 0) {
         #pragma unroll
-        for (int i = 0; i < COUNT; ++i) partial[COUNT * (thread >> 5) + i] = x[i];
+        for (int p = 0; p < PLACES; ++p) {
+            #pragma unroll
+            for (int i = 0; i < COUNT; ++i) partial[COUNT * ((p * PETMJX_THREADS + thread) >> 5) + i] = part[p][i];
+        }
     }
     wait_for_all();
     #pragma unroll
-    for (int i = 0; i < COUNT; ++i) {
-        x[i] = 0.0;
-        for (int w = 0; w < threads >> 5; ++w) x[i] += partial[COUNT * w + i];
+    for (int w = 0; w < MOST_WARPS; ++w) {
+        #pragma unroll
+        for (int i = 0; i < COUNT; ++i) x[i] += partial[COUNT * w + i];
     }
-#endif
+#else
+    #pragma unroll 1
+    for (int i = 0; i < count; ++i) add(i, x);
 #endif
 }
 

@@ -14,7 +14,7 @@ from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import why_no_warp
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock
-from petmjx.engines.batch.picked import pick
+from petmjx.engines.batch.picked import pick, prepare_pick
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
 from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, tables
@@ -215,6 +215,7 @@ class MjxWarpEngine(Engine):
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
                 rollout.keep_under_way(at_once, group, queues.order)
+                prepare_pick(group.table, group.worlds, sim)
             while not emitted[: len(jobs)].all():
                 frames = None
                 if rollout is None:
@@ -348,8 +349,8 @@ class MjxWarpEngine(Engine):
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
-                if not self._kept and fleets[0].least:
-                    fleets = fleets[1:]
+                if not self._kept and any(fleet.is_extra for fleet in fleets):
+                    fleets = tuple(fleet for fleet in fleets if not fleet.is_extra)
                 elif not self._kept:
                     more, fleets = fleets, tuple(_halved(fleet) for fleet in fleets)
                     if fleets == more:

@@ -47,15 +47,15 @@ def with_few_first(
 
     Args:
         placed: boxes of each world.
-        running: worlds that go on.
+        running: worlds that have not ended.
     """
     last = order[-1]
     chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]
     chosen &= chosen.sum() >= few.least
-    return jnp.concatenate([_closed_up(last, chosen)[None], order[:-1], _closed_up(last, ~chosen)[None]])
+    return jnp.concatenate([closed_up(last, chosen)[None], order[:-1], closed_up(last, ~chosen)[None]])
 
 
-def _closed_up(queue: Int[Array, " world"], chosen: Bool[Array, " world"]) -> Int[Array, " world"]:
+def closed_up(queue: Int[Array, " world"], chosen: Bool[Array, " world"]) -> Int[Array, " world"]:
     """The chosen ones of a queue, one behind the other, and negative numbers behind them."""
     place = jnp.where(chosen, jnp.cumsum(chosen) - 1, len(queue))
     return jnp.full_like(queue, -1).at[place].set(queue, mode="drop")

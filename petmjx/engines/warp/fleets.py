@@ -8,6 +8,7 @@ import numpy as np
 
 from petmjx.engines.warp.few import fleet_for_few
 from petmjx.engines.warp.group import MAX_GROWTH, Group, Run
+from petmjx.engines.warp.last import fleet_for_last
 from petmjx.engines.warp.launch import FEW_BOXES, Launch
 from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, Fleet
 from petmjx.options.physics import Cone
@@ -34,7 +35,8 @@ class Fleets:
         """How much larger than usual buffers have to be, by size of worlds."""
 
     def of(self, group: Group) -> tuple[Fleet, ...]:
-        """Those of a group: for few boxes first, if they are worth while, then for the largest worlds."""
+        """Those of a group: for the last worlds and for few boxes, if they are worth while, then by size, for the
+        largest worlds first."""
         run = group.run
         fleets = tuple(self._of_size(run, size, group.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
@@ -44,7 +46,8 @@ class Fleets:
             worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = fleet_for_few(fleets[-1], worlds, self._lanes)
             fleets = (few, *fleets) if few else fleets
-        return fleets
+        last = fleet_for_last(fleets[-1], self._lanes)
+        return (last, *fleets) if last else fleets
 
     def grow(self, run: Run, size: int) -> int | None:
         """Make the buffers for worlds of a size twice as large. Returns how much larger than usual they are now, or

@@ -1,12 +1,13 @@
 """How a device runs the thread blocks of mjx-warp, and the kernel for that: by the size of the world.
 
 A step of forty boxes is latency for the most part, and needs another world beside it; one of two hundred is work for
-many threads. So there are blocks of two sizes, each with a kernel of its own. A world's size depends on its number of
-boxes alone: the number of threads decides the order of sums, and with it the last bits of results.
+many threads. So there are blocks of two sizes, each with a kernel of its own.
 
 A step of few boxes is latency alone, and many worlds have to go through it together: a third kernel has sixteen of them
-in a block, a warp each. Pallets of all sizes begin there. Its sums have the order of the smaller size, so that a world
-may change between the two at any step.
+in a block, a warp each. Pallets of all sizes begin there. And a run ends with its longest worlds, each of which is
+faster with a multiprocessor to itself: these have a fourth kernel.
+
+All kernels sum in the same order, so that a world may go on in another one after any step, with the same bits.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class Size:
 
     Attributes:
         most_boxes: of a world.
-        threads: of a block: a multiple of 32, from 64 to 512.
+        threads: of a block, from 64 to 512. Those of a world are a power of two, from 32 to 256 (ORDER in block.cuh).
         per_sm: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
         shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
             multiprocessor has for all its blocks the rest is cache.
@@ -64,6 +65,9 @@ SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
 
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 """For worlds with so few boxes so far: with a carrier that moves they fill six panels."""
+
+LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
+"""For a run's last worlds of the smaller size. No other block has room beside one of these."""
 
 
 def size_for(n_boxes: int) -> Size:
@@ -139,7 +143,6 @@ def kernel(launch: Launch) -> Any:
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps = int(launch.hands), int(launch.gives), int(launch.wraps)
-    shares = int(launch.per_sm > 1)
 
     def march(
         # Model:
@@ -165,16 +168,16 @@ def kernel(launch: Launch) -> Any:
             run_worlds(
                 model, worlds,
                 of_block * block + thread // threads, thread % threads, threads, n_blocks, slice_ns,
-                0, hands, gives, wraps, shared, shared_words,
+                hands, gives, wraps, shared, shared_words,
                 state, work, frames, counts,
             )  # fmt: skip
         else:
             run_worlds(
                 model, worlds,
-                block, thread, threads, n_blocks, slice_ns, shares, hands, gives, wraps, shared, shared_words,
+                block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, shared, shared_words,
                 state, work, frames, counts,
             )  # fmt: skip
 
     bounds = launch.threads, launch.per_sm
-    text = newton.text_for(launch.panels, of_block, SIZES[0].threads, launch.pause_after)
+    text = newton.text_for(launch.panels, of_block, threads, launch.pause_after)
     return with_cpp(march, text, threads=launch.threads, launch_bounds=bounds)

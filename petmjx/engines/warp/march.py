@@ -61,7 +61,8 @@ class Fleet:
         blocks: how many; each has one world at a time.
         n_boxes, boards: most placed boxes of a world, and most shapes of a carrier.
         npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
-        least: with fewer worlds it is not worth while; 0: it always is.
+        least: with fewer worlds it is not worth while; 0: it always is (few.py).
+        last: it is for the last worlds of a run (last.py).
     """
 
     launch: Launch
@@ -71,6 +72,12 @@ class Fleet:
     npairmax: int
     nconmax: int
     least: int = 0
+    last: bool = False
+
+    @property
+    def is_extra(self) -> bool:
+        """Whether its worlds have another fleet, too."""
+        return self.last or self.least > 0
 
     @property
     def most_idle(self) -> int:
@@ -113,7 +120,8 @@ class March:
             )
             for queue, fleet in enumerate(fleets)
         ]
-        self.blocks, self.lanes = sum(fleet.blocks for fleet in fleets), sum(fleet.lanes for fleet in fleets)
+        self.blocks = sum(fleet.blocks for fleet in fleets if not fleet.is_extra)
+        self.lanes = sum(fleet.lanes for fleet in fleets)
         self.slice_ns = slice_ns
         self.id = next(_IDS)
         _MARCHES[self.id] = self
@@ -138,8 +146,7 @@ class March:
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
         """States after a time slice, the workspace, frames, and what was counted. What the kernels do not know of a
         state stays as it is."""
-        sizes = {"queue": len(self.fleets), "sm": max(wp.get_device().sm_count, 1)}
-        kinds, shapes = array_types(Counts), records.array_shapes(Counts, sizes)
+        kinds, shapes = array_types(Counts), records.array_shapes(Counts, {"queue": len(self.fleets)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         given = {**worlds, **state, **counts, "workspace": workspace}
         given |= {_of_frames(name): values for name, values in frames.items()}

@@ -10,6 +10,7 @@ from petmjx.engines.batch.upload import round_up
 from petmjx.engines.warp.launch import size_for
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 
 
 def wants_hands(job: Job) -> bool:
@@ -30,6 +31,11 @@ def is_wrapped(job: Job) -> bool:
 def size_of(job: Job) -> int:
     """The size of a job's world: the most boxes of one that its thread block may have."""
     return size_for(job.scene.n_boxes).most_boxes
+
+
+def scenes_of(jobs: Sequence[Job]) -> set[Scene]:
+    """Their scenes, each once: drives from a placement share one."""
+    return {job.scene for job in jobs}
 
 
 @dataclass(frozen=True)
@@ -79,7 +85,8 @@ class Needs:
 
     def of_sizes(self, jobs: Sequence[Job]) -> Needs:
         """The same for the sizes of some of the jobs."""
-        return replace(self, widths={size: self.widths[size] for size in set(map(size_of, jobs))})
+        sizes = {size_for(scene.n_boxes).most_boxes for scene in scenes_of(jobs)}
+        return replace(self, widths={size: self.widths[size] for size in sizes})
 
     def know(self, job: Job) -> bool:
         """Whether kernels that meet them know what a job has, if there is room for it."""
@@ -88,14 +95,15 @@ class Needs:
 
 
 def _widths_of(jobs: Sequence[Job], granule: int) -> dict[int, int]:
-    largest = max(job.scene.n_boxes for job in jobs)
+    counts = {scene.n_boxes for scene in scenes_of(jobs)}
+    largest = max(counts)
     if largest > MAX_BOXES:
         raise InputError(
             f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
             "choose the engine mujoco"
         )
     widest: dict[int, int] = {}
-    for job in jobs:
-        size = size_of(job)
-        widest[size] = max(widest.get(size, 0), round_up(job.scene.n_boxes, granule))
+    for count in counts:
+        size = size_for(count).most_boxes
+        widest[size] = max(widest.get(size, 0), round_up(count, granule))
     return widest

@@ -64,7 +64,7 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
 
     Args:
         worlds: of a block; each of several has a warp.
-        threads: of the blocks of one world in whose order those of several sum.
+        threads: of a world.
         pause_after: iterations after which the solver pauses; 0: it does not.
     """
     numbers = {

@@ -18,8 +18,8 @@ from petmjx.engines.batch.state import NEVER, State, of_flat
 from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.batch.timetable import Timetable
 from petmjx.engines.batch.worlds import Worlds
-from petmjx.engines.warp.alone import expected_last
 from petmjx.engines.warp.few import with_few_first
+from petmjx.engines.warp.last import with_last_first
 from petmjx.engines.warp.march import Fleet, March
 from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.options.physics import Cone, Physics
@@ -109,14 +109,15 @@ class Programs:
     but no states, so any number of runs and threads can call them at the same time.
 
     Args:
-        fleets: that for few boxes first, if there is one, then those for the largest worlds.
+        fleets: as ``Fleets.of`` gives them.
         slice_ns: time of a call of the kernels, ns.
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> None:
         self.march = March(constants(sim, timetable), fleets, slice_ns)
-        self._few = fleets[0] if fleets[0].least else None
-        self._shares = any(fleet.launch.per_sm > 1 for fleet in fleets)
+        self._few = next((fleet for fleet in fleets if fleet.least), None)
+        self._last = next((fleet for fleet in fleets if fleet.last), None)
+        self._lanes = sum(fleet.lanes for fleet in fleets if not fleet.is_extra)
         self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
@@ -149,10 +150,9 @@ class Programs:
         table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = with_few_first(self._few, order, table.placed, table.running)
-        alone = jnp.zeros(len(table.status), bool)
-        if self._shares:
-            alone = expected_last(order, table.steps_done, table.running, self.march.lanes)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order, "alone": alone}
+        if self._last:
+            order = with_last_first(self._last, order, table.steps_done, table.running, self._lanes)
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
         # a copy: the next slice takes the table's own memory

@@ -32,7 +32,7 @@ class Queues:
     def add(self, jobs: Sequence[Job], first_row: int, sim: Simulation) -> None:
         """Put jobs, which have the rows from this one on, at the ends of their queues."""
         sizes = np.array([self._size_of(job) for job in jobs])
-        by_cost = np.argsort(-MEASURED.of_jobs(jobs, sim), kind="stable")
+        by_cost = np.argsort(-MEASURED.of_jobs_on_device(jobs, sim), kind="stable")
         for queue, size in enumerate(self._sizes):
             rows = first_row + by_cost[sizes[by_cost] == size]
             begin = np.count_nonzero(self._host[queue] >= 0)

@@ -131,7 +131,6 @@ class Worlds:
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
     order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
-    alone: Annotated[wp.array[bool], "world"]  # which are to share no multiprocessor
 
     if TYPE_CHECKING:
 
@@ -217,8 +216,6 @@ class Counts:
 
     taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken, so far
     idle: Annotated[wp.array[int], "queue"]  # lanes that have found no more worlds
-    arrived: Annotated[wp.array[int], "sm"]  # blocks that have begun on a multiprocessor where they may share it
-    alone_on: Annotated[wp.array[int], "sm"]  # worlds that are to have it to themselves
     clock: Annotated[wp.array[int], "1"]  # when it began: block.cuh
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]

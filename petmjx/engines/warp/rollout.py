@@ -37,7 +37,7 @@ class Rollout:
     """The buffers of a run, and its time slices that are under way, in their order.
 
     Args:
-        fleets: those for the largest worlds first.
+        fleets: as ``Fleets.of`` gives them.
         slice_ns: time of a call of the kernels, ns.
     """
 

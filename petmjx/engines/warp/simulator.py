@@ -150,8 +150,7 @@ class Simulator:
     def time_slice(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
         """Let worlds go on for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
-        order, alone = jnp.arange(n, dtype=jnp.int32)[None], jnp.zeros(n, bool)
-        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order, "alone": alone}
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds)._asdict()
         flat |= flat.pop("metrics")._asdict()
         after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))

@@ -32,10 +32,6 @@ def prefix_sums(values: wp.array2d[int], row: int, count: int, thread: int) -> N
 def add_to(values: wp.array[int], index: int, amount: int) -> int: ...
 
 
-@wp.func_native("return petmjx::multiprocessor();")
-def multiprocessor() -> int: ...
-
-
 @wp.func_native("petmjx::raise_to(values.data + index, value);")
 def raise_to(values: wp.array[int], index: int, value: int) -> None: ...
 

@@ -19,7 +19,6 @@ from petmjx.engines.warp.kernel.block import (
     elapsed,
     fused,
     go_together,
-    multiprocessor,
     raise_to,
     times,
     wait_for_all,
@@ -31,7 +30,6 @@ from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.hand import carry
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
-from petmjx.engines.warp.kernel.pause import let_pass
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernel.solve import in_pause, newton
 from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Thread, Workspace, Worlds
@@ -39,9 +37,6 @@ from petmjx.verdict import Flag
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
-
-LOOKS_AFTER_NS = wp.constant(wp.int64(50_000))
-"""The first block on a multiprocessor has so long to take its world before others there look at that, ns."""
 
 
 @wp.func
@@ -189,24 +184,6 @@ def _goes_on(model: Model, state: State, world: int) -> bool:
 
 
 @wp.func
-def _gives_way(
-    # In:
-    thread: int,
-    # Data out:
-    counts: Counts,
-) -> bool:
-    """Whether a block leaves its multiprocessor to a world that is to have it alone (petmjx/engines/warp/alone.py).
-    The one that comes there first never does: it may be the one to take such a world."""
-    full = bool(False)
-    if thread == 0:
-        here = multiprocessor() % counts.arrived.shape[0]
-        if add_to(counts.arrived, here, 1) > 0:
-            let_pass(LOOKS_AFTER_NS)
-            full = add_to(counts.alone_on, here, 0) > 0
-    return any_of_all(full)
-
-
-@wp.func
 def run_worlds(
     # Model:
     model: Model,
@@ -217,7 +194,6 @@ def run_worlds(
     threads: int,
     n_blocks: int,
     slice_ns: wp.int64,
-    shares: int,
     hands: int,
     gives: int,
     wraps: int,
@@ -236,7 +212,6 @@ def run_worlds(
         thread: of the threads that share a world.
         threads: how many these are.
         n_blocks: lanes of the call, of all sizes.
-        shares: 1 if a multiprocessor may have several of these blocks.
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may give.
         wraps: 1 if film may hold boxes.
@@ -257,8 +232,6 @@ def run_worlds(
     listed = int(-1)
     recorded = bool(False)
     late = bool(False)
-    if shares != 0:
-        late = _gives_way(thread, counts)
     others = bool(True)  # a world of the block goes on
     while others:
         goes = bool(False)
@@ -270,8 +243,6 @@ def run_worlds(
                 work.world[block] = -1
                 if number < worlds.order.shape[1]:
                     work.world[block] = worlds.order[model.queue, number]
-                if shares != 0 and work.world[block] >= 0 and worlds.alone[work.world[block]]:
-                    add_to(counts.alone_on, multiprocessor() % counts.alone_on.shape[0], 1)
             wait_for_all()
             at.world = work.world[block]
             wait_for_all()

@@ -1,0 +1,87 @@
+"""A run's last worlds: each has a multiprocessor of the GPU to itself, and more threads than others.
+
+A run ends with its longest worlds. Where two blocks share a multiprocessor each of them is slower than alone, so the
+last world has lost time that it spent beside another block. Worlds that are expected to be among the last ones have
+blocks that fill a multiprocessor (``launch.LAST``), and as soon as there are no more worlds than multiprocessors, all
+have. Such a world takes the same steps to the last bit as in other blocks: it is a matter of speed alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+from petmjx.engines.warp.few import closed_up
+from petmjx.engines.warp.launch import LAST, Launch
+from petmjx.engines.warp.march import Fleet
+
+MOST_EXPECTED: Final = 16
+"""Most worlds that are expected to be the last ones while others wait: those that have taken the most steps. Each takes
+the room of two."""
+
+LONG: Final = 2.0
+"""A world is long that has taken so many times as many steps as those that have ended, in the mean."""
+
+GOES_ON: Final = 8.0
+"""A long world is expected to go on for so many times as many steps as it has taken, at most."""
+
+
+def fleet_for_last(fleet: Fleet, lanes: int | None = None) -> Fleet | None:
+    """Blocks for the last worlds; None where they would be like the others, as on a CPU.
+
+    Args:
+        fleet: those that have them else.
+        lanes: worlds that may run at the same time; None: as many as the device has room for.
+    """
+    one = fleet.launch
+    if one.per_sm == 1:
+        return None
+    launch = Launch.of(LAST, one.hands, one.gives, one.wraps)
+    return replace(fleet, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
+
+
+def with_last_first(
+    last: Fleet,
+    order: Int[Array, "queue world"],
+    steps: Int[Array, " world"],
+    running: Bool[Array, " world"],
+    lanes: int,
+) -> Int[Array, "queue+1 world"]:
+    """Queues with one more, the first: of the last worlds, as far as they are in the last queue. All keep their order.
+    For jitted programs.
+
+    Args:
+        order: the queues; behind their worlds negative numbers.
+        steps, running, lanes: as for ``expected_last``.
+    """
+    few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows that no queue has may be in any state
+    chosen = (running & few) | expected_last(order, steps, running, lanes)
+    queue = order[-1]
+    mine = (queue >= 0) & chosen[queue]
+    mine &= mine.sum() <= last.lanes
+    return jnp.concatenate([closed_up(queue, mine)[None], order[:-1], closed_up(queue, ~mine)[None]])
+
+
+def expected_last(
+    order: Int[Array, "queue world"], steps: Int[Array, " world"], running: Bool[Array, " world"], lanes: int
+) -> Bool[Array, " world"]:
+    """Which worlds are expected to be the last ones, while others may wait. For jitted programs.
+
+    Args:
+        order: the queues; behind their worlds negative numbers.
+        steps: of each world, so far; 0 before it is taken from a queue.
+        running: worlds that have not ended.
+        lanes: worlds at the same time.
+    """
+    taken = steps > 0
+    ended = taken & ~running
+    # thousands of worlds may have taken more steps than an int32 holds
+    mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
+    rest = ((order >= 0).sum() - taken.sum()) * mean / lanes  # steps of a lane, until none waits
+    last = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
+    most, rows = jax.lax.top_k(jnp.where(last, steps, 0), min(MOST_EXPECTED, len(steps)))
+    return jnp.zeros_like(last).at[rows].set(most > 0)
