@@ -10,6 +10,7 @@ How to add a metric, step by step: docs/extending.md.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -250,6 +251,24 @@ class BoxMetrics:
             metric.attribute: metric.nothing(*n) for metric in box_metrics() if metric.attribute not in values
         }
         return cls(**missing, **values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled as one array: eleven small ones take three times as long."""
+        values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
+        return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
+
+
+def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
+    """Metrics of (…, n) boxes from what they were pickled as."""
+    values: dict[str, NDArray[Any]] = {}
+    size, begin = math.prod(shape), 0
+    for metric in box_metrics():
+        components = len(metric.columns)
+        end = begin + components * size
+        mine = numbers[begin:end].reshape((*shape, components) if components > 1 else shape)
+        values[metric.attribute] = mine != 0 if metric.dtype is np.bool_ else mine
+        begin = end
+    return kind(**values)
 
 
 FORCE_INTERVAL: Final = tuple(

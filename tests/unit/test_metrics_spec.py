@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -168,6 +169,19 @@ def test_what_was_not_measured_has_no_value() -> None:
     assert np.isnan(found.drop_s).tolist() == [True, True]
     with pytest.raises(TypeError, match="max_tilt"):
         BoxMetrics.measured(2, max_tilt=np.ones(2))
+
+
+@pytest.mark.parametrize("shape", [(3,), (0,), (2, 3)])
+def test_metrics_are_the_same_after_a_pickle(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(0)
+    columns = {metric.attribute: metric.nothing(*shape) for metric in spec.box_metrics()}
+    some = {name: rng.random(values.shape) for name, values in columns.items() if values.dtype == np.float64}
+    before = BoxMetrics(**(some | {"dropped": rng.random(shape) < 0.5, "drop_s": columns["drop_s"]}))
+    after = pickle.loads(pickle.dumps(before))
+    assert type(after) is BoxMetrics
+    for name, nothing in columns.items():
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name), strict=True, err_msg=name)
+        assert getattr(after, name).dtype == nothing.dtype
 
 
 def test_boxes_that_were_not_placed_are_not_judged() -> None:
