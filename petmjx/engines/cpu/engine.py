@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from typing import Final
 
 from petmjx.basics.machine import cpu_threads, device_name
 from petmjx.basics.text import one_line
@@ -18,6 +19,9 @@ from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
+
+LOOK_S: Final = 0.25
+"""Longest wait for a world, s. Ctrl-C that comes in the moment before a wait does not end it: it is noticed after it."""
 
 
 class MujocoEngine(Engine):
@@ -67,7 +71,7 @@ class MujocoEngine(Engine):
                     while begun < len(jobs) and len(pending) < 2 * self.threads:
                         pending.add(pool.submit(_simulate, begun, jobs[begun], sim, stop, self.world_timeout_s))
                         begun += 1
-                    finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+                    finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
                     for outcome in (future.result() for future in finished):
                         progress.worlds_done += 1
                         progress.world_steps += outcome.n_steps
