@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support.fake_stepper import assert_same, run_all
 from support.plans import make_scene, stack
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import jax
+import warp as wp
 from support.tiny_worlds import SHORT, TINY, assert_equal_worlds, in_one_slice, tiny_scenes
 from support.worlds import simulate
 
@@ -71,13 +76,14 @@ def test_open_worlds_go_on_in_several_threads() -> None:
 
 
 def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As those do that make further attempts beside a GPU. Each waits for the other inside its first launch."""
-    met, first = threading.Barrier(2), threading.local()
+    """As those do that make further attempts beside a GPU. The first slice waits for the second one, which is the other
+    engine's: its own needs the states of the first."""
+    met, slices = threading.Barrier(2), itertools.count()
     inner = blocks.wait
 
     def wait(*some: Any, **more: Any) -> Any:
-        if not vars(first):
-            first.met = met.wait(timeout=60.0)
+        if next(slices) < 2:
+            met.wait(timeout=60.0)
         return inner(*some, **more)
 
     monkeypatch.setattr(blocks, "wait", wait)
@@ -86,6 +92,31 @@ def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.Mo
         both = [pool.submit(simulate, MjxWarpCpuEngine(1), scenes, SHORT) for _ in range(2)]
         for each in both:
             assert_equal_worlds(each.result(), crowd())
+
+
+class Block:
+    """Stands in for a ``Call`` whose first block fails, while the second one goes on until the slice is over."""
+
+    blocks = 2
+
+    def __init__(self, clock: NDArray[np.int32]) -> None:
+        self.clock, self.ended = clock, False
+
+    def launch(self, first: int, blocks: int, **options: Any) -> None:
+        if first == 0:
+            raise RuntimeError("it failed")
+        while not self.clock[0]:
+            time.sleep(0.01)
+        time.sleep(0.1)
+        self.ended = True
+
+
+def test_an_error_of_a_block_waits_for_those_that_still_use_the_memory() -> None:
+    clock = np.zeros(1, np.int32)
+    call = Block(clock)
+    with wp.ScopedDevice("cpu"), pytest.raises(RuntimeError, match="it failed"):
+        blocks.launch_all([call], SimpleNamespace(numpy=lambda: clock), slice_ns=50_000_000)  # type: ignore[list-item]  # stands in
+    assert call.ended
 
 
 def test_a_score_says_what_it_ran_on_and_agrees_with_mujoco() -> None:

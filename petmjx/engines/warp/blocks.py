@@ -79,6 +79,7 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
         _, late = wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
         if late:
             clock.numpy()[0] = 1  # the kernels' own memory
+            wait(late)  # before an error of any is raised: the memory of all is freed then
         for each in running:
             each.result()
 
