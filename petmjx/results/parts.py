@@ -172,7 +172,7 @@ class Part:
 
 @dataclass
 class _Pending:
-    """The part that is being collected, and what was written before it."""
+    """The part that is being gathered, and what was written before it."""
 
     part: Part
     counts: WorldCounts = field(default_factory=WorldCounts)

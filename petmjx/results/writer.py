@@ -41,7 +41,7 @@ from petmjx.verdict import Attempt, Outcome
 class RunWriter(RunFolder):
     """Writes one run's results as its worlds finish. A context manager.
 
-    At the end of the body, also after Ctrl-C or an error, the collected worlds are written as a last part, and
+    At the end of the body, also after Ctrl-C or an error, the gathered worlds are written as a last part, and
     ``run.json`` says how the run ended: ``finished``, ``interrupted`` or ``failed``. In memory are one part that is
     gathered, and one that a thread writes.
 

@@ -63,7 +63,7 @@ class SweepRun:
     Args:
         plan: what to simulate.
         engine: placements and drives run on this one object, since only it can use its states.
-        progress: kept up to date; its message says how many placements have ended.
+        progress: kept up to date; while boxes are placed its message says how many placements have ended.
         on_answer: called with each answer of a search.
         values_of: columns that the sweep adds to a world's row, column → value: answers are made from them.
         recorded: the worlds that the run already has; they are not simulated again.

@@ -6,12 +6,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from support.plans import make_plan, make_world, stack
+from support.waiting import wait_for
 
 from petmjx.engines.beside import host
 from petmjx.engines.beside.host import InProcess
@@ -120,7 +120,4 @@ def test_it_ends_with_the_process_that_started_it() -> None:
         pid = int(run.stdout.readline())
         assert lives(pid)
         run.kill()
-    until = time.monotonic() + 20
-    while lives(pid) and time.monotonic() < until:
-        time.sleep(0.05)
-    assert not lives(pid)
+    wait_for(lambda: not lives(pid))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import pytest
 from support.failing_engine import FailingEngine, outcome_of, worlds_failing
 from support.plans import make_plan, make_world, stack
+from support.waiting import wait_for
 
 import petmjx.engines.retry as retry_module
 from petmjx.engines.base import JobsInParts, Progress
@@ -134,9 +135,7 @@ def test_chunks_of_larger_worlds_have_fewer() -> None:
 def test_a_last_chunk_that_is_made_before_it_is_asked_for_is_yet_to_come() -> None:
     source = retry_module.Chunks(iter(worlds_failing(*[0] * 5)), 3, 3)
     assert len(source.take()) == 3
-    until = time.monotonic() + 30
-    while source._next is not None and not source._next.done() and time.monotonic() < until:
-        time.sleep(0.001)
+    wait_for(lambda: source._next is None or source._next.done())
     assert source.more
     assert len(source.take_made() or []) == 2
     assert not source.more

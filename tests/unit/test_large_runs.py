@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.fake_engine import LargestFirst
 from support.plans import make_plan, stack
+from support.waiting import wait_for
 
 import petmjx
 from petmjx.engines.base import Progress
@@ -138,9 +138,8 @@ class Slow(LargestFirst):
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         for number, outcome in enumerate(super().run(jobs, sim, progress)):
             yield outcome
-            until = time.monotonic() + 10
-            while number == 2 and not [*self._folder.glob("worlds/*")] and time.monotonic() < until:
-                time.sleep(0.01)
+            if number == 2:
+                wait_for(lambda: [*self._folder.glob("worlds/*")])
 
 
 def test_worlds_that_wait_too_long_are_written_early(

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from support.outcomes import make_outcome, make_plan
+from support.waiting import wait_for
 
 from petmjx.basics.errors import InputError, PetmjxError
 from petmjx.cli.runs import default_folder
@@ -52,10 +53,10 @@ def test_of_a_hundred_runs_at_once_one_writes(tmp_path: Path) -> None:
 
     with ThreadPoolExecutor(101) as pool:
         attempts = [pool.submit(attempt, number) for number in range(101)]
-        deadline = time.monotonic() + 30
-        while sum(each.done() for each in attempts) < 100 and time.monotonic() < deadline:
-            time.sleep(0.01)
-        over.set()
+        try:
+            wait_for(lambda: sum(each.done() for each in attempts) == 100)
+        finally:
+            over.set()
         answers = [each.result() for each in attempts]
     assert sorted(answers) == ["refused"] * 100 + ["wrote"]
 
@@ -217,10 +218,7 @@ def test_a_disk_that_is_full_for_run_json_too(tmp_path: Path, monkeypatch: pytes
 def test_a_part_is_written_after_a_while_though_no_world_finishes(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
         run.add(make_plan("a"), 0, "fixed", make_outcome())
-        deadline = time.monotonic() + 20
-        while load_run(tmp_path).info["counts"]["worlds"] == 0 and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert load_run(tmp_path).info["counts"]["worlds"] == 1
+        wait_for(lambda: load_run(tmp_path).info["counts"]["worlds"] == 1)
         run.add(make_plan("b"), 0, "fixed", make_outcome())
     assert load_run(tmp_path).worlds.plan_id.tolist() == ["a", "b"]
 

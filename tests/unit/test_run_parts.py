@@ -10,13 +10,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
 from support.outcomes import make_outcome, make_plan
+from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.basics.errors import InputError, PetmjxError
@@ -29,13 +29,6 @@ def worlds_on_disk(folder: Path) -> int:
     """As run.json has them."""
     found: int = json.loads((folder / "run.json").read_text())["counts"]["worlds"]
     return found
-
-
-def wait_for(reached: Callable[[], bool]) -> None:
-    until = time.monotonic() + 20
-    while not reached():
-        assert time.monotonic() < until
-        time.sleep(0.01)
 
 
 class Holding:

@@ -43,7 +43,7 @@ def test_a_placement_that_is_not_driven_is_told_while_others_are_placed(tmp_path
         yield from settling(groups)
         placed.append("all")
 
-    run._settling = watched  # type: ignore[method-assign]
+    run._settling = watched  # type: ignore[method-assign]  # of this run alone
     worlds = [(world.plan.plan_id, bool(placed)) for world in run.worlds()]
     assert [all_placed for plan_id, all_placed in worlds if plan_id == "falls"] == [False] * 64
     assert [all_placed for plan_id, all_placed in worlds if plan_id == "stands"] == [True] * 64

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from support.command_line import TOWER, write
+from support.waiting import wait_for
 
 import petmjx
 
@@ -53,9 +54,7 @@ def test_a_signal_while_ray_starts_leaves_nothing(tmp_path: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="t", dir="/tmp") as short:
         own = {**os.environ, "TMPDIR": short}
         with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True, env=own) as child:
-            until = time.monotonic() + 30.0
-            while not any(Path(short).iterdir()) and time.monotonic() < until:
-                time.sleep(0.01)
+            wait_for(lambda: any(Path(short).iterdir()))
             time.sleep(0.5)
             child.send_signal(signal.SIGTERM)
             _, stderr = child.communicate()
