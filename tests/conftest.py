@@ -7,6 +7,7 @@ import gc
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 from collections.abc import Generator
 from pathlib import Path
@@ -29,6 +30,10 @@ if os.environ.get("PETMJX_TEST_GPU") != "1":
     given = os.environ.get("XLA_FLAGS", "")
     added = [f"{flag}={value}" for flag, value in XLA_CPU_FLAGS.items() if flag not in given]
     os.environ["XLA_FLAGS"] = " ".join([given, *added]).strip()
+
+# Whatever a shell starts in the background ignores Ctrl-C, and so would all that tests start.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Programs of tests that make no engine are kept, too: where petmjx keeps its own, for all processes and later runs.
 CACHE = Path(os.environ.get("PETMJX_CACHE_DIR") or Path.home() / ".cache" / "petmjx")

@@ -54,7 +54,7 @@ are at rest. Shakes of many seconds in which a pallet does not rest take up to t
 
 STEADY_G, CREEPING = 0.35, 2.0
 """A drive that accelerates a pallet by more, in units of 9.81 m/s², shakes it down. After any other one it may creep:
-such drives are expected to take so many times as many steps, and begin before others. Of EUMOS's 4,032 drives of 100
+such drives are expected to take so many times as many steps, and begin earlier. Of EUMOS's 4,032 drives of 100
 plans the former take 336 steps in the mean and 1,149 at most, the latter 570 and 6,088."""
 
 

@@ -253,7 +253,8 @@ class BoxMetrics:
         return cls(**missing, **values)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled as one array: eleven small ones take three times as long."""
+        """Pickled, and copied, as one array of float64: eleven small ones take two and a half times as long. What is no
+        metric is not kept."""
         values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
         return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
 

@@ -94,8 +94,8 @@ def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.Mo
             assert_equal_worlds(each.result(), crowd())
 
 
-class Block:
-    """Stands in for a ``Call`` whose first block fails, while the second one goes on until the slice is over."""
+class Blocks:
+    """Stand in for a ``Call`` whose first block fails, while the second one goes on until the slice is over."""
 
     blocks = 2
 
@@ -111,10 +111,20 @@ class Block:
         self.ended = True
 
 
-def test_an_error_of_a_block_waits_for_those_that_still_use_the_memory() -> None:
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_an_error_waits_for_blocks_that_still_use_the_memory(
+    error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
     clock = np.zeros(1, np.int32)
-    call = Block(clock)
-    with wp.ScopedDevice("cpu"), pytest.raises(RuntimeError, match="it failed"):
+    call, inner = Blocks(clock), blocks.wait
+
+    def wait(*some: Any, **more: Any) -> Any:
+        if error is KeyboardInterrupt and "timeout" in more:
+            raise error
+        return inner(*some, **more)
+
+    monkeypatch.setattr(blocks, "wait", wait)
+    with wp.ScopedDevice("cpu"), pytest.raises(error):
         blocks.launch_all([call], SimpleNamespace(numpy=lambda: clock), slice_ns=50_000_000)  # type: ignore[list-item]  # stands in
     assert call.ended
 

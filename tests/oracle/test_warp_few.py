@@ -163,7 +163,7 @@ inline CUDA_CALLABLE void sum_numbers(
     // twice, and the second time with others: what the first time has left is not in the way
     for (int time = 0; time < 2; ++time) {
         double sum[2], *its = partial[place_in_block(lane)];
-        sum_over_all(count, thread % threads, threads, its, sum, [&](int i, double (&sum)[2]) {
+        sum_over_all(count, thread % threads, its, sum, [&](int i, double (&sum)[2]) {
             if (i < count) sum[0] += numbers[i + time], sum[1] -= numbers[i];
         });
         sums[(2 * lane + time) * threads + thread % threads] = sum[0] + 2.0 * sum[1];

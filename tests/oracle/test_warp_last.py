@@ -114,6 +114,17 @@ def test_a_world_running_in_blocks_for_the_last_ones(
     assert of_last.max() == 2
 
 
+def test_worlds_go_on_where_there_are_blocks_for_few_boxes_too(
+    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+) -> None:
+    taken = watched_queues(monkeypatch)
+    monkeypatch.setattr(fleets, "fleet_for_few", lambda fleet, *_: replace(fleet, blocks=2, n_boxes=1, least=1))
+    monkeypatch.setattr(fleets, "fleet_for_last", lambda fleet, _: replace(fleet, blocks=2, last=True))
+    assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(), SHORT), crowd)
+    of_last, of_few, of_others = np.array(taken).max(axis=0)
+    assert min(of_last, of_few, of_others) > 0
+
+
 @pytest.mark.gpu
 def test_blocks_for_the_last_worlds_give_what_others_give(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every world changes between both."""

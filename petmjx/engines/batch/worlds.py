@@ -133,12 +133,13 @@ _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0,
 def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
     """What the tables have of some jobs beside their scenes, without ``pauses``."""
     drives = [job.drive or _NO_DRIVE for job in jobs]
+    profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
     profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)
     rest_steps = np.array([seconds_to_steps(drive.rest_s, timestep_s) for drive in drives], np.int32)
     scales = [drive.scale * drive.unit(job.scene.total_mass) for drive, job in zip(drives, jobs, strict=True)]
     yaws = [drive.yaw_rad for drive in drives]
     return {
-        "profile": np.array([profiles.get(id(drive.excitation), 0) for drive in drives], np.int32),
+        "profile": np.array([profiles[id(drive.excitation)] for drive in drives], np.int32),
         "drive_scale": np.array(scales, np.float32),
         "drive_yaw": np.array([(math.cos(yaw), math.sin(yaw)) for yaw in yaws], np.float32),
         "profile_steps": profile_steps,

@@ -283,9 +283,7 @@ inline __device__ void sum_over_warp(double (&x)[COUNT]) {
 // their order. Where fewer threads share a world each has several of those places: a warp one after the other, a block at
 // the same time. So they find the same, and a world may be that of a warp today and of a block of any size tomorrow.
 template <int COUNT, class Add>
-inline CUDA_CALLABLE void sum_over_all(
-    int count, int thread, int threads, double* partial, double (&x)[COUNT], const Add& add
-) {
+inline CUDA_CALLABLE void sum_over_all(int count, int thread, double* partial, double (&x)[COUNT], const Add& add) {
     #pragma unroll
     for (int i = 0; i < COUNT; ++i) x[i] = 0.0;
 #if defined(PETMJX_WORLD_OF_A_WARP)
@@ -303,6 +301,7 @@ inline CUDA_CALLABLE void sum_over_all(
     __syncwarp();
 #elif defined(__CUDA_ARCH__)
     const int PLACES = ORDER / PETMJX_THREADS;  // of a thread
+    static_assert(PLACES * PETMJX_THREADS == ORDER && PETMJX_THREADS % 32 == 0, "threads of a world must divide ORDER");
     double part[PLACES][COUNT];
     #pragma unroll
     for (int p = 0; p < PLACES; ++p) {

@@ -6,7 +6,7 @@ import functools
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -73,13 +73,15 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             if block < call.blocks:
                 call.launch(block, 1, device=device)
 
-    blocks = max(call.blocks for call in calls)
+    running: list[Future[None]] = []
     with others_may_call():
-        running = [_threads().submit(run, block) for block in range(blocks)]
-        _, late = wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        if late:
+        try:
+            for block in range(max(call.blocks for call in calls)):
+                running.append(_threads().submit(run, block))
+            wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
+        finally:  # also after an error: then the memory of all blocks is freed
             clock.numpy()[0] = 1  # the kernels' own memory
-            wait(late)  # before an error of any is raised: the memory of all is freed then
+            wait(running)
         for each in running:
             each.result()
 

@@ -74,7 +74,7 @@ class MjxWarpEngine(Engine):
     With Newton's method only: C MuJoCo simulates what needs another one (petmjx/engines/attempts.py).
 
     Args:
-        lanes: most worlds of a size at the same time; None: as many as the device has room for.
+        lanes: most worlds in blocks of a kind; None: as many as the device has room for.
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device: slow, for tests.
         group_size: worlds whose states are on the device at the same time; it bounds memory for any number of jobs.
         slice_ns: time between two looks at which worlds have ended, ns.

@@ -26,7 +26,7 @@ def fleet_for_few(fleet: Fleet, worlds: int, lanes: int | None = None) -> Fleet 
     Args:
         fleet: those that have them else.
         worlds: which begin with few boxes, and may have other blocks.
-        lanes: worlds that may run at the same time; None: as many as the device has room for.
+        lanes: most worlds in blocks of a kind; None: as many as the device has room for.
     """
     one = fleet.launch
     launch = Launch.of(FEW_BOXES, one.hands, one.gives, one.wraps)

@@ -3,7 +3,8 @@
 A run ends with its longest worlds. Where two blocks share a multiprocessor each of them is slower than alone, so the
 last world has lost time that it spent beside another block. Worlds that are expected to be among the last ones have
 blocks that fill a multiprocessor (``launch.LAST``), and as soon as there are no more worlds than multiprocessors, all
-have. Such a world takes the same steps to the last bit as in other blocks: it is a matter of speed alone.
+have that share one else. Such a world takes the same steps to the last bit as in other blocks: it is a matter of speed
+alone.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def fleet_for_last(fleet: Fleet, lanes: int | None = None) -> Fleet | None:
 
     Args:
         fleet: those that have them else.
-        lanes: worlds that may run at the same time; None: as many as the device has room for.
+        lanes: most worlds in blocks of a kind; None: as many as the device has room for.
     """
     one = fleet.launch
     if one.per_sm == 1:
@@ -82,6 +83,6 @@ def expected_last(
     # thousands of worlds may have taken more steps than an int32 holds
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
     rest = ((order >= 0).sum() - taken.sum()) * mean / lanes  # steps of a lane, until none waits
-    last = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
-    most, rows = jax.lax.top_k(jnp.where(last, steps, 0), min(MOST_EXPECTED, len(steps)))
-    return jnp.zeros_like(last).at[rows].set(most > 0)
+    long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
+    most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
+    return jnp.zeros_like(long).at[rows].set(most > 0)

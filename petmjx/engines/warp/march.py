@@ -58,7 +58,7 @@ class Fleet:
 
     Attributes:
         launch: how the device runs them.
-        blocks: how many; each has one world at a time.
+        blocks: how many.
         n_boxes, boards: most placed boxes of a world, and most shapes of a carrier.
         npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
         least: with fewer worlds it is not worth while; 0: it always is (few.py).

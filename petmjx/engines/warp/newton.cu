@@ -32,9 +32,9 @@ inline CUDA_CALLABLE double of_six(const Six& six, int i) {
 }
 
 // Gradient g = M·(qacc − qacc_smooth) − Jᵀ·force into grad and rhs, SHARE threads per body. Returns gᵀM⁻¹g.
-inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* partial, int thread, int threads) {
+inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* partial, int thread) {
     double bound[1];
-    sum_over_all(world.nfree * SHARE, thread, threads, partial, bound, [&](int item, double (&sum)[1]) {
+    sum_over_all(world.nfree * SHARE, thread, partial, bound, [&](int item, double (&sum)[1]) {
         const int b = item / SHARE, share_of = item % SHARE;
 #if defined(__CUDA_ARCH__)
         double value[6] = {0.0, 0.0, 0.0, 0.0, 0.0, 0.0};
@@ -129,7 +129,7 @@ inline CUDA_CALLABLE void lay_out(
         if (begins && body[2 * k] >= 0) world.bodies_conadr[take_number(layout.pairs)] = k;
     }
     double trace[1];
-    sum_over_all(world.nv, thread, threads, partial, trace, [&](int i, double (&sum)[1]) {
+    sum_over_all(world.nv, thread, partial, trace, [&](int i, double (&sum)[1]) {
         if (i < world.nv) sum[0] += world.qM[i];
     });
     if (thread == 0) layout.trace = trace[0];
@@ -258,7 +258,7 @@ inline CUDA_CALLABLE void newton(
         }
         wait_for_all();
         if (ends) break;
-        const double bound = gradient(world, rhs, partial, thread, threads);
+        const double bound = gradient(world, rhs, partial, thread);
         // Since H ≥ M, the cost can decrease by at most this.
         if (!(0.5 * bound > enough)) break;
         if (thread == 0) work.solver_niter.data[at] = iteration + 1;
@@ -267,7 +267,7 @@ inline CUDA_CALLABLE void newton(
 
         // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
         double along[3];
-        sum_over_all(nv, thread, threads, partial, along, [&](int i, double (&sums)[3]) {
+        sum_over_all(nv, thread, partial, along, [&](int i, double (&sums)[3]) {
             if (i >= nv) return;
             const double s = -(double)rhs[6 * world.position[i / 6] + i % 6];
             search[i] = s;
@@ -283,7 +283,7 @@ inline CUDA_CALLABLE void newton(
         #pragma unroll 1
         for (int trial = 0; trial < model.ls_iterations; ++trial) {
             double cost[2];
-            sum_over_all(ncon, thread, threads, partial, cost, [&](int k, double (&sums)[2]) {
+            sum_over_all(ncon, thread, partial, cost, [&](int k, double (&sums)[2]) {
                 if (k < ncon)
                     respond_along(pyramidal, impratio_invsqrt, Jaref + 3 * k, jv + 3 * k, length, world.contact(k), sums);
             });

@@ -117,7 +117,6 @@ class Programs:
         self.march = March(constants(sim, timetable), fleets, slice_ns)
         self._few = next((fleet for fleet in fleets if fleet.least), None)
         self._last = next((fleet for fleet in fleets if fleet.last), None)
-        self._lanes = sum(fleet.lanes for fleet in fleets if not fleet.is_extra)
         self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
@@ -151,7 +150,7 @@ class Programs:
         if self._few:
             order = with_few_first(self._few, order, table.placed, table.running)
         if self._last:
-            order = with_last_first(self._last, order, table.steps_done, table.running, self._lanes)
+            order = with_last_first(self._last, order, table.steps_done, table.running, self.march.blocks)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
