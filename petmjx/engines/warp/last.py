@@ -1,10 +1,9 @@
 """A run's last worlds: each has a multiprocessor of the GPU to itself, and more threads than others.
 
-A run ends with its longest worlds. Where two blocks share a multiprocessor each of them is slower than alone, so the
-last world has lost time that it spent beside another block. Worlds that are expected to be among the last ones have
-blocks that fill a multiprocessor (``launch.LAST``), and as soon as there are no more worlds than multiprocessors, all
-have that share one else. Such a world takes the same steps to the last bit as in other blocks: it is a matter of speed
-alone.
+A run ends with its longest worlds. Where two blocks share a multiprocessor each is slower than alone, so the last world
+has lost the time that it spent beside another block. Worlds that are expected to be among the last ones have blocks
+that fill a multiprocessor (``launch.LAST``). When there are no more worlds than multiprocessors, all have whose blocks
+would share one. Such a world takes the same steps to the last bit as in other blocks: it is a matter of speed alone.
 """
 
 from __future__ import annotations
