@@ -154,9 +154,9 @@ class Work:
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
-    def _driving(self, power: float) -> FloatArray:
-        """(n,) box^power × steps of one drive, on a device."""
-        return SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** power * self.drive_steps
+    def _driving(self, power: float, steps: FloatArray | float) -> FloatArray:
+        """(n,) box^power × steps of a drive of each plan, on a device. steps: of the drive."""
+        return np.asarray(SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** power * steps)
 
 
 @dataclass(frozen=True)
@@ -232,14 +232,14 @@ class Costs:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
             return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
         placements = work.as_planned(ON_DEVICE)
-        jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER)
+        jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER, work.drive_steps)
         return {
             "mujoco": self.mujoco.seconds(work, threads),
             "mjx-warp-cpu": self.kernel_start_s + self.kernel.seconds(work, threads),
             "mjx-jax": self.jax_step_s * float((placements * jax_placing + work.drives * jax_driving).sum()),
             "mjx-warp": self.gpu_start_s
             + self._phase_s(n_plans * placements / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
-            + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER).mean())),
+            + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER, work.drive_steps).mean())),
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
@@ -252,7 +252,7 @@ class Costs:
         """(n,) expected time of each job in a thread block of ``mjx-warp``, in units of a step of one box."""
         each, placements, drive_steps = _expected(jobs, sim, ON_DEVICE)
         placing = placements * each._placing(WARP_POWER, grows=True)
-        return np.asarray(placing + SHAKEN_FACTOR * np.asarray(each.boxes) ** WARP_POWER * drive_steps)
+        return np.asarray(placing + each._driving(WARP_POWER, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""

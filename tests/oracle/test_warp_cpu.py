@@ -20,6 +20,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import jax
 import warp as wp
+from support.compiles import compiled_programs
 from support.tiny_worlds import SHORT, TINY, assert_equal_worlds, in_one_slice, tiny_scenes
 from support.worlds import simulate
 
@@ -151,20 +152,15 @@ def test_without_warp_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_pallets_compile_nothing_after_the_first_placements() -> None:
-    compiled: list[str] = []
-
-    def note(event: str, duration_secs: float, **_: Any) -> None:
-        compiled.extend([event] * (event == "/jax/core/compile/backend_compile_duration"))
-
     pallets = petmjx.Pallets(9, engine="mjx-warp-cpu", threads=2, most_boxes=4)
     box = {"size_mm": (400, 300, 200), "mass_kg": 5.0}
     pallets.reset([4])
     pallets.place(**box, corner_mm=[(0, 0, 0)] * 9)
-    jax.monitoring.register_event_duration_secs_listener(note)
-    for rows in ([3], [0, 1, 2, 8], [5, 7], range(8)):
-        pallets.reset(list(rows))
-        pallets.place(**box, corner_mm=[(400, 300, 0)] * len(rows), pallet=list(rows))
-        pallets.told(list(rows))
-    assert compiled == []
-    jax.jit(lambda x: x + 1)(np.arange(7))
+    with compiled_programs() as compiled:
+        for rows in ([3], [0, 1, 2, 8], [5, 7], range(8)):
+            pallets.reset(list(rows))
+            pallets.place(**box, corner_mm=[(400, 300, 0)] * len(rows), pallet=list(rows))
+            pallets.told(list(rows))
+        assert compiled == []
+        jax.jit(lambda x: x + 1)(np.arange(7))
     assert compiled, "the listener hears of programs"

@@ -102,7 +102,7 @@ def test_on_a_cpu_there_are_none() -> None:
     assert fleet_for_last(Fleet(Launch.of(SIZES[0]), 8, 4, 1, 1, 1)) is None
 
 
-def test_a_world_running_in_blocks_for_the_last_ones(
+def test_a_world_goes_on_in_blocks_for_the_last_ones(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     """On a CPU all blocks are alike; one has the worlds, and two those that are left when there are two."""

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support.compiles import compiled_programs
 from support.plans import make_scene
 
 from petmjx.engines.batch import picked, repeated
@@ -51,18 +52,13 @@ def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State
 
 
 def test_what_was_prepared_compiles_nothing(tables: tuple[Worlds, State]) -> None:
-    compiled: list[str] = []
-
-    def note(event: str, duration_secs: float, **_: Any) -> None:
-        compiled.extend([event] * (event == "/jax/core/compile/backend_compile_duration"))
-
     worlds, table = (take_rows(record, jnp.arange(PICKED + 3)) for record in tables)
-    jax.monitoring.register_event_duration_secs_listener(note)
-    prepare_pick(table, worlds, SIM)
+    with compiled_programs() as compiled:
+        prepare_pick(table, worlds, SIM)
     assert compiled, "the listener hears of programs"
-    compiled.clear()
-    pick(np.arange(3), table, worlds, SIM)
-    pick(np.arange(PICKED + 3), table, worlds, SIM)
+    with compiled_programs() as compiled:
+        pick(np.arange(3), table, worlds, SIM)
+        pick(np.arange(PICKED + 3), table, worlds, SIM)
     assert compiled == []
 
 

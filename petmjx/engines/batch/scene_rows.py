@@ -42,7 +42,7 @@ def rows_of(
         rest = scenes[len(ready["n_boxes"]) :]
         parts = [ready, rows_of(rest, width, sim, room)] if rest else [ready]
         if boards <= room and all(part["shape_half"].shape[1] == room + width for part in parts):
-            return {name: _joined([part[name] for part in parts], spare) for name in ready}
+            return {name: joined([part[name] for part in parts], spare) for name in ready}
     distinct = list({id(scene): scene for scene in scenes}.values())
     if len(distinct) == len(scenes):
         return _rows_of_distinct(scenes, width, sim, boards, spare)
@@ -52,7 +52,7 @@ def rows_of(
     return dict(zip(rows, repeated(rows.values(), fan_out), strict=True))
 
 
-def _joined(parts: Sequence[NDArray[Any]], spare: int) -> NDArray[Any]:
+def joined(parts: Sequence[NDArray[Any]], spare: int) -> NDArray[Any]:
     """Rows one behind the other, and spare ones, which repeat the first."""
     return np.concatenate([*parts, np.repeat(parts[0][:1], spare, axis=0)])
 

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.basics.units import seconds_to_steps
-from petmjx.engines.batch.scene_rows import Rows, rows_of
+from petmjx.engines.batch.scene_rows import Rows, joined, rows_of
 from petmjx.options.config import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
@@ -119,10 +119,8 @@ def upload_worlds(
     """
     spare = rows - len(jobs)
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare, ready)
-    of_jobs = {
-        name: np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
-        for name, values in _rows_of_jobs(jobs, profiles, sim.physics.timestep_s).items()
-    }
+    of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
+    of_jobs = {name: joined([values], spare) for name, values in of_jobs.items()}
     made = of_scenes | of_jobs | {"pauses": np.zeros(rows, np.bool_)}
     return Worlds(**dict(zip(made, uploaded_together(made.values()), strict=True)))
 

@@ -21,7 +21,7 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S: Final = 0.25
-"""Longest wait for a world, s. Ctrl-C that comes in the moment before a wait does not end it, but is noticed then."""
+"""Longest wait for a world, s: a signal that comes in the moment before it is noticed after it."""
 
 
 class MujocoEngine(Engine):

@@ -47,7 +47,7 @@ def with_few_first(
 
     Args:
         placed: boxes of each world.
-        running: worlds that have not ended.
+        running: worlds that go on.
     """
     last = order[-1]
     chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]

@@ -74,7 +74,7 @@ def expected_last(
     Args:
         order: the queues; behind their worlds negative numbers.
         steps: of each world, so far; 0 before it is taken from a queue.
-        running: worlds that have not ended.
+        running: worlds that go on.
         lanes: worlds at the same time.
     """
     taken = steps > 0

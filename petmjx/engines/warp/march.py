@@ -120,6 +120,7 @@ class March:
             )
             for queue, fleet in enumerate(fleets)
         ]
+        # those of extra fleets have worlds that others have room for, too
         self.blocks = sum(fleet.blocks for fleet in fleets if not fleet.is_extra)
         self.lanes = sum(fleet.lanes for fleet in fleets)
         self.slice_ns = slice_ns

@@ -10,7 +10,6 @@ from petmjx.engines.batch.upload import round_up
 from petmjx.engines.warp.launch import size_for
 from petmjx.engines.warp.records import MAX_BOXES
 from petmjx.world.job import Job
-from petmjx.world.scene import Scene
 
 
 def wants_hands(job: Job) -> bool:
@@ -31,11 +30,6 @@ def is_wrapped(job: Job) -> bool:
 def size_of(job: Job) -> int:
     """The size of a job's world: the most boxes of one that its thread block may have."""
     return size_for(job.scene.n_boxes).most_boxes
-
-
-def scenes_of(jobs: Sequence[Job]) -> set[Scene]:
-    """Their scenes, each once: drives from a placement share one."""
-    return {job.scene for job in jobs}
 
 
 @dataclass(frozen=True)
@@ -85,7 +79,7 @@ class Needs:
 
     def of_sizes(self, jobs: Sequence[Job]) -> Needs:
         """The same for the sizes of some of the jobs."""
-        sizes = {size_for(scene.n_boxes).most_boxes for scene in scenes_of(jobs)}
+        sizes = {size_for(count).most_boxes for count in _box_counts(jobs)}
         return replace(self, widths={size: self.widths[size] for size in sizes})
 
     def know(self, job: Job) -> bool:
@@ -94,8 +88,13 @@ class Needs:
         return all(known or not has(job) for known, has in traits)
 
 
+def _box_counts(jobs: Sequence[Job]) -> set[int]:
+    """How many boxes their scenes have. Drives from a placement share one, which is looked at once."""
+    return {scene.n_boxes for scene in {job.scene for job in jobs}}
+
+
 def _widths_of(jobs: Sequence[Job], granule: int) -> dict[int, int]:
-    counts = {scene.n_boxes for scene in scenes_of(jobs)}
+    counts = _box_counts(jobs)
     largest = max(counts)
     if largest > MAX_BOXES:
         raise InputError(
