@@ -212,6 +212,11 @@ class Gathering:
         """The one that is gathered."""
         return self._pending.part
 
+    @property
+    def waits(self) -> bool:
+        """Whether there are worlds that do not count yet."""
+        return bool(self.part.rows) or self._beside is not None
+
     def begin(self, number: int, counts: WorldCounts | None = None) -> None:
         """Gather for the part of this number, with no world so far; none may be on its way.
 

@@ -16,6 +16,7 @@ from petmjx.basics.text import one_line
 from petmjx.basics.units import FloatArray
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan
+from petmjx.results.alarm import Alarm
 from petmjx.results.by_place import ByPlace, Places
 from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
@@ -97,7 +98,7 @@ class RunWriter(RunFolder):
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of what is gathered and of run.json
-        self._timer = threading.Timer(0, self._time_is_up)
+        self._alarm = Alarm(self._lock, self._time_is_up)
         self._gathering = Gathering()
         self._by_place = None if places is None else ByPlace(places, self.schemas)
         self._until_exit = contextlib.ExitStack()
@@ -191,34 +192,37 @@ class RunWriter(RunFolder):
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         # of several Ctrl-C in a row the first one ends the run; the others must not cost what it has gathered
-        ended = contextlib.closing(self._gathering)
-        with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit, ended:
-            self._timer.cancel()
-            if error is None:
+        closing = contextlib.closing(self._gathering)
+        with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit, closing:
+            trouble = self._write_rest()
+            if (cause := error or trouble) is None:
                 self.status = FINISHED
-            elif isinstance(error, KeyboardInterrupt | SystemExit):
+            elif isinstance(cause, KeyboardInterrupt | SystemExit):
                 self.status = "interrupted"
             else:
-                self.status, self.error = "failed", one_line(error)
-            try:
-                with self._lock:
-                    with contextlib.suppress(PetmjxError):  # what could not be written is gathered, and tried once more
-                        self._land()
-                    self._write_part(last=True)
-            except PetmjxError as trouble:
-                if error is None:
-                    self.status, self.error = "failed", one_line(trouble)
-                    with contextlib.suppress(PetmjxError):
-                        self._write_info()
-                    raise
+                self.status, self.error = "failed", one_line(cause)
+            if error is not None and trouble is not None:
                 # the error that ended the body is the one to tell; this one is kept beside it, until the run goes on
                 also = f"the last part could not be written: {one_line(trouble)}"
                 self.error = f"{self.error}; {also}" if self.error else also
             try:
                 self._write_info()
-            except PetmjxError:
-                if error is None:
-                    raise
+            except PetmjxError as untold:
+                trouble = trouble or untold
+            if error is None and trouble is not None:
+                raise trouble
+
+    def _write_rest(self) -> PetmjxError | None:
+        """Write what is gathered, at the end; returns why it could not be written."""
+        with self._lock:
+            self._alarm.off()
+            with contextlib.suppress(PetmjxError):  # what could not be written is gathered, and tried once more
+                self._land()
+            try:
+                self._write_part(last=True)
+            except PetmjxError as trouble:
+                return trouble
+        return None
 
     def _write_plans(self) -> bool:
         """Write the table ``plans`` if there is none that says the same; returns whether it did."""
@@ -261,24 +265,18 @@ class RunWriter(RunFolder):
         row = Row.of(plan, variant, str(schedule), outcome, attempts, values, interval_n)
         with self._lock:
             if self._by_place is not None:
-                if not self._timer.is_alive():
-                    self._start_timer()
                 self._write_by_place(self._by_place.add(row))
+                if not self._alarm.is_set:
+                    self._alarm.set(self._seconds_per_part)
                 return
-            if not (self._gathering.part.rows or self._in_memory):
-                self._start_timer()
             self._gathering.add(row)
+            if len(self._gathering.part.rows) == 1 and not self._in_memory:
+                self._alarm.set(self._seconds_per_part)
             late = self._gathering.is_old(self._seconds_per_part) and not self._in_memory
             if late or self._gathering.is_full(self._worlds_per_part):
                 self._write_part(beside=True)
             else:
                 self._land(wait=False)
-
-    def _start_timer(self) -> None:
-        self._timer.cancel()
-        self._timer = threading.Timer(self._seconds_per_part, self._time_is_up)
-        self._timer.daemon = True
-        self._timer.start()
 
     def flush(self) -> None:
         """Write what has been gathered, so that others can read the folder before the run ends.
@@ -342,17 +340,19 @@ class RunWriter(RunFolder):
                     self._tables.drop_others()
 
     def _time_is_up(self) -> None:
-        """In the timer's thread: write the part though it is not full, since no world may finish for long."""
+        """Write what waits though it is no whole part, since no world may finish for long. The lock is held."""
         # a failure is met again, and told, with the next world or in the end
-        with self._lock, contextlib.suppress(PetmjxError):
-            if self.status == "running" and self._by_place is not None:
+        with contextlib.suppress(PetmjxError):
+            if self._by_place is not None:
                 self._write_by_place(self._by_place.late(self._seconds_per_part))
-                if self._by_place.left():
-                    self._start_timer()
-                return
-            self._land(wait=False)
-            if self.status == "running" and self._gathering.is_old(self._seconds_per_part):
-                self._write_part()
+                waits = bool(self._by_place.left())
+            else:
+                self._land(wait=False)
+                if self._gathering.is_old(self._seconds_per_part):
+                    self._write_part()
+                waits = self._gathering.waits
+            if waits:
+                self._alarm.set(self._seconds_per_part)
 
     def _write_part(self, last: bool = False, beside: bool = False) -> None:
         """Write the part that is gathered and begin the next one, with the lock held. ``beside``: let a thread write
@@ -365,13 +365,13 @@ class RunWriter(RunFolder):
         # a run without worlds still gets one empty part, so that readers find the columns
         if not part.rows and not (last and not self.parts.files("worlds")):
             return
-        self._timer.cancel()
+        self._alarm.off()
         with self._writing():
             if self._in_memory and not last:
                 self._leave_memory()
             if beside:
                 self._gathering.write_beside(self._tables, self.schemas)
-                self._start_timer()  # it is to land, also if no world follows
+                self._alarm.set(self._seconds_per_part)  # it is to land, also if no world follows
                 return
             self._tables.write_part(part.number, part.tables(self.schemas))
         self._gathering.written()

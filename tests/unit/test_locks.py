@@ -215,14 +215,6 @@ def test_a_disk_that_is_full_for_run_json_too(tmp_path: Path, monkeypatch: pytes
         fill()
 
 
-def test_a_part_is_written_after_a_while_though_no_world_finishes(tmp_path: Path) -> None:
-    with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
-        run.add(make_plan("a"), 0, "fixed", make_outcome())
-        wait_for(lambda: load_run(tmp_path).info["counts"]["worlds"] == 1)
-        run.add(make_plan("b"), 0, "fixed", make_outcome())
-    assert load_run(tmp_path).worlds.plan_id.tolist() == ["a", "b"]
-
-
 def test_a_part_that_was_taken_away_is_named(tmp_path: Path) -> None:
     write_run(tmp_path, "a", "b", "c", worlds_per_part=1)
     (tmp_path / "worlds/part-00001.parquet").rename(tmp_path / "away")

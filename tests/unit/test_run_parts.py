@@ -20,8 +20,10 @@ from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.basics.errors import InputError, PetmjxError
-from petmjx.results import files
+from petmjx.results import files, writer
+from petmjx.results.parts import Gathering
 from petmjx.results.reader import load_run
+from petmjx.results.run_file import write_run_file
 from petmjx.results.writer import RunWriter
 
 
@@ -82,10 +84,32 @@ def test_a_part_lands_though_no_world_follows(tmp_path: Path) -> None:
         wait_for(lambda: worlds_on_disk(tmp_path) == 2)
 
 
-def test_slow_worlds_are_written_after_a_while(tmp_path: Path) -> None:
-    with RunWriter(tmp_path, {}, seconds_per_part=0.0) as run:
-        run.add(make_plan(), 0, "fixed", make_outcome())
-        wait_for((tmp_path / "worlds/part-00000.parquet").exists)
+def test_a_part_is_written_after_a_while_though_no_world_follows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = Gathering.add
+
+    def late(*args: Any) -> None:
+        time.sleep(0.3)
+        add(*args)
+
+    monkeypatch.setattr(Gathering, "add", late)
+    with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
+        for number in range(2):
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+            wait_for(lambda: worlds_on_disk(tmp_path) == number + 1)  # noqa: B023 - called at once
+
+
+def test_run_json_says_finished_when_all_worlds_are_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = []
+
+    def noted(info: dict[str, Any], folder: Path) -> None:
+        said.append((info["status"], info["counts"]["worlds"]))
+        write_run_file(info, folder)
+
+    monkeypatch.setattr(writer, "write_run_file", noted)
+    write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
+    assert said == [("running", 0), ("running", 2), ("running", 3), ("finished", 3)]
 
 
 def test_ctrl_c_keeps_whole_parts_and_says_how_many(tmp_path: Path) -> None:
@@ -159,6 +183,7 @@ CRASH = """
 import os, sys
 sys.path.insert(0, sys.argv[2])
 from support.outcomes import make_outcome, make_plan
+from petmjx.results.run_file import write_run_file
 from petmjx.results.writer import RunWriter
 real = os.replace
 def replace(source, target):

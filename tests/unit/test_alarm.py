@@ -1,0 +1,83 @@
+"""A call after a while comes once, with the lock held, and not if it was put off while it waited for the lock."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+from support.waiting import wait_for
+
+from petmjx.results.alarm import Alarm
+
+
+class Lock:
+    """A lock that says when a timer's thread asks for it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self.locked = self._lock.locked
+        self.asked = threading.Event()
+
+    def __enter__(self) -> None:
+        if isinstance(threading.current_thread(), threading.Timer):
+            self.asked.set()
+        self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+
+class Calls:
+    """Counts calls, all of which hold the lock."""
+
+    def __init__(self) -> None:
+        self.lock = Lock()
+        self.alarm = Alarm(self.lock, self.call)
+        self.count = 0
+
+    def call(self) -> None:
+        assert self.lock.locked()
+        self.count += 1
+
+
+def test_it_calls_once() -> None:
+    calls = Calls()
+    with calls.lock:
+        calls.alarm.set(0.01)
+        assert calls.alarm.is_set
+    wait_for(lambda: calls.count)
+    with calls.lock:
+        assert not calls.alarm.is_set
+    assert calls.count == 1
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_what_is_put_off_while_it_waits_for_the_lock_does_not_come(again: bool) -> None:
+    calls = Calls()
+    with calls.lock:
+        calls.alarm.set(0.0)
+        first = calls.alarm._timer
+        assert first is not None
+        assert calls.lock.asked.wait(20)
+        calls.alarm.set(60.0) if again else calls.alarm.off()
+    first.join(20)
+    assert not first.is_alive()
+    assert calls.count == 0
+    assert calls.alarm.is_set == again
+    with calls.lock:
+        calls.alarm.off()
+
+
+def test_it_may_be_set_by_its_own_call() -> None:
+    calls = Calls()
+    call = calls.alarm._call
+
+    def twice() -> None:
+        call()
+        if calls.count == 1:
+            calls.alarm.set(0.01)
+
+    calls.alarm._call = twice
+    with calls.lock:
+        calls.alarm.set(0.01)
+    wait_for(lambda: calls.count == 2)
