@@ -30,6 +30,7 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.units import FloatArray
 from petmjx.history import CARRIER
 from petmjx.options.physics import Physics, Triple
+from petmjx.world.contact import MOST_IMPEDANCE
 from petmjx.world.pairs import LARGER, filled_up
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.turned import rotations
@@ -54,10 +55,8 @@ IMPEDANCE: Final = 0.99
 MOST_RATE: Final = 0.05
 """Largest k·dt² of an edge, which is integrated explicitly; boxes that are stiffer have edges of larger impedance."""
 
-MOST_IMPEDANCE: Final = 0.9999
-
 CONTACT_SOLREF: Final = (0.004, 1.0)
-CONTACT_SOLIMP: Final = (0.9999, 0.9999, 0.001)
+CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
 """Of contacts of soft boxes, whose points weigh a 64th of a box and more: as stiff as the timestep lets them be. Under
 1,000 times its own weight a box's contacts are 0.1 mm deep."""
 
