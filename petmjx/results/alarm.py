@@ -30,9 +30,10 @@ class Alarm:
     def set(self, seconds: float) -> None:
         """Call so many seconds from now, and not when it was to be until now."""
         self.off()
-        self._timer = threading.Timer(seconds, self._ring)
-        self._timer.daemon = True
-        self._timer.start()
+        timer = threading.Timer(seconds, self._ring)
+        timer.daemon = True
+        timer.start()  # the lock is held: it does not ring before the next line
+        self._timer = timer
 
     def off(self) -> None:
         """Call no more."""

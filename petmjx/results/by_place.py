@@ -122,9 +122,8 @@ class _Waiting:
         if self.rows:
             piece = dict(Part(0, self.rows).tables(schemas))
             self.nbytes += sum(table.nbytes for table in piece.values()) - sum(row.block.nbytes for row in self.rows)
-            self.n_pieces += len(self.rows)
-            self.pieces.append(piece)
-            self.rows = []
+            # one assignment: an interrupt before it keeps the rows, one after it the piece
+            self.rows, self.pieces, self.n_pieces = [], [*self.pieces, piece], self.n_pieces + len(self.rows)
 
     def written_early(self, number: int) -> None:
         """What is in memory is in a part with this number now."""

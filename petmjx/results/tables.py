@@ -55,20 +55,22 @@ class Tables:
         """Write the only part of a table; one that is there is replaced."""
         self.write_part(0, [(table, content)])
 
-    def adopt(self, others: Parts) -> None:
-        """Copy the worlds of another run.
+    def copies_of(self, others: Parts) -> dict[Path, str]:
+        """Copy the worlds of another run; none counts. Returns the digest of each file.
 
         Raises:
             InputError: one of its files is damaged or missing.
         """
         first = self.parts.next_number(*OF_WORLDS)
         others.check_tables(OF_WORLDS)
+        digests: dict[Path, str] = {}
         for file in (file for table in OF_WORLDS for file in others.files(table)):
             place = self._folder / file.parent.name / part_name(first + part_number(file))
             try:
-                self.parts.add({place: copy_file(file, place)})
+                digests[place] = copy_file(file, place)
             except FileNotFoundError:
                 raise InputError(f"{file}: missing, though the worlds of this part are there") from None
+        return digests
 
     def replace(self, done: Sorted) -> None:
         """Let sorted parts take the place of the others, which stay until :meth:`drop_others`."""

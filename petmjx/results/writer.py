@@ -195,7 +195,7 @@ class RunWriter(RunFolder):
         closing = contextlib.closing(self._gathering)
         with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit, closing:
             trouble = self._write_rest()
-            if (cause := error or trouble) is None:
+            if (cause := trouble if error is None else error) is None:
                 self.status = FINISHED
             elif isinstance(cause, KeyboardInterrupt | SystemExit):
                 self.status = "interrupted"
@@ -212,15 +212,15 @@ class RunWriter(RunFolder):
             if error is None and trouble is not None:
                 raise trouble
 
-    def _write_rest(self) -> PetmjxError | None:
+    def _write_rest(self) -> Exception | None:
         """Write what is gathered, at the end; returns why it could not be written."""
         with self._lock:
             self._alarm.off()
-            with contextlib.suppress(PetmjxError):  # what could not be written is gathered, and tried once more
+            with contextlib.suppress(Exception):  # what could not be written is gathered, and tried once more
                 self._land()
             try:
                 self._write_part(last=True)
-            except PetmjxError as trouble:
+            except Exception as trouble:
                 return trouble
         return None
 
@@ -270,7 +270,7 @@ class RunWriter(RunFolder):
                     self._alarm.set(self._seconds_per_part)
                 return
             self._gathering.add(row)
-            if len(self._gathering.part.rows) == 1 and not self._in_memory:
+            if not self._in_memory and (len(self._gathering.part.rows) == 1 or not self._alarm.is_set):
                 self._alarm.set(self._seconds_per_part)
             late = self._gathering.is_old(self._seconds_per_part) and not self._in_memory
             if late or self._gathering.is_full(self._worlds_per_part):
@@ -296,11 +296,14 @@ class RunWriter(RunFolder):
         """
         with self._lock:
             self._land()
-            for worlds in parts.table("worlds", COUNTED):
-                self._gathering.counts.add_worlds(worlds)
+            tables = parts.table("worlds", COUNTED)
             with self._writing():
-                self._tables.adopt(parts)
-            self._gathering.begin(self.parts.next_number(*OF_WORLDS))
+                digests = self._tables.copies_of(parts)
+            with shielded(afterwards=True):
+                self.parts.add(digests)
+                for worlds in tables:
+                    self._gathering.counts.add_worlds(worlds)
+                self._gathering.begin(self.parts.next_number(*OF_WORLDS))
             self._write_info()
 
     def put_in_order(self) -> None:
@@ -341,18 +344,15 @@ class RunWriter(RunFolder):
 
     def _time_is_up(self) -> None:
         """Write what waits though it is no whole part, since no world may finish for long. The lock is held."""
-        # a failure is met again, and told, with the next world or in the end
-        with contextlib.suppress(PetmjxError):
+        with contextlib.suppress(PetmjxError):  # it is tried again, and told with the next part or in the end
             if self._by_place is not None:
                 self._write_by_place(self._by_place.late(self._seconds_per_part))
-                waits = bool(self._by_place.left())
             else:
                 self._land(wait=False)
                 if self._gathering.is_old(self._seconds_per_part):
                     self._write_part()
-                waits = self._gathering.waits
-            if waits:
-                self._alarm.set(self._seconds_per_part)
+        if self._gathering.waits if self._by_place is None else self._by_place.left():
+            self._alarm.set(self._seconds_per_part)
 
     def _write_part(self, last: bool = False, beside: bool = False) -> None:
         """Write the part that is gathered and begin the next one, with the lock held. ``beside``: let a thread write

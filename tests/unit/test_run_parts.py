@@ -20,8 +20,8 @@ from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.basics.errors import InputError, PetmjxError
-from petmjx.results import files, writer
-from petmjx.results.parts import Gathering
+from petmjx.results import files, tables, writer
+from petmjx.results.parts import Gathering, Part
 from petmjx.results.reader import load_run
 from petmjx.results.run_file import write_run_file
 from petmjx.results.writer import RunWriter
@@ -179,11 +179,59 @@ def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
     assert (info["status"], info["error"], info["counts"]["worlds"]) == ("failed", "RuntimeError: the engine broke", 1)
 
 
+def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, ids in (("one", "ab"), ("two", "cd")):
+        write_run(tmp_path / name, ids=tuple(ids))
+    copy = tables.copy_file
+
+    def cut_short(file: Path, place: Path) -> str:
+        if file.is_relative_to(tmp_path / "two/boxes"):
+            raise KeyboardInterrupt
+        return copy(file, place)
+
+    def merge() -> None:
+        with RunWriter(tmp_path / "merged", {}) as run:
+            for name in ("one", "two"):
+                run.adopt(load_run(tmp_path / name).parts)
+
+    monkeypatch.setattr(tables, "copy_file", cut_short)
+    with pytest.raises(KeyboardInterrupt):
+        merge()
+    merged = load_run(tmp_path / "merged")
+    assert merged.info["counts"]["worlds"] == 2
+    assert merged.worlds.plan_id.tolist() == merged.boxes.plan_id.unique().tolist() == ["a", "b"]
+
+
+def test_an_error_of_another_kind_in_the_last_part_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_room(*_: Any) -> None:
+        raise MemoryError("no room")
+
+    monkeypatch.setattr(Part, "worlds", no_room)
+    with pytest.raises(MemoryError):
+        write_run(tmp_path)
+    info = load_run(tmp_path).info
+    assert (info["status"], info["error"], info["counts"]["worlds"]) == ("failed", "MemoryError: no room", 0)
+
+
+def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, calls = files.pq.write_table, itertools.count()
+
+    def full_once(*args: Any, **options: Any) -> None:
+        if next(calls) == 0:
+            raise OSError(28, "No space left on device")
+        real(*args, **options)
+
+    with RunWriter(tmp_path, {}, seconds_per_part=0.05) as run:
+        monkeypatch.setattr(files.pq, "write_table", full_once)
+        run.add(make_plan(), 0, "fixed", make_outcome())
+        wait_for(lambda: worlds_on_disk(tmp_path))
+    assert next(calls) > 1
+
+
 CRASH = """
 import os, sys
 sys.path.insert(0, sys.argv[2])
 from support.outcomes import make_outcome, make_plan
-from petmjx.results.run_file import write_run_file
 from petmjx.results.writer import RunWriter
 real = os.replace
 def replace(source, target):
