@@ -42,9 +42,8 @@ from petmjx.verdict import Attempt, Outcome
 class RunWriter(RunFolder):
     """Writes one run's results as its worlds finish. A context manager.
 
-    At the end of the body, also after Ctrl-C or an error, the gathered worlds are written as a last part, and
-    ``run.json`` says how the run ended: ``finished``, ``interrupted`` or ``failed``. In memory are one part that is
-    gathered, and one that a thread writes.
+    At the end, also after Ctrl-C or an error, gathered worlds are written as a last part, and ``run.json`` says how the
+    run ended: ``finished``, ``interrupted`` or ``failed``. Memory holds a part that is gathered and one being written.
 
     Args:
         out_dir: the run's folder; made if it is not there. None: the run stays in memory if it is no more than a part;
@@ -98,7 +97,7 @@ class RunWriter(RunFolder):
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         self._lock = threading.Lock()  # of what is gathered and of run.json
-        self._alarm = Alarm(self._lock, self._time_is_up)
+        self._alarm: Alarm | None = None  # of a run in a folder
         self._gathering = Gathering()
         self._by_place = None if places is None else ByPlace(places, self.schemas)
         self._until_exit = contextlib.ExitStack()
@@ -150,6 +149,7 @@ class RunWriter(RunFolder):
                 self._write_info()
             except OSError as error:
                 raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
+            self._alarm = Alarm(self._lock, self._time_is_up)
             self._until_exit = until_exit.pop_all()
 
     def _leave_memory(self) -> None:
@@ -205,17 +205,16 @@ class RunWriter(RunFolder):
                 # the error that ended the body is the one to tell; this one is kept beside it, until the run goes on
                 also = f"the last part could not be written: {one_line(trouble)}"
                 self.error = f"{self.error}; {also}" if self.error else also
-            try:
+            with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
                 self._write_info()
-            except PetmjxError as untold:
-                trouble = trouble or untold
             if error is None and trouble is not None:
                 raise trouble
 
     def _write_rest(self) -> Exception | None:
         """Write what is gathered, at the end; returns why it could not be written."""
         with self._lock:
-            self._alarm.off()
+            if self._alarm is not None:
+                self._alarm.off()
             with contextlib.suppress(Exception):  # what could not be written is gathered, and tried once more
                 self._land()
             try:
@@ -266,17 +265,20 @@ class RunWriter(RunFolder):
         with self._lock:
             if self._by_place is not None:
                 self._write_by_place(self._by_place.add(row))
-                if not self._alarm.is_set:
-                    self._alarm.set(self._seconds_per_part)
+                self._set_alarm(again=False)
                 return
             self._gathering.add(row)
-            if not self._in_memory and (len(self._gathering.part.rows) == 1 or not self._alarm.is_set):
-                self._alarm.set(self._seconds_per_part)
+            self._set_alarm(again=len(self._gathering.part.rows) == 1)
             late = self._gathering.is_old(self._seconds_per_part) and not self._in_memory
             if late or self._gathering.is_full(self._worlds_per_part):
                 self._write_part(beside=True)
             else:
                 self._land(wait=False)
+
+    def _set_alarm(self, again: bool = True) -> None:
+        """Have written after a while what waits then. ``again``: put off an alarm that is set."""
+        if self._alarm is not None and (again or not self._alarm.is_set):
+            self._alarm.set(self._seconds_per_part)
 
     def flush(self) -> None:
         """Write what has been gathered, so that others can read the folder before the run ends.
@@ -352,11 +354,10 @@ class RunWriter(RunFolder):
                 if self._gathering.is_old(self._seconds_per_part):
                     self._write_part()
         if self._gathering.waits if self._by_place is None else self._by_place.left():
-            self._alarm.set(self._seconds_per_part)
+            self._set_alarm()
 
     def _write_part(self, last: bool = False, beside: bool = False) -> None:
-        """Write the part that is gathered and begin the next one, with the lock held. ``beside``: let a thread write
-        it; ``last``: a run in memory stays there."""
+        """Write the gathered part, with the lock held. ``beside``: by a thread; ``last``: a run in memory stays so."""
         if self._by_place is not None:
             self._write_by_place(self._by_place.left())
             return
@@ -365,13 +366,12 @@ class RunWriter(RunFolder):
         # a run without worlds still gets one empty part, so that readers find the columns
         if not part.rows and not (last and not self.parts.files("worlds")):
             return
-        self._alarm.off()
         with self._writing():
             if self._in_memory and not last:
                 self._leave_memory()
             if beside:
                 self._gathering.write_beside(self._tables, self.schemas)
-                self._alarm.set(self._seconds_per_part)  # it is to land, also if no world follows
+                self._set_alarm()  # it is to land, also if no world follows
                 return
             self._tables.write_part(part.number, part.tables(self.schemas))
         self._gathering.written()

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,20 @@ class Holding:
             write(*args, **options)
 
         monkeypatch.setattr(files.pq, "write_table", late)
+
+
+def full_once(monkeypatch: pytest.MonkeyPatch, after_s: float = 0.0) -> Iterator[int]:
+    """Let the first table that is written meet a full disk; counts the tables."""
+    real, calls = files.pq.write_table, itertools.count()
+
+    def write_table(*args: Any, **options: Any) -> None:
+        if next(calls) == 0:
+            time.sleep(after_s)
+            raise OSError(28, "No space left on device")
+        real(*args, **options)
+
+    monkeypatch.setattr(files.pq, "write_table", write_table)
+    return calls
 
 
 def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
@@ -214,15 +229,8 @@ def test_an_error_of_another_kind_in_the_last_part_is_told(tmp_path: Path, monke
 
 
 def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, calls = files.pq.write_table, itertools.count()
-
-    def full_once(*args: Any, **options: Any) -> None:
-        if next(calls) == 0:
-            raise OSError(28, "No space left on device")
-        real(*args, **options)
-
     with RunWriter(tmp_path, {}, seconds_per_part=0.05) as run:
-        monkeypatch.setattr(files.pq, "write_table", full_once)
+        calls = full_once(monkeypatch)
         run.add(make_plan(), 0, "fixed", make_outcome())
         wait_for(lambda: worlds_on_disk(tmp_path))
     assert next(calls) > 1
@@ -298,13 +306,7 @@ def test_worlds_that_could_not_be_written_beside_others_are_written_in_the_end(
     late: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The next world meets the error, or the run ends before that."""
-    real, calls, added = files.pq.write_table, itertools.count(), list[str]()
-
-    def full_once(*args: Any, **options: Any) -> None:
-        if next(calls) == 0:
-            time.sleep(0.3)
-            raise OSError(28, "No space left on device")
-        real(*args, **options)
+    added = list[str]()
 
     def write() -> None:
         with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
@@ -312,7 +314,7 @@ def test_worlds_that_could_not_be_written_beside_others_are_written_in_the_end(
                 added.append(str(number))
                 run.add(make_plan(str(number)), 0, "fixed", make_outcome())
 
-    monkeypatch.setattr(files.pq, "write_table", full_once)
+    full_once(monkeypatch, after_s=0.3)
     if late:
         write()
     else:
