@@ -10,6 +10,7 @@ import mujoco
 from jaxtyping import Array, Float
 
 from petmjx.engines.batch.mjx import mjx
+from petmjx.engines.batch.slip import corrected
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 from petmjx.options.config import Simulation
@@ -64,6 +65,7 @@ class PaddedModel:
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
+        self._physics = sim.physics
         self.model: Any = mjx.put_model(template, impl="jax")
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
@@ -89,7 +91,11 @@ class PaddedModel:
 
         def one(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> Any:
             model, data = self.model.tree_replace(fields), self._data.replace(**inputs)
-            done = mjx.forward(model, data)
+            # mjx.forward, with what contacts that slide need before the solver
+            done = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
+            if not self.pyramidal:
+                done = corrected(done, self._physics)
+            done = mjx.solve(model, mjx.fwd_acceleration(model, mjx.fwd_actuation(model, done)))
             # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
             # for contacts almost at rest (3.17: solver.py, _LSPoint). Then the accelerations and forces of the last
             # step are used, from which the solver started.

@@ -14,6 +14,7 @@ from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
+from petmjx.engines.cpu.slip import LOOK_STEPS, SlipLaw
 from petmjx.engines.cpu.waiting import add_waiting, press_waiting
 from petmjx.metrics.force_np import top_forces
 from petmjx.options.config import Simulation
@@ -86,6 +87,8 @@ class LiveWorld:
         self.n_placed = n_boxes
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
+        self._slip = SlipLaw(sim.physics)
+        self._slides, self._looked = False, 0  # at the last look; steps since
         self._build(n_boxes)
 
     @property
@@ -278,8 +281,21 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released."""
-        mujoco.mj_step(self.model, self.data, nstep=count)
+        """Advance by ``count`` steps in C, with the GIL released.
+
+        Looks whether anything slides come after every few steps of the world, however many each call takes.
+        """
+        while count > 0:
+            if self._looked == 0:
+                self._slides = self._slip.may_slide(self.data.qvel)
+            some = min(count, LOOK_STEPS - self._looked) if self._slip.acts else count
+            if self._slides:
+                for _ in range(some):
+                    self._slip.step(self.model, self.data)
+            else:
+                mujoco.mj_step(self.model, self.data, nstep=some)
+            self._looked = (self._looked + some) % LOOK_STEPS
+            count -= some
 
     def set_gravity(self, gravity: FloatArray) -> None:
         """(3,) m/s²."""

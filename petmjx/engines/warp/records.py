@@ -76,6 +76,8 @@ class Model:
     carrier_skin: float  # the same of the carrier
     pyramidal: int  # 1 with pyramidal friction cones
     friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
+    slip_slack: float  # reference acceleration of a slip that is not corrected, m/s²; inf: none is
+    kinetic_share: float  # friction of contacts that slide fast, as a share of that at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # of the solver, as MuJoCo's
     iterations: int  # most iterations of the solver

@@ -15,12 +15,15 @@ from petmjx.engines.warp.kernel.give import spring_law, spring_of_pair
 from petmjx.engines.warp.kernel.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.kernel.ordering import free_position
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
+from petmjx.world.slip import STICKS_M_S
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP, mjMINMU), and its power and midpoint of impedances (solimp).
 MIN_VALUE = wp.constant(1e-15)
 MIN_IMPEDANCE = wp.constant(1e-4)
 MAX_IMPEDANCE = wp.constant(0.9999)
 MIN_FRICTION = wp.constant(1e-5)
+
+STICKS = wp.constant(STICKS_M_S)
 
 
 @wp.func
@@ -93,6 +96,12 @@ def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> fl
 
 
 @wp.func
+def friction_share(kinetic: float, slip: float) -> float:
+    """What a contact that slides so fast has of its friction at rest. Twin of petmjx/world/slip.py."""
+    return 1.0 - times(1.0 - kinetic, wp.clamp(slip / STICKS - 1.0, 0.0, 1.0))
+
+
+@wp.func
 def make_constraint(
     # Model:
     model: Model,
@@ -108,8 +117,8 @@ def make_constraint(
     """Constraints of all contacts, as ``efc`` has them (``records.EFC_WORDS``).
 
     Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
-    the frames of the bodies. With pyramidal cones the rows of the four edges are normal ± friction × tangent; they are
-    not stored.
+    the frames of the bodies. Contacts that slide have the law of petmjx/world/slip.py. With pyramidal cones the rows of
+    the four edges are normal ± friction × tangent; they are not stored.
     """
     block = at.block
     world = at.world
@@ -151,7 +160,10 @@ def make_constraint(
                 put_number(work.efc, block, contact, 9 + 3 * r + i, arms_one[r, i])
                 put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
-        put_number(work.efc, block, contact, 27, fused(-kbi[1], velocity[0], pull))
+        slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
+        mu = times(mu, friction_share(model.kinetic_share, slip))
+        excess = wp.max(times(damping, slip) - model.slip_slack, 0.0)
+        put_number(work.efc, block, contact, 27, fused(-mu, excess, fused(-kbi[1], velocity[0], pull)))
         put_number(work.efc, block, contact, 28, -damping * velocity[1])
         put_number(work.efc, block, contact, 29, -damping * velocity[2])
         put_number(work.efc, block, contact, 30, 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE))
