@@ -10,10 +10,11 @@ import math
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.options.physics import Cone, Physics
-from petmjx.world.slip import STICKS_M_S, friction_share, slack_m_s2
+from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, friction_share, slack_m_s2
 
 LOOK_STEPS = 5
 """Steps from one look whether anything moves to the next. A pallet at rest takes them in one call of C, without the
@@ -39,24 +40,58 @@ class SlipLaw:
         return self.acts and bool(velocity.dot(velocity) > SLOW_M_S**2)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Take one step."""
+        """Take one step. All contacts have three rows (``condim`` 3), behind those of other constraints."""
         mujoco.mj_step1(model, data)
-        if self.acts and data.nefc:
-            self._correct(data)
-        mujoco.mj_step2(model, data)
-
-    def _correct(self, data: mujoco.MjData) -> None:
-        """Change the contacts that slide, between the halves of a step."""
-        contact = data.contact
-        active = np.flatnonzero((contact.efc_address >= 0) & (contact.dim >= 3))
-        row = contact.efc_address[active]
+        first = data.ne + data.nf + data.nl
+        if not self.acts or data.nefc == first:
+            mujoco.mj_step2(model, data)
+            return
         if self._share < 1:
-            slip = np.hypot(data.efc_vel[row + 1], data.efc_vel[row + 2])
-            share = friction_share(slip, self._share)
-            contact.friction[active, :2] *= share[:, None]
-            contact.mu[active] *= share
-        aref = data.efc_aref
-        excess = np.hypot(aref[row + 1], aref[row + 2]) - self._slack
-        slides = excess > 0
-        if slides.any():
-            aref[row[slides]] -= contact.friction[active[slides], 0] * excess[slides]
+            slip = data.efc_vel[first:].reshape(-1, 3)[:, 1:]
+            active, share = data.efc_id[first::3], friction_share(np.hypot(*slip.T), self._share)
+            data.contact.friction[active, :2] *= share[:, None]
+            data.contact.mu[active] *= share
+        reference = np.square(data.efc_aref[first:].reshape(-1, 3)[:, 1:]).sum(axis=1)
+        slides = np.flatnonzero(reference > self._slack**2)
+        if not len(slides):
+            mujoco.mj_step2(model, data)
+            return
+        mujoco.mj_fwdActuation(model, data)
+        mujoco.mj_fwdAcceleration(model, data)
+        self._solve(model, data, first + 3 * slides, np.sqrt(reference[slides]))
+        mujoco.mj_checkAcc(model, data)
+        mujoco.mj_Euler(model, data)
+
+    def _solve(
+        self, model: mujoco.MjModel, data: mujoco.MjData, normal: NDArray[np.integer], reference: FloatArray
+    ) -> None:
+        """Find accelerations and forces with the excess of contacts that slide.
+
+        Args:
+            normal: (k,) rows of their normals; the tangents' rows follow.
+            reference: (k,) their tangential reference accelerations, m/s².
+        """
+        one, two = normal + 1, normal + 2
+        aref, along = data.efc_aref, np.zeros(data.nefc)
+        friction = data.contact.friction[data.efc_id[normal], 0]
+        lag = 1.0 / data.efc_D[one]
+        before, aref_one, aref_two = aref[normal], aref[one], aref[two]
+
+        def excess_at(qacc: FloatArray, dragged: FloatArray | float) -> FloatArray:
+            """(k,) m/s² at these accelerations. ``dragged``: R_t · |f_t|, m/s²."""
+            mujoco.mj_mulJacVec(model, data, along, qacc)
+            beyond = np.hypot(along[one] - aref_one, along[two] - aref_two)
+            return np.maximum(beyond - dragged - self._slack, 0.0)
+
+        excess = np.minimum(excess_at(data.qacc_warmstart, 0.0), reference - self._slack)
+        for rounds in range(MOST_ROUNDS + 1):
+            aref[normal] = before - friction * excess
+            mujoco.mj_fwdConstraint(model, data)
+            if rounds == MOST_ROUNDS:
+                break
+            force = data.efc_force
+            change = excess_at(data.qacc, lag * np.hypot(force[one], force[two])) - excess
+            if (friction * np.abs(change)).max() <= ENOUGH_M_S2:
+                break
+            excess += RELAXATION * change
+            data.qacc_warmstart[:] = data.qacc

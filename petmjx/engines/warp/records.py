@@ -166,6 +166,7 @@ class Workspace:
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
     drag: Annotated[wp.array3d[float], "block contact 2"]  # contact.cuh
+    excess: Annotated[wp.array2d[float], "block contact"]  # of contacts that slide; negative: does not (world/slip.py)
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z

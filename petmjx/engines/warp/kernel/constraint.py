@@ -118,7 +118,8 @@ def make_constraint(
 
     Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
     the frames of the bodies. Contacts that slide have the law of petmjx/world/slip.py. With pyramidal cones the rows of
-    the four edges are normal ± friction × tangent; they are not stored.
+    the four edges are normal ± friction × tangent; they are not stored. ``excess`` is the
+    largest with which the solver begins.
     """
     block = at.block
     world = at.world
@@ -162,8 +163,9 @@ def make_constraint(
         pull = -times(times(kbi[0], kbi[2]), point[3])
         slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
         mu = times(mu, friction_share(model.kinetic_share, slip))
-        excess = wp.max(times(damping, slip) - model.slip_slack, 0.0)
-        put_number(work.efc, block, contact, 27, fused(-mu, excess, fused(-kbi[1], velocity[0], pull)))
+        excess = times(damping, slip) - model.slip_slack
+        work.excess[block, contact] = wp.where(excess > 0.0, excess, -1.0)
+        put_number(work.efc, block, contact, 27, fused(-kbi[1], velocity[0], pull))
         put_number(work.efc, block, contact, 28, -damping * velocity[1])
         put_number(work.efc, block, contact, 29, -damping * velocity[2])
         put_number(work.efc, block, contact, 30, 1.0 / wp.max(weight * (1.0 - kbi[2]) / kbi[2], MIN_VALUE))
