@@ -11,6 +11,9 @@ import typer
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, make_folder, usable
 from petmjx.cli import options as opt
 
+DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data" / "reality"
+"""Where measurements are by default: beside the checkout."""
+
 
 @app.command()
 @opt.takes("limit", "threads")
