@@ -91,6 +91,10 @@ class FreeBodies:
         """Of each world."""
         return self.velocity.shape[1]
 
+    def part(self, worlds: slice) -> FreeBodies:
+        """Some of the worlds."""
+        return FreeBodies(self.scenes[worlds], self.velocity[worlds], self.steps)
+
     @property
     def pose(self) -> FloatArray:
         """(n, k, 7) where boxes are let go, m, and quaternions (w, x, y, z)."""
