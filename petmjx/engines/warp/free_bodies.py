@@ -16,10 +16,11 @@ from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-from petmjx.engines.batch.state import NEVER, State, Status, fresh_state, of_flat
+from petmjx.engines.batch.free_states import let_go
+from petmjx.engines.batch.state import NEVER, State, Status, of_flat
 from petmjx.engines.batch.timetable import build_timetable
 from petmjx.engines.batch.upload import round_up
-from petmjx.engines.batch.worlds import Worlds, upload_worlds
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.engines.warp import records
 from petmjx.engines.warp.few import fleet_for_few
 from petmjx.engines.warp.frames import FRAMES_PER_BLOCK, MOST_BYTES, pick_frames
@@ -30,10 +31,6 @@ from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.records import FrameBuffer
 from petmjx.options.config import Simulation
 from petmjx.world.free_bodies import FreeBodies
-from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
-
-_HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive that does nothing: while a world has one of this kind its carrier is held."""
 
 _NO_RULES: Final[dict[str, Any]] = {
     "fixed": 1,
@@ -72,9 +69,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
         return poses
     rows, width = 1 << (n - 1).bit_length(), round_up(k)
     boards = len(bodies.scenes[0].carrier.half_size)
-    jobs = [Job(scene, _HELD) for scene in bodies.scenes]
-    worlds = upload_worlds(jobs, rows, width, {id(_HELD.excitation): 0}, sim, boards)
-    state = _let_go(bodies, worlds)
+    worlds, state = let_go(bodies, sim, rows, width)
     order = jnp.where(jnp.arange(rows) < n, jnp.arange(rows), -1).astype(jnp.int32)[None]
     every = np.zeros(rows, np.int32)
     every[:n] = math.gcd(*steps.tolist())
@@ -95,26 +90,6 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
             state = state._replace(status=jnp.where(state.status == Status.OVERFLOWED, Status.RUNNING, state.status))
         elif not (status == Status.RUNNING).any():
             return poses
-
-
-def _let_go(bodies: FreeBodies, worlds: Worlds) -> State:
-    """States of worlds in which all boxes have been let go, and which end after the last step; rows behind them have
-    ended."""
-    rows, width = worlds.half.shape[:2]
-    n, k = bodies.velocity.shape[:2]
-    last = int(bodies.steps[-1])
-    state = fresh_state(worlds, all_placed=True, ends=jnp.full(rows, last, jnp.int32), rest_steps=0)
-    qpos, qvel = np.array(state.qpos), np.zeros((rows, width, 6), np.float32)
-    qpos[:n, :k], qvel[:n, :k] = bodies.pose, bodies.velocity
-    status = np.where(np.arange(rows) < n, Status.RUNNING, Status.FINISHED).astype(np.int32)
-    return state._replace(
-        qpos=jnp.asarray(qpos),
-        qvel=jnp.asarray(qvel),
-        step=jnp.zeros(rows, jnp.int32),
-        driven_from=jnp.zeros(rows, jnp.int32),
-        rest_from=jnp.full(rows, NEVER, jnp.int32),
-        status=jnp.asarray(status),
-    )
 
 
 class _Program:
