@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Float
 
 from petmjx.basics.units import FloatArray
 from petmjx.engines.batch.free_states import let_go
 from petmjx.engines.batch.lockstep import Lockstep
 from petmjx.engines.batch.padded import PaddedModel
+from petmjx.engines.batch.rules import Rules
 from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State
+from petmjx.engines.batch.timetable import build_timetable
+from petmjx.engines.batch.worlds import Worlds
 from petmjx.options.config import Simulation
 from petmjx.world.free_bodies import FreeBodies
 
@@ -45,23 +47,21 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
     return poses
 
 
-class _NoRules:
+class _NoRules(Rules):
     """What ``Lockstep`` asks of rules, where boxes move and nothing follows from it."""
-
-    driven = carries = False
-
-    def __init__(self, sim: Simulation, capacity: int) -> None:
-        self.sim, self.capacity = sim, capacity
 
     def park(self, state: State) -> State:
         """No box waits in the air."""
         return state
 
-    def standing(self, state: State) -> Bool[Array, "world box"]:
-        """All boxes of worlds that go on."""
-        return jnp.broadcast_to(state.running[:, None], state.qpos.shape[:2])
-
-    def after_step(self, state: State, *_: Any) -> State:
+    def after_step(
+        self,
+        state: State,
+        worlds: Worlds,
+        seen_qpos: Float[Array, "world box 7"],
+        qacc: Float[Array, "world box 6"],
+        top_force: Float[Array, "world box"],
+    ) -> State:
         """Nothing."""
         return state
 
@@ -71,7 +71,7 @@ class _Program:
 
     def __init__(self, sim: Simulation, k: int, boards: int) -> None:
         self.model = PaddedModel(k, boards, sim, held=True)
-        rules: Any = _NoRules(sim, k)
+        rules = _NoRules(sim, build_timetable(sim, k), k, driven=False)
         self.chunk = jax.jit(Lockstep(rules, self.model).chunk, compiler_options=compiler_options())
 
 
