@@ -146,9 +146,10 @@ def release(
     times, steps, share = _steps(times_s, sim.physics.timestep_s)
     if restitution is not None:
         raise InputError("restitution must be None: it cannot be chosen for contacts of petmjx")
-    scenes = _scenes(boxes, _ground(sim, ground, smooth=friction is not None), sim)
+    below = _ground(sim, ground, smooth=friction is not None)
+    scenes = _scenes(boxes, below, sim)
     velocity = np.concatenate([boxes["vel_m_s"], boxes["angvel_rad_s"]], axis=-1)
-    bodies = FreeBodies(scenes, velocity, np.unique(steps).astype(np.int32))
+    bodies = FreeBodies(scenes, velocity, np.unique(steps).astype(np.int32), below.is_plane)
     runner, made = ready_engine(engine, {}, gpu=len(scenes) >= MANY_WORLDS)
     try:
         poses = runner.paths(bodies, sim).swapaxes(1, 2)

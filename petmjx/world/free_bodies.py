@@ -31,18 +31,20 @@ class Ground:
         carrier: that of a scene.
         floor_z: height of the floor, m.
         friction: the floor's sliding, torsional and rolling coefficients.
+        is_plane: boxes touch the floor alone.
     """
 
     carrier: Body
     floor_z: float
     friction: tuple[float, float, float]
+    is_plane: bool
 
     @classmethod
     def plane(cls, physics: Physics) -> Ground:
         """An infinite plane, with the friction of carriers."""
         place, half = np.array([0.0, 0.0, _BURIED_M]), np.full(3, _BURIED_HALF_M)
         buried = Body.solid(place, half, physics.carrier_mass_kg, physics.carrier_friction)
-        return cls(buried, 0.0, physics.carrier_friction)
+        return cls(buried, 0.0, physics.carrier_friction, is_plane=True)
 
     @classmethod
     def of_carrier(cls, sim: Simulation) -> Ground:
@@ -59,7 +61,7 @@ class Ground:
         else:
             half = np.array([extent[0] / 2, extent[1] / 2, physics.carrier_half_height_m])
             body = Body.solid(half * (1, 1, -1), half, physics.carrier_mass_kg, physics.carrier_friction)
-        return cls(body, floor_z_m(sim), physics.floor_friction)
+        return cls(body, floor_z_m(sim), physics.floor_friction, is_plane=False)
 
     @property
     def smooth(self) -> Ground:
@@ -80,11 +82,13 @@ class FreeBodies:
         scenes: n worlds; their boxes are let go at ``start_pos``, turned by ``start_quat``; their carriers are held.
         velocity: (n, k, 6) m/s along the world's axes, and rad/s about the boxes' own.
         steps: (s,) rising numbers of steps after which poses are looked at; 0: as boxes are let go.
+        on_plane: boxes touch the floor alone: engines need not look at the carrier.
     """
 
     scenes: tuple[Scene, ...]
     velocity: FloatArray
     steps: NDArray[np.int32]
+    on_plane: bool
 
     @property
     def n_boxes(self) -> int:
@@ -93,7 +97,7 @@ class FreeBodies:
 
     def part(self, worlds: slice) -> FreeBodies:
         """Some of the worlds."""
-        return FreeBodies(self.scenes[worlds], self.velocity[worlds], self.steps)
+        return replace(self, scenes=self.scenes[worlds], velocity=self.velocity[worlds])
 
     @property
     def pose(self) -> FloatArray:

@@ -33,6 +33,8 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
     poses = np.full((n, len(steps), k, 7), np.nan)
     rows, boards = 1 << (n - 1).bit_length(), len(bodies.scenes[0].carrier.half_size)
     worlds, state = let_go(bodies, sim, rows, k)
+    if bodies.on_plane:
+        worlds, boards = _without_carrier(worlds, boards), 0
     program = _program(sim, k, boards)
     forces = program.model.no_forces(rows)
     done = 0
@@ -45,6 +47,12 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
         poses[:, column] = chunk[steps[column] - done - 1].swapaxes(0, 1)
         done += len(chunk)
     return poses
+
+
+def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
+    """Worlds whose carrier has no shapes: MJX would look at each of them in each step, near or not."""
+    of_shapes = ("shape_body", "shape_half", "shape_pos", "friction", "shape_surface", "shape_give")
+    return worlds._replace(**{name: getattr(worlds, name)[:, boards:] for name in of_shapes})
 
 
 class _NoRules(Rules):
