@@ -69,17 +69,17 @@ def compared(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
     return {"tosses": len(tosses), **errors(tosses, paths).summary, "distributions": tests}
 
 
-def spread(tosses: Tosses, engine: str, runs: int = RUNS, **how: Any) -> dict[str, Any]:
+def spread(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
     """Runs from starts perturbed by the data's own errors: how far apart two of them end, beside how far they end from
     what was measured. A perfect model of a perfect cube has the same numbers in both."""
     rng, sigma, begin = np.random.default_rng(SEED), noise(tosses), measured_start(tosses)
-    starts = [perturbed(begin, sigma, rng) for _ in range(runs)]
+    starts = [perturbed(begin, sigma, rng) for _ in range(RUNS)]
     found = simulated(tosses, starts, engine, **how)
     pos, faces = _ends(tosses, found)
     measured_pos, measured_faces = _ends(tosses, [_measured(tosses)])
-    one, two = np.triu_indices(runs, 1)
+    one, two = np.triu_indices(RUNS, 1)
     return {
-        "runs": runs,
+        "runs": RUNS,
         "noise": sigma._asdict(),
         "between_runs_median_mm": MM_PER_M * float(np.median(np.linalg.norm(pos[one] - pos[two], axis=-1))),
         "from_measured_median_mm": MM_PER_M * float(np.median(np.linalg.norm(pos - measured_pos, axis=-1))),
@@ -109,7 +109,7 @@ def friction(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
     return {"published": FRICTION, "halves": told}
 
 
-def calibration(tosses: Tosses, engine: str, members: int = MEMBERS, **how: Any) -> dict[str, Any]:
+def calibration(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
     """How many measured ends lie within the regions that an ensemble predicts, whose starts have the data's errors and
     whose friction is drawn.
 
@@ -119,7 +119,7 @@ def calibration(tosses: Tosses, engine: str, members: int = MEMBERS, **how: Any)
     """
     rng, sigma, begin = np.random.default_rng(SEED + 1), noise(tosses), measured_start(tosses)
     starts = []
-    for _ in range(members):
+    for _ in range(MEMBERS):
         drawn = np.maximum(rng.normal(FRICTION, PRIOR_SIGMA, len(tosses)), 0.0)
         starts.append(perturbed(begin._replace(friction=drawn), sigma, rng))
     pos, faces = _ends(tosses, simulated(tosses, starts, engine, **how))
@@ -129,9 +129,9 @@ def calibration(tosses: Tosses, engine: str, members: int = MEMBERS, **how: Any)
         [_rank(np.vstack([measured_pos[0, toss], pos[:, toss]])) for toss in range(len(tosses))], np.float64
     )
     chance = (faces == measured_faces).mean(axis=0)
-    likeliest = np.array([np.unique(column, return_counts=True)[1].max() / members for column in faces.T])
+    likeliest = np.array([np.unique(column, return_counts=True)[1].max() / MEMBERS for column in faces.T])
     return {
-        "members": members,
+        "members": MEMBERS,
         "friction": [FRICTION, PRIOR_SIGMA],
         "within": {str(region): float((rank <= region).mean()) for region in REGIONS},
         "standard_error": {str(region): float(np.sqrt(region * (1 - region) / len(tosses))) for region in REGIONS},
