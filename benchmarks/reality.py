@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -87,7 +87,7 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
             }
 
 
-def table(results: list[Mapping[str, Any]]) -> str:
+def table(results: Sequence[Mapping[str, Any]]) -> str:
     """The rows of all results as a Markdown table; those that do not hold say so."""
     lines = [
         "| quantity | measured | petmjx | misses by | engine | source | |",

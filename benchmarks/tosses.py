@@ -200,7 +200,7 @@ class Errors(NamedTuple):
 
     def of(self, tosses: NDArray[np.intp]) -> Errors:
         """Those of some tosses."""
-        return Errors(*(values[tosses] for values in self))
+        return Errors(self.right_face[tosses], self.place_mm[tosses], self.path_mm[tosses], self.turn_deg[tosses])
 
 
 def errors(tosses: Tosses, paths: Sequence[Path3]) -> Errors:
@@ -210,8 +210,8 @@ def errors(tosses: Tosses, paths: Sequence[Path3]) -> Errors:
         measured = tosses.path(toss)
         away = np.nan_to_num(np.linalg.norm(path.pos - measured.pos, axis=1), nan=np.inf)
         turns = np.nan_to_num(angle_deg(path.quat, measured.quat), nan=180.0)
-        right = face_up(path.quat[-1]) == face_up(measured.quat[-1])
-        rows.append((right, MM_PER_M * away[-1], MM_PER_M * away.mean(), turns.mean()))
+        same_face = face_up(path.quat[-1]) == face_up(measured.quat[-1])
+        rows.append((same_face, MM_PER_M * away[-1], MM_PER_M * away.mean(), turns.mean()))
     right, *others = zip(*rows, strict=True)
     return Errors(np.array(right), *(np.array(values) for values in others))
 

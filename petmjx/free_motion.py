@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.engines.base import Engine
 from petmjx.loop.opening import ready_engine
-from petmjx.options.carrier import extent_m
+from petmjx.options.carrier import CARRIER_EXTENT_M, OwnCarrier
 from petmjx.options.config import LONGEST_S, Simulation
 from petmjx.options.physics import HIGHEST_FRICTION, Physics
 from petmjx.options.run_options import AUTO
@@ -98,7 +99,7 @@ def release(
     inertia_kg_m2: ArrayLike | None = None,
     friction: ArrayLike | None = None,
     restitution: ArrayLike | None = None,
-    ground: str = PLANE,
+    ground: str | Path = PLANE,
     physics: str | Mapping[str, Any] | Physics = "pallet",
     engine: str | Engine = AUTO,
 ) -> Trajectories:
@@ -163,22 +164,21 @@ def release(
 
 def _options(physics: Any, ground: Any) -> Simulation:
     """Raises InputError: no such physics, or no such ground."""
+    if not isinstance(physics, str | Mapping | Physics):
+        raise InputError(f"physics must be the name of a preset, a table or a record, {got(physics)}")
     sim = Simulation(physics=physics, placing="exact")
-    if isinstance(ground, str) and ground == PLANE:
-        return sim
-    try:
-        sim = sim.changed(carrier=ground)
-    except InputError as error:
-        why = str(error).replace("carrier", "ground", 1).replace("must be ", f"must be {PLANE!r}, ", 1)
-        raise InputError(why) from None
-    if extent_m(sim.carrier) is None:
-        raise InputError(f"ground must be {PLANE!r} or a carrier of a fixed size, {got(ground)}")
-    return sim
+    fixed = [str(carrier) for carrier, extent in CARRIER_EXTENT_M.items() if extent is not None]
+    named = isinstance(ground, str) and ground in (PLANE, *fixed)
+    made = isinstance(ground, Path | OwnCarrier) or (isinstance(ground, str) and ground.lower().endswith(".toml"))
+    if not named and not made:
+        raise InputError(
+            f"ground must be {', '.join(map(repr, (PLANE, *fixed)))} or a TOML file of boards, {got(ground)}"
+        )
+    return sim if ground == PLANE else sim.changed(carrier=ground)
 
 
 def _ground(sim: Simulation, ground: Any, *, smooth: bool) -> Ground:
-    is_plane = isinstance(ground, str) and ground == PLANE
-    made = Ground.plane(sim.physics) if is_plane else Ground.of_carrier(sim)
+    made = Ground.plane(sim.physics) if ground == PLANE else Ground.of_carrier(sim)
     return made.smooth if smooth else made
 
 

@@ -93,7 +93,7 @@ class FreeBodies:
     @property
     def n_boxes(self) -> int:
         """Of each world."""
-        return self.velocity.shape[1]
+        return int(self.velocity.shape[1])
 
     def part(self, worlds: slice) -> FreeBodies:
         """Some of the worlds."""
