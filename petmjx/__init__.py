@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from petmjx.api import score, sweep
     from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
     from petmjx.figures.save import figure
+    from petmjx.free_motion import Trajectories, release
     from petmjx.history import History
     from petmjx.loop.pallets import Pallets
     from petmjx.loop.scorer import Scored, Scorer
@@ -81,6 +82,8 @@ _HOME = {
     "save_plans": "petmjx.plans.write",
     "kpis": "petmjx.rating.kpis",
     "leaderboard": "petmjx.pages.leaderboard.make",
+    "Trajectories": "petmjx.free_motion",
+    "release": "petmjx.free_motion",
     "loads": "petmjx.results.loads",
     "Packed": "petmjx.packing.pack",
     "pack": "petmjx.packing.pack",
@@ -117,6 +120,7 @@ __all__ = [
     "Story",
     "Thresholds",
     "Told",
+    "Trajectories",
     "__version__",
     "compare_packers",
     "compare_runs",
@@ -131,6 +135,7 @@ __all__ = [
     "merge_runs",
     "pack",
     "placement_stability",
+    "release",
     "report",
     "save_plans",
     "score",

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, make_folder, usable
 from petmjx.cli import options as opt
+
+DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data" / "reality"
+"""Where measurements are by default: beside the checkout."""
 
 
 @app.command()
@@ -214,3 +218,38 @@ def packers(
             for name, row in line[part].items():
                 print(f"{line['source']}: {name}: {row}")
         print(line["from_best_to_worst"], line["as_many_boxes_as_balanced"])
+
+
+@app.command()
+def reality(
+    data: Annotated[
+        Path, typer.Option(metavar="PATH", help="Folder with the file of tosses, or that file itself.")
+    ] = DATA,
+    part: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this part; repeatable.")] = None,
+    engine: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Engine; repeatable.")] = None,
+    tosses: Annotated[int | None, typer.Option(metavar="N", min=8, help="Only the first N tosses.")] = None,
+    write: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Markdown file whose table is replaced; else printed.")
+    ] = None,
+    out: Out = DEFAULT_OUT,
+) -> None:
+    """What was measured, what petmjx says, and by how much it misses (docs/reality-measured.md)."""
+    from benchmarks.reality import BEGIN, END, PARTS, TOSSES, gallery, present, table
+    from benchmarks.record import append_line
+    from benchmarks.table import write_between_markers
+    from petmjx.engines.choose import check_options
+
+    engines = engine or ["mujoco"]
+    for name in engines:
+        check_options(name)
+    all_parts = {TOSSES: "", **PARTS}
+    parts = known(part or [name for name in all_parts if present(name)], all_parts, "part")
+    results = []
+    for result in gallery(parts, engines, data, tosses):
+        append_line(out, result)
+        results.append(result)
+        print(f"{result['case']}, {result['engine']}: {len(result['rows'])} rows", file=sys.stderr, flush=True)
+    if write is None:
+        print(table(results))
+    else:
+        write_between_markers(write, table(results), BEGIN, END)

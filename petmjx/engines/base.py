@@ -9,9 +9,11 @@ from typing import Protocol, runtime_checkable
 
 from petmjx.basics.errors import InputError
 from petmjx.basics.machine import device_name
+from petmjx.basics.units import FloatArray
 from petmjx.engines.open import MOST_BOXES, OpenWorlds
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
+from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -136,6 +138,18 @@ class Engine(Simulates, Protocol):
             ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
         """
         raise InputError(f"engine {self.name} has no worlds that stay open; mujoco, mjx-warp and mjx-warp-cpu have")
+
+    def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
+        """Boxes that are let go, in worlds without rules and with the contacts and steps of all others.
+
+        Returns:
+            (n, s, k, 7) their places, m, and orientations after each of ``bodies.steps``; NaN from where on a world's
+            numbers are not finite, or its buffers are too small.
+
+        Raises:
+            InputError: this engine cannot.
+        """
+        raise InputError(f"engine {self.name} lets no boxes go; mujoco, mjx-warp, mjx-warp-cpu and mjx-jax do")
 
     def retire(self) -> None:
         """Nothing is run any more: begin to free what is held between runs, such as workers. Returns at once."""

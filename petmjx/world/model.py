@@ -179,7 +179,7 @@ def _declare_pairs(
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
     """The shapes of each body and the floor; ``held``: the carrier is clamped."""
-    found = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)]}
+    found = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)
     rows = zip(shapes.body.tolist(), shapes.friction.tolist(), shapes.surface.tolist(), faces, strict=True)

@@ -26,6 +26,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"packing"}),
     frozenset({"show", "pages", "pictures", "figures"}),
     frozenset({"loop"}),
+    frozenset({"free_motion"}),
     frozenset({"gym", "jax"}),
     frozenset({"cli", "__main__"}),
 )

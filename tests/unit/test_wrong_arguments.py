@@ -54,6 +54,15 @@ BOXES: dict[str, Any] = {
     "mass_kg": [6, 6],
 }
 QUICK: dict[str, Any] = {"engine": "mujoco", "check": "static", "duration_s": 0.01, "threads": 1}
+RELEASED: dict[str, Any] = {
+    "size_mm": [400, 300, 200],
+    "mass_kg": 6,
+    "pos_m": [[0, 0, 0.2]],
+    "quat_wxyz": [1, 0, 0, 0],
+    "vel_m_s": [0, 0, 0],
+    "angvel_rad_s": [0, 0, 0],
+    "times_s": [0.01],
+}
 FIELDS = {name: getattr(make_plan("A"), name) for name in inspect.signature(petmjx.Plan).parameters}
 
 
@@ -94,6 +103,11 @@ CALLS: dict[str, tuple[Callable[..., Any], dict[str, Any], list[str]]] = {
         petmjx.kpis,
         {"plans": make_plan("A"), "orders": "none.json"},
         ["plans", "orders", "run", "strict", "assume_stable"],
+    ),
+    "release": (
+        petmjx.release,
+        RELEASED,
+        [*RELEASED, "inertia_kg_m2", "friction", "restitution", "ground", "physics", "engine"],
     ),
     "generate": (generate, {"n": 1, "seed": 0}, ["n", "seed", "loose_share", "packer", "workers"]),
     "write_samples": (write_samples, {"path": "b.json", "n": 1, "seed": 0}, ["path", "n", "seed", "packer"]),
@@ -148,6 +162,10 @@ def test_strange_arguments_are_one_line(seed: int) -> None:
         ("from_boxes", "boxes", 3, "plan A: boxes must be a list of dictionaries, got 3"),
         ("load_plans", "strict", "yes", "strict must be true or false, got 'yes'"),
         ("save_plans", "path", "", "path must be a path, got ''"),
+        ("release", "size_mm", "big", "size_mm must be an array of numbers, got 'big'"),
+        ("release", "ground", 3, "ground must be 'plane', 'euro-pallet', 'rollcontainer', 'epal-1', 'gma-48x40', "
+         "'pet-eur', 'rollcontainer-grid' or a TOML file of boards, got 3"),
+        ("release", "times_s", 3, "times_s must have the shape (n), got ()"),
         ("generate", "n", 10**9, "n must be at most 200,000, got 1000000000"),
         ("generate", "n", 2.0, "n must be a whole number, got 2.0"),
     ],

@@ -12,7 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Engine, Progress, RunLock
+from petmjx.engines.batch.free_bodies import paths
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import outcomes
 from petmjx.engines.batch.padded import PaddedModel
@@ -25,6 +27,7 @@ from petmjx.engines.batch.upload import GRANULE, Batch, is_out_of_memory, load, 
 from petmjx.engines.batch.worlds import uploaded
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome
+from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Job
 
 MOST_WORLDS = 256
@@ -93,6 +96,11 @@ class MjxJaxEngine(Engine):
         """The padded model for worlds of up to so many boxes."""
         return PaddedModel(capacity, boards, sim, held=held)
 
+    def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
+        """As in the protocol, as many worlds at a time as in a batch."""
+        with self._running:
+            return paths(bodies, without_skin(sim), self.lanes)
+
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once. The outcomes of a batch come together. If memory runs out, batches are halved.
 
@@ -101,7 +109,7 @@ class MjxJaxEngine(Engine):
         """
         if not jobs:
             return
-        sim = sim.changed(physics=sim.physics.changed(skin_m=0.0))
+        sim = without_skin(sim)
         progress = progress or Progress()
         most = self.lanes
         with self._running:
@@ -183,6 +191,11 @@ class MjxJaxEngine(Engine):
             self.programs[key] = Program(model, chunk)
             progress.compile_s += time.perf_counter() - begin
         return self.programs[key]
+
+
+def without_skin(sim: Simulation) -> Simulation:
+    """These options with boxes that have no skin."""
+    return sim.changed(physics=sim.physics.changed(skin_m=0.0))
 
 
 def alike_jobs(jobs: Sequence[Job]) -> list[list[int]]:

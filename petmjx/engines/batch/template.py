@@ -55,6 +55,7 @@ def padded_template(
     replace.
 
     Args:
+        boards: 0: nothing touches the carrier.
         held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one; it stands where its
             world's data say.
     """
@@ -73,7 +74,8 @@ def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
     """Boxes that wait in the air. Its inertia is explicit: MuJoCo would else sort the principal axes, and worlds could
     not write theirs in the order of a box's axes."""
     half, place = np.tile([0.15, 0.15, 0.1], (capacity, 1)), np.array(parked_positions(capacity), np.float64)
-    board = np.tile([0.4, 0.3, physics.carrier_half_height_m], (boards, 1))
+    solid = np.array([0.4, 0.3, physics.carrier_half_height_m])
+    board = np.tile(solid, (boards, 1))
     aloft = np.array([0.0, 0.0, PARKING_HEIGHT_M])
     friction = np.tile(physics.carrier_friction, (boards, 1))
     return Scene(
@@ -83,7 +85,7 @@ def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
         start_pos=place,
         start_quat=np.tile(IDENTITY_QUAT, (capacity, 1)),
         friction=np.tile(physics.box_friction, (capacity, 1)),
-        carrier=Body(aloft, physics.carrier_mass_kg, board, np.zeros((boards, 3)), friction, board[0]),
+        carrier=Body(aloft, physics.carrier_mass_kg, board, np.zeros((boards, 3)), friction, solid),
         floor_friction=physics.floor_friction,
         floor_z=physics.floor_z_m,
         inertia_box=half,

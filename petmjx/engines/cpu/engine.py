@@ -9,7 +9,9 @@ from typing import Final
 
 from petmjx.basics.machine import cpu_threads, device_name
 from petmjx.basics.text import one_line
+from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Engine, Progress
+from petmjx.engines.cpu.free_bodies import paths
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_worlds import MujocoWorlds
 from petmjx.engines.cpu.world import Cancelled, WorldRun
@@ -17,6 +19,7 @@ from petmjx.engines.failing import failed_outcome
 from petmjx.engines.open import MOST_BOXES
 from petmjx.options.config import Simulation
 from petmjx.verdict import Outcome
+from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -50,6 +53,10 @@ class MujocoEngine(Engine):
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
         """As in the protocol, on this engine's threads, with room for any number of boxes."""
         return MujocoWorlds(scenes, sim, self.threads)
+
+    def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
+        """As in the protocol, on this engine's threads."""
+        return paths(bodies, sim, self.threads)
 
     @property
     def device(self) -> str:

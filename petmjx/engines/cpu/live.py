@@ -23,7 +23,7 @@ from petmjx.verdict import Flag
 from petmjx.world.model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
 from petmjx.world.placing import Course, course_of, free_begin, most_aside_m, reach, way_steps
 from petmjx.world.release import Release, release_of
-from petmjx.world.scene import Scene
+from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 GROWTH_BLOCK = 8
 """Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a new compilation about 1 ms.
@@ -62,6 +62,7 @@ class LiveWorld:
 
     Args:
         templates: for worlds that stay open, whose models are filled in instead of compiled.
+        held: the carrier is clamped there from the beginning.
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
@@ -77,13 +78,14 @@ class LiveWorld:
         n_boxes: int = 0,
         shaken: bool = False,
         templates: Templates | None = None,
+        held: HeldCarrier | None = None,
     ) -> None:
         self.scene = scene
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self._sim = sim
         self._shaken = shaken
         self._templates = templates
-        self._held: HeldCarrier | None = None
+        self._held = held
         self.n_placed = n_boxes
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
@@ -371,6 +373,14 @@ class LiveWorld:
         """A world with all its boxes, in the state that another world has reached, for a drive."""
         live = cls(scene, sim, n_boxes=len(state.pose) - 1, shaken=True)
         live._restore(state, time_s)
+        return live
+
+    @classmethod
+    def let_go(cls, scene: Scene, sim: Simulation, velocity: FloatArray) -> LiveWorld:
+        """A world whose carrier is clamped, and whose boxes are at their start with (n, 6) these velocities."""
+        held = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT))
+        live = cls(scene, sim, n_boxes=scene.n_boxes, held=held)
+        live._velocities[live._row] = velocity
         return live
 
     def _restore(self, state: BodyState, time_s: float) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import why_no_warp
+from petmjx.basics.units import FloatArray
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock
 from petmjx.engines.batch.picked import pick, prepare_pick
@@ -23,6 +24,7 @@ from petmjx.engines.warp.ahead import Ahead
 from petmjx.engines.warp.course import Begun, Course
 from petmjx.engines.warp.fleets import Fleets
 from petmjx.engines.warp.frames import hand_over, pick_frames
+from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.group import Group, Run
 from petmjx.engines.warp.groups import Groups
 from petmjx.engines.warp.handover import Left
@@ -35,6 +37,7 @@ from petmjx.engines.warp.rollout import Rollout
 from petmjx.engines.warp.rounds import Round, outcomes_of
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome
+from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -113,6 +116,11 @@ class MjxWarpEngine(Engine):
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
         """As in the protocol."""
         return WarpWorlds(scenes, sim, most_boxes)
+
+    def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
+        """As in the protocol."""
+        with self._running:
+            return paths(bodies, sim, self._blocks, self.slice_ns, self.group_size)
 
     def _drop(self) -> None:
         """Free the memory of the rollouts that are kept."""

@@ -1,0 +1,208 @@
+"""A gallery of measurements: what was measured, what petmjx says, and by how much it misses (docs/reality-measured.md).
+
+``rows`` of a part are what the page shows, ``study`` of the tosses what its text quotes. Measured figures are those of
+the sources named beside them; no data file is part of the repository.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from benchmarks.record import environment
+from benchmarks.toss_study import calibration, compared, friction, spread
+from benchmarks.tosses import read_tosses
+
+BEGIN: Final = "<!-- measured: begin (made by python -m benchmarks reality) -->"
+END: Final = "<!-- measured: end -->"
+
+PARTS: Final = {
+    "friction": "benchmarks.real_friction",
+    "landings": "benchmarks.landings",
+    "rocking": "benchmarks.rocking",
+    "soft columns": "benchmarks.soft_columns",
+}
+"""Part of the gallery → the module with its ``rows(engine)``. The tosses, which need data, are not among them."""
+
+TOSSES: Final = "tosses"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of the gallery.
+
+    Attributes:
+        quantity: what was measured.
+        source: who measured it, and where it is published.
+        measured: its value with unit.
+        petmjx: what petmjx says, with unit.
+        miss: by how much petmjx misses, with unit.
+        engine: that said it.
+        note: what one should know; "" if nothing.
+        holds: whether petmjx is as near as it is meant to be; None: that is not said.
+    """
+
+    quantity: str
+    source: str
+    measured: str
+    petmjx: str
+    miss: str
+    engine: str
+    note: str = ""
+    holds: bool | None = None
+
+
+def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None = None) -> Iterator[dict[str, Any]]:
+    """A result for each part and engine, with its rows.
+
+    Args:
+        parts: names of ``PARTS``, or ``TOSSES``.
+        data: the folder of measurements, or the file of the tosses.
+        limit: only so many tosses.
+
+    Raises:
+        InputError: the tosses are not there.
+    """
+    for part in parts:
+        for number, engine in enumerate(engines):
+            told: dict[str, Any] = {}
+            if part == TOSSES:
+                # what the data tell of friction and of confidence is asked of one engine
+                told, rows = _tosses(data, limit, engine, whole=number == 0)
+            else:
+                module = importlib.import_module(PARTS[part])
+                find: Callable[[str], Iterator[Row]] = module.rows
+                rows = list(find(engine))
+            yield {
+                "case": f"reality-{part.replace(' ', '-')}",
+                "group": "reality",
+                "engine": engine,
+                "rows": [asdict(row) for row in rows],
+                **told,
+                **environment(),
+            }
+
+
+def table(results: Sequence[Mapping[str, Any]]) -> str:
+    """The rows of all results as a Markdown table; those that do not hold say so."""
+    lines = [
+        "| quantity | measured | petmjx | misses by | engine | source | |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    words = {True: "holds", False: "**fails**", None: ""}
+    for result in results:
+        for values in result["rows"]:
+            row = Row(**values)
+            note = ": ".join(filter(None, (words[row.holds], row.note)))
+            cells = (row.quantity, row.measured, row.petmjx, row.miss, f"`{row.engine}`", row.source, note)
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def present(part: str) -> bool:
+    """Whether a part's module is there."""
+    return part == TOSSES or importlib.util.find_spec(PARTS[part]) is not None
+
+
+_CUBE: Final = "ContactNets cube (DAIRLab, CoRL 2020)"
+_RIGHT_FACE: Final = 0.835
+_PLACE_MM: Final = 24.0
+_PATH_MM: Final = 15.0
+_FRICTION_WITHIN: Final = 0.02
+"""What tosses are meant to reach: MuJoCo's own contacts reach 84 %, 25 mm and 15 mm on all 570."""
+_LEAST_P: Final = 0.01
+"""Of a test below which two distributions differ."""
+_NAMES: Final = {
+    "way_mm": ("way along the ground", "mm"),
+    "turn_deg": ("total turn", "°"),
+    "duration_s": ("time to rest", "s"),
+}
+
+
+def _tosses(data: Path, limit: int | None, engine: str, *, whole: bool) -> tuple[dict[str, Any], list[Row]]:
+    tosses = read_tosses(data, limit)
+    n = len(tosses)
+    told: dict[str, Any] = {"tosses": compared(tosses, engine)}
+    rows = list(_rows_of_errors(told["tosses"], n, engine))
+    if whole:
+        told |= {"spread": spread(tosses, engine), "friction": friction(tosses, engine)}
+        told["calibration"] = calibration(tosses, engine)
+        rows += _rows_of_spread(told["spread"], engine)
+        rows += _rows_of_friction(told["friction"], engine)
+        rows += _rows_of_calibration(told["calibration"], engine)
+    return told, rows
+
+
+def _rows_of_errors(found: Mapping[str, Any], n: int, engine: str) -> Iterator[Row]:
+    face, place, path = found["right_face"], found["place_median_mm"], found["path_mean_mm"]
+    yield Row(
+        f"{n} tosses: face that is up at the end", _CUBE, f"{n} of {n}", f"{face:.1%} right", f"{1 - face:.1%}", engine,
+        f"meant: {_RIGHT_FACE:.1%}", face >= _RIGHT_FACE,
+    )  # fmt: skip
+    yield Row(
+        f"{n} tosses: place at the end", _CUBE, "by camera", "–", f"{place:.1f} mm in the median", engine,
+        f"meant: {_PLACE_MM:g} mm", place <= _PLACE_MM,
+    )  # fmt: skip
+    yield Row(
+        f"{n} tosses: place and orientation along the path", _CUBE, "by camera", "–",
+        f"{path:.1f} mm, {found['turn_mean_deg']:.1f}° in the mean", engine, f"meant: {_PATH_MM:g} mm",
+        path <= _PATH_MM,
+    )  # fmt: skip
+    for name, test in found["distributions"].items():
+        words, unit = _NAMES[name]
+        ours, theirs = test["petmjx_median"], test["measured_median"]
+        yield Row(
+            f"{n} tosses: distribution of {words}", _CUBE, f"median {theirs:.3g} {unit}", f"median {ours:.3g} {unit}",
+            f"KS distance {test['ks']:.2f}, p = {test['p']:.2g}", engine, "two-sample Kolmogorov–Smirnov test",
+            test["p"] >= _LEAST_P,
+        )  # fmt: skip
+
+
+def _rows_of_spread(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
+    runs = found["runs"]
+    yield Row(
+        f"ends of {runs} runs whose starts differ as the data are uncertain", _CUBE,
+        f"{found['from_measured_median_mm']:.1f} mm from the measured end",
+        f"{found['between_runs_median_mm']:.1f} mm from each other",
+        f"{found['from_measured_median_mm'] / found['between_runs_median_mm']:.1f} times", engine,
+        "medians; a perfect model of a perfect cube has the same in both",
+    )  # fmt: skip
+    measured, runs_agree = found["same_face_as_measured"], found["same_face_between_runs"]
+    yield Row(
+        "the same face up", _CUBE, f"{measured:.1%} of runs and the camera", f"{runs_agree:.1%} of two runs",
+        f"{runs_agree - measured:.1%}", engine,
+    )  # fmt: skip
+
+
+def _rows_of_friction(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
+    for half in found["halves"]:
+        other, miss = half["errors_of_other_half"], half["friction"] - found["published"]
+        yield Row(
+            "friction found from half of the tosses", _CUBE, f"{found['published']}", f"{half['friction']}",
+            f"{abs(miss):.2f}", engine,
+            f"the other half then: {other['right_face']:.1%} right, {other['place_median_mm']:.1f} mm, "
+            f"path {other['path_mean_mm']:.1f} mm",
+            abs(miss) <= _FRICTION_WITHIN + 1e-9,
+        )  # fmt: skip
+
+
+def _rows_of_calibration(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
+    mu, sigma = found["friction"]
+    for region, share in found["within"].items():
+        asked, error = float(region), found["standard_error"][region]
+        yield Row(
+            f"measured ends within the region of {asked:.0%} of {found['members']} draws", _CUBE, f"{share:.1%}",
+            f"{asked:.0%}", f"{abs(share - asked):.1%}", engine,
+            f"friction {mu} ± {sigma}, starts as uncertain as the data; by chance ± {error:.1%}",
+            abs(share - asked) <= 3 * error,
+        )  # fmt: skip
+    chance, likeliest = found["chance_of_measured_face"], found["chance_of_members_face"]
+    yield Row(
+        "chance of the face that is up, as the draws have it", _CUBE, f"{chance:.1%} of draws show the measured face",
+        f"{likeliest:.1%} show each other's", f"{likeliest - chance:.1%}", engine,
+        "as much surer of the face than it may be",
+    )  # fmt: skip

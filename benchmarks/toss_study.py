@@ -1,0 +1,153 @@
+"""What petmjx says of the tosses of a cube: errors beside the spread of perturbed starts, friction, calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.tosses import (
+    FRICTION,
+    Path3,
+    Tosses,
+    Whole,
+    errors,
+    face_up,
+    measured_start,
+    noise,
+    perturbed,
+    simulated,
+    wholes,
+)
+from petmjx.basics.units import MM_PER_M, FloatArray
+
+RUNS: Final = 16
+"""Perturbed starts of each toss."""
+
+MEMBERS: Final = 32
+"""Of the ensemble whose regions are looked at: a region of 50 or 90 % is known to 3 %."""
+
+PRIOR_SIGMA: Final = 0.02
+"""Standard deviation of the friction of the ensemble: that with which one half of the tosses tells it."""
+
+FRICTIONS: Final = tuple(round(0.12 + 0.01 * k, 2) for k in range(13))
+"""Grid on which friction is sought."""
+
+SEED: Final = 20
+REGIONS: Final = (0.5, 0.9)
+
+
+def _ends(tosses: Tosses, runs: Sequence[Sequence[Path3]]) -> tuple[FloatArray, NDArray[np.int64]]:
+    """(run, n, 2) places on the ground at the last samples, m, and (run, n) faces that are up then."""
+    pos = np.array([[path.pos[-1, :2] for path in paths] for paths in runs])
+    faces = np.array([[face_up(path.quat[-1]) for path in paths] for paths in runs])
+    return pos, faces
+
+
+def _measured(tosses: Tosses) -> list[Path3]:
+    return [tosses.path(toss) for toss in range(len(tosses))]
+
+
+def compared(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
+    """Errors of each toss, and distributions that need not be met toss by toss: their medians, and the probability by
+    the Kolmogorov–Smirnov test of two samples that both come from one distribution."""
+    from scipy.stats import ks_2samp
+
+    (paths,) = simulated(tosses, [measured_start(tosses)], engine, **how)
+    ours, theirs = wholes(paths, tosses.rate_hz), wholes(_measured(tosses), tosses.rate_hz)
+    tests = {}
+    for name in Whole._fields:
+        test = ks_2samp(getattr(ours, name), getattr(theirs, name))
+        tests[name] = {
+            "measured_median": float(np.median(getattr(theirs, name))),
+            "petmjx_median": float(np.median(getattr(ours, name))),
+            "ks": float(test.statistic),
+            "p": float(test.pvalue),
+        }
+    return {"tosses": len(tosses), **errors(tosses, paths).summary, "distributions": tests}
+
+
+def spread(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
+    """Runs from starts perturbed by the data's own errors: how far apart two of them end, beside how far they end from
+    what was measured. A perfect model of a perfect cube has the same numbers in both."""
+    rng, sigma, begin = np.random.default_rng(SEED), noise(tosses), measured_start(tosses)
+    starts = [perturbed(begin, sigma, rng) for _ in range(RUNS)]
+    found = simulated(tosses, starts, engine, **how)
+    pos, faces = _ends(tosses, found)
+    measured_pos, measured_faces = _ends(tosses, [_measured(tosses)])
+    one, two = np.triu_indices(RUNS, 1)
+    return {
+        "runs": RUNS,
+        "noise": sigma._asdict(),
+        "between_runs_median_mm": MM_PER_M * float(np.median(np.linalg.norm(pos[one] - pos[two], axis=-1))),
+        "from_measured_median_mm": MM_PER_M * float(np.median(np.linalg.norm(pos - measured_pos, axis=-1))),
+        "same_face_between_runs": float((faces[one] == faces[two]).mean()),
+        "same_face_as_measured": float((faces == measured_faces).mean()),
+    }
+
+
+def friction(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
+    """The friction at which the median error of the place at the end is least, from every second toss, and the errors
+    of the other tosses with that friction; then the other way round."""
+    count = len(tosses)
+    starts = [measured_start(tosses, each) for each in FRICTIONS]
+    found = [errors(tosses, paths) for paths in simulated(tosses, starts, engine, **how)]
+    halves = np.arange(0, count, 2), np.arange(1, count, 2)
+    told = []
+    for half, other in (halves, halves[::-1]):
+        medians = [float(np.median(each.place_mm[half])) for each in found]
+        best = int(np.argmin(medians))
+        told.append(
+            {
+                "friction": FRICTIONS[best],
+                "medians_mm": dict(zip(map(str, FRICTIONS), medians, strict=True)),
+                "errors_of_other_half": found[best].of(other).summary,
+            }
+        )
+    return {"published": FRICTION, "halves": told}
+
+
+def calibration(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
+    """How many measured ends lie within the regions that an ensemble predicts, whose starts have the data's errors and
+    whose friction is drawn.
+
+    Of the ensemble's ends and the measured one, each has a mean distance to all others. The measured end is within
+    the region of 50 % if its own is among the least 50 %. If it were a member of the ensemble, exactly 50 % would be,
+    whatever the form of the distribution (conformal prediction).
+    """
+    rng, sigma, begin = np.random.default_rng(SEED + 1), noise(tosses), measured_start(tosses)
+    starts = []
+    for _ in range(MEMBERS):
+        drawn = np.maximum(rng.normal(FRICTION, PRIOR_SIGMA, len(tosses)), 0.0)
+        starts.append(perturbed(begin._replace(friction=drawn), sigma, rng))
+    pos, faces = _ends(tosses, simulated(tosses, starts, engine, **how))
+    pos = pos + rng.normal(0.0, sigma.pos_m, pos.shape)  # as a camera would see them
+    measured_pos, measured_faces = _ends(tosses, [_measured(tosses)])
+    rank = np.array(
+        [_rank(np.vstack([measured_pos[0, toss], pos[:, toss]])) for toss in range(len(tosses))], np.float64
+    )
+    chance = (faces == measured_faces).mean(axis=0)
+    likeliest = np.array([np.unique(column, return_counts=True)[1].max() / MEMBERS for column in faces.T])
+    return {
+        "members": MEMBERS,
+        "friction": [FRICTION, PRIOR_SIGMA],
+        "within": {str(region): float((rank <= region).mean()) for region in REGIONS},
+        "standard_error": {str(region): float(np.sqrt(region * (1 - region) / len(tosses))) for region in REGIONS},
+        "chance_of_measured_face": float(chance.mean()),
+        "chance_of_members_face": float(np.mean([_same(column) for column in faces.T])),
+        "chance_of_likeliest_face": float(likeliest.mean()),
+    }
+
+
+def _rank(points: FloatArray) -> float:
+    """The share of points (m, 2) that are no farther from the others than the first one is, itself among them."""
+    distance = np.linalg.norm(points[:, None] - points, axis=-1).mean(axis=1)
+    return float((distance <= distance[0]).mean())
+
+
+def _same(faces: NDArray[np.int64]) -> float:
+    """How likely two different members have the same face up."""
+    _, counts = np.unique(faces, return_counts=True)
+    return float((counts * (counts - 1)).sum() / (len(faces) * (len(faces) - 1)))

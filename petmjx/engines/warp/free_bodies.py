@@ -1,0 +1,154 @@
+"""Boxes that are let go, on the kernels of mjx-warp: its steps, with rules that never end a world or act on it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import warp as wp
+from jaxtyping import Array, Int
+from numpy.typing import NDArray
+
+from petmjx.basics.units import FloatArray
+from petmjx.engines.batch.free_states import let_go
+from petmjx.engines.batch.state import NEVER, State, Status, of_flat
+from petmjx.engines.batch.timetable import build_timetable
+from petmjx.engines.batch.upload import round_up
+from petmjx.engines.batch.worlds import Worlds
+from petmjx.engines.warp import records
+from petmjx.engines.warp.few import fleet_for_few
+from petmjx.engines.warp.frames import FRAMES_PER_BLOCK, MOST_BYTES, pick_frames
+from petmjx.engines.warp.group import MAX_GROWTH
+from petmjx.engines.warp.launch import FEW_BOXES, Launch
+from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, Fleet, March
+from petmjx.engines.warp.programs import constants
+from petmjx.engines.warp.records import FrameBuffer
+from petmjx.options.config import Simulation
+from petmjx.world.free_bodies import FreeBodies
+
+_NO_RULES: Final[dict[str, Any]] = {
+    "fixed": 1,
+    "waits_for_rest": 0,
+    "extends": 0,
+    "early_stop": 0,
+    "sample_every": NEVER,
+}
+"""Constants of the kernels with which a driven world goes on to its last step whatever its boxes do."""
+
+
+def paths(
+    bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launch], int], slice_ns: int, group_size: int
+) -> FloatArray:
+    """As ``petmjx.engines.base.Engine.paths``.
+
+    Args:
+        blocks: thread blocks of a launch.
+        slice_ns: time of a call, ns.
+        group_size: worlds whose states are on the device at the same time.
+    """
+    n = len(bodies.scenes)
+    parts = [
+        _paths_of_group(bodies.part(slice(begin, begin + group_size)), sim, blocks, slice_ns)
+        for begin in range(0, n, group_size)
+    ]
+    return np.concatenate(parts)
+
+
+def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launch], int], slice_ns: int) -> FloatArray:
+    n, k, steps = len(bodies.scenes), bodies.n_boxes, bodies.steps
+    poses = np.full((n, len(steps), k, 7), np.nan)
+    if steps[0] == 0:
+        poses[:, 0] = bodies.pose
+    if steps[-1] == 0:
+        return poses
+    rows, width = 1 << (n - 1).bit_length(), round_up(k)
+    boards = len(bodies.scenes[0].carrier.half_size)
+    worlds, state = let_go(bodies, sim, rows, width)
+    order = jnp.where(jnp.arange(rows) < n, jnp.arange(rows), -1).astype(jnp.int32)[None]
+    every = np.zeros(rows, np.int32)
+    every[:n] = math.gcd(*steps.tolist())
+    growth = 1
+    program = _program(sim, _fleet(blocks, width, k, boards, n, growth), slice_ns)
+    workspace = program.march.workspace()
+    frames = _room(every, width, program.march.lanes)
+    while True:
+        state, workspace, frames = program.slice(state, workspace, worlds, order, frames)
+        _collect(frames, steps, poses)
+        frames["used"] = jnp.zeros(1, jnp.int32)
+        status = np.asarray(state.status)[:n]
+        overflowed = status == Status.OVERFLOWED
+        if overflowed.any() and growth < MAX_GROWTH:
+            growth *= 2
+            program = _program(sim, _fleet(blocks, width, k, boards, n, growth), slice_ns)
+            workspace = program.march.workspace()
+            state = state._replace(status=jnp.where(state.status == Status.OVERFLOWED, Status.RUNNING, state.status))
+        elif not (status == Status.RUNNING).any():
+            return poses
+
+
+class _Program:
+    """A time slice as a jitted program."""
+
+    def __init__(self, sim: Simulation, fleet: Fleet, slice_ns: int) -> None:
+        timetable = build_timetable(sim, fleet.n_boxes)
+        # as many iterations as the solver needs, also of boxes that slide
+        known = constants(sim, timetable)
+        known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
+        self.march = March(known, [fleet], slice_ns)
+        self.march.load()
+        self.slice = jax.jit(self._slice)
+
+    def _slice(
+        self,
+        state: State,
+        workspace: jax.Array,
+        worlds: Worlds,
+        order: Int[Array, "queue world"],
+        frames: dict[str, jax.Array],
+    ) -> tuple[State, jax.Array, dict[str, jax.Array]]:
+        flat = worlds._asdict() | {"profiles": jnp.zeros((1, 1, 3)), "order": order}
+        after, workspace, frames, _ = self.march(flat, state.flat(), workspace, frames)
+        return of_flat(after), workspace, frames
+
+
+@functools.lru_cache(8)
+def _program(sim: Simulation, fleet: Fleet, slice_ns: int) -> _Program:
+    return _Program(sim, fleet, slice_ns)
+
+
+def _fleet(blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int) -> Fleet:
+    """Thread blocks for worlds of k boxes: of many worlds a warp each if there are enough of them."""
+    launch = Launch.here(width)
+    shapes = growth * (width + MORE_BOXES) + boards - 1
+    fleet = Fleet(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+    few = fleet_for_few(fleet, worlds) if k <= FEW_BOXES.most_boxes else None
+    return fleet if few is None else replace(few, n_boxes=width, least=0)
+
+
+def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:
+    """Empty room for frames."""
+    of_one = records.array_shapes(FrameBuffer, {"frame": 1, "box": width, "world": 0})
+    words = sum(math.prod(shape) for shape in of_one.values())
+    count = max(MOST_BYTES // (4 * words), FRAMES_PER_BLOCK * lanes)
+    shapes = records.array_shapes(FrameBuffer, {"frame": count, "box": width, "world": len(every)})
+    kinds = records.array_types(FrameBuffer)
+    room = {name: np.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}
+    room["every"][:] = every
+    placed: dict[str, jax.Array] = jax.device_put(room)
+    return placed
+
+
+def _collect(frames: dict[str, jax.Array], steps: NDArray[np.int32], poses: FloatArray) -> None:
+    """Write the frames of a slice that were asked for into (n, s, k, 7) poses."""
+    firsts, used = pick_frames(frames)
+    world, step, pose = (np.asarray(firsts[name])[:used] for name in ("of", "step", "pose"))
+    pose = pose[:, : poses.shape[2]]
+    column = np.minimum(np.searchsorted(steps, step), len(steps) - 1)
+    asked = (steps[column] == step) & np.isfinite(pose).all(axis=(1, 2))
+    poses[world[asked], column[asked]] = pose[asked]

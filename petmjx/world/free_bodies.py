@@ -1,0 +1,117 @@
+"""Boxes that are let go with any pose and velocity, in worlds without rules: what ``petmjx.release`` simulates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.basics.units import FloatArray
+from petmjx.options.carrier import extent_m
+from petmjx.options.config import Simulation
+from petmjx.options.physics import Physics
+from petmjx.world.body import Body
+from petmjx.world.carriers import body_of, floor_z_m, pallet
+from petmjx.world.scene import Scene
+
+_BURIED_M: Final = -100.0
+"""Where the carrier is that every scene has, if the ground is a plane: so deep below it that no box comes near. It is
+held there, so that the floor does not push it out."""
+
+_BURIED_HALF_M: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """What boxes fall on, with its top at z = 0. It is held fast.
+
+    Attributes:
+        carrier: that of a scene.
+        floor_z: height of the floor, m.
+        friction: the floor's sliding, torsional and rolling coefficients.
+        is_plane: boxes touch the floor alone.
+    """
+
+    carrier: Body
+    floor_z: float
+    friction: tuple[float, float, float]
+    is_plane: bool
+
+    @classmethod
+    def plane(cls, physics: Physics) -> Ground:
+        """An infinite plane, with the friction of carriers."""
+        place, half = np.array([0.0, 0.0, _BURIED_M]), np.full(3, _BURIED_HALF_M)
+        buried = Body.solid(place, half, physics.carrier_mass_kg, physics.carrier_friction)
+        return cls(buried, 0.0, physics.carrier_friction, is_plane=True)
+
+    @classmethod
+    def of_carrier(cls, sim: Simulation) -> Ground:
+        """The carrier of these options, its front-left corner at the origin, as in plans.
+
+        Raises:
+            ValueError: its extent depends on the plan.
+        """
+        physics, boards, extent = sim.physics, pallet(sim.carrier), extent_m(sim.carrier)
+        if extent is None:
+            raise ValueError("its extent depends on the plan")
+        if boards is not None:
+            body = body_of(boards, physics)
+        else:
+            half = np.array([extent[0] / 2, extent[1] / 2, physics.carrier_half_height_m])
+            body = Body.solid(half * (1, 1, -1), half, physics.carrier_mass_kg, physics.carrier_friction)
+        return cls(body, floor_z_m(sim), physics.floor_friction, is_plane=False)
+
+    @property
+    def smooth(self) -> Ground:
+        """The ground with a sliding friction of 0, so that of two coefficients, of which the larger counts, it is the
+        boxes'."""
+        friction = self.carrier.friction.copy()
+        friction[:, 0] = 0.0
+        return replace(
+            self, carrier=replace(self.carrier, friction=friction), friction=(0.0, self.friction[1], self.friction[2])
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class FreeBodies:
+    """Worlds of as many boxes each, and when one looks at them.
+
+    Attributes:
+        scenes: n worlds; their boxes are let go at ``start_pos``, turned by ``start_quat``; their carriers are held.
+        velocity: (n, k, 6) m/s along the world's axes, and rad/s about the boxes' own.
+        steps: (s,) rising numbers of steps after which poses are looked at; 0: as boxes are let go.
+        on_plane: boxes touch the floor alone: engines need not look at the carrier.
+    """
+
+    scenes: tuple[Scene, ...]
+    velocity: FloatArray
+    steps: NDArray[np.int32]
+    on_plane: bool
+
+    @property
+    def n_boxes(self) -> int:
+        """Of each world."""
+        return int(self.velocity.shape[1])
+
+    def part(self, worlds: slice) -> FreeBodies:
+        """Some of the worlds."""
+        return replace(self, scenes=self.scenes[worlds], velocity=self.velocity[worlds])
+
+    @property
+    def pose(self) -> FloatArray:
+        """(n, k, 7) where boxes are let go, m, and quaternions (w, x, y, z)."""
+        return np.array([np.hstack([scene.start_pos, scene.start_quat]) for scene in self.scenes])
+
+
+def inertia_box(inertia: FloatArray, mass: FloatArray) -> FloatArray:
+    """(…, 3) half extents of solid boxes with these (…, 3) principal moments, kg·m², and (…) masses, kg.
+
+    A box of half extents a, b, c has I_x = m/3 · (b² + c²), and so on: a² = 3/(2m) · (I_y + I_z − I_x). NaN where no
+    body has such moments: the largest may not exceed the sum of the others.
+    """
+    total = inertia.sum(axis=-1, keepdims=True)
+    with np.errstate(invalid="ignore"):
+        half: FloatArray = np.sqrt(1.5 * (total - 2 * inertia) / mass[..., None])
+    return half

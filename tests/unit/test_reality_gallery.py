@@ -1,0 +1,187 @@
+"""The gallery of measurements: tosses that petmjx itself made are met, and what the data tell of noise and friction."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.command_line import only_line
+
+from benchmarks import real_friction, reality, toss_study, tosses
+from benchmarks.__main__ import main
+from benchmarks.tosses import Path3, Start, Tosses, read_tosses
+
+RATE_HZ = 148.0
+N, SAMPLES = 8, 90
+SIGMA_M_S, SIGMA_RAD_S = 0.02, 0.1
+"""Noise of velocities of the tosses below."""
+
+
+def made(friction: float = 0.18) -> Tosses:
+    """Tosses as petmjx has them, whose first samples have noise in their velocities."""
+    rng = np.random.default_rng(3)
+    counts = np.full(N, SAMPLES)
+    pos = np.column_stack([rng.uniform(-0.1, 0.1, (N, 2)), rng.uniform(0.16, 0.2, N)])
+    quat = rng.normal(size=(N, 4))
+    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    velocity = np.hstack([rng.uniform(-0.9, 0.9, (N, 2)), rng.uniform(-0.2, 0.2, (N, 1)), rng.uniform(-5, 5, (N, 3))])
+    empty = Tosses(RATE_HZ, counts, np.zeros((N * SAMPLES, 3)), np.zeros((N * SAMPLES, 4)), np.zeros((N * SAMPLES, 6)))
+    (paths,) = tosses.simulated(empty, [Start(pos, quat, velocity, np.full(N, friction))])
+    places, turns = np.concatenate([path.pos for path in paths]), np.concatenate([path.quat for path in paths])
+    rows = np.repeat(velocity, SAMPLES, axis=0)
+    rows[:, :2] = np.repeat(velocity[:, :2], SAMPLES, axis=0)
+    return Tosses(RATE_HZ, counts, places, turns, rows)
+
+
+@pytest.fixture(scope="module")
+def own() -> Tosses:
+    return made()
+
+
+def written(data: Tosses, path: Path) -> Path:
+    np.savez(
+        path,
+        pos_m=data.pos,
+        quat_wxyz=data.quat,
+        vel_m_s=data.velocity[:, :3],
+        angvel_body_rad_s=data.velocity[:, 3:],
+        n_samples=data.n_samples,
+        rate_hz=data.rate_hz,
+    )
+    return path
+
+
+def test_tosses_that_petmjx_made_are_met(own: Tosses, tmp_path: Path) -> None:
+    data = read_tosses(written(own, tmp_path / "own.npz"))
+    found = toss_study.compared(data, "mujoco")
+    assert found["right_face"] == 1.0
+    assert found["place_median_mm"] < 1e-6
+    assert found["path_mean_mm"] < 1e-6
+    assert all(test["ks"] == 0 for test in found["distributions"].values())
+
+
+def test_friction_is_found_from_each_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(toss_study, "FRICTIONS", (0.12, 0.21, 0.25))
+    found = toss_study.friction(made(friction=0.21), "mujoco")
+    assert [half["friction"] for half in found["halves"]] == [0.21, 0.21]
+    assert found["halves"][0]["errors_of_other_half"]["place_median_mm"] < 1e-6
+
+
+def test_noise_of_velocities_is_found_from_the_flight(own: Tosses) -> None:
+    rng = np.random.default_rng(8)
+    velocity = own.velocity.copy()
+    velocity[own.first] += rng.normal(0.0, np.repeat([SIGMA_M_S, SIGMA_RAD_S], 3), (N, 6))
+    sigma = tosses.noise(Tosses(own.rate_hz, own.n_samples, own.pos, own.quat, velocity))
+    # 24 numbers each; and the parabola of petmjx's own steps differs from a parabola by g·dt/2, 10 mm/s
+    assert sigma.vel_m_s == pytest.approx(SIGMA_M_S, rel=0.5)
+    assert sigma.angvel_rad_s == pytest.approx(SIGMA_RAD_S, rel=0.5)
+    assert sigma.turn_rad < 0.005
+
+
+def test_perturbed_starts_are_as_far_off_as_they_say() -> None:
+    n = 2000
+    quat = np.tile([0.5, 0.5, 0.5, 0.5], (n, 1))
+    start = Start(np.zeros((n, 3)), quat, np.zeros((n, 6)), np.full(n, 0.2))
+    sigma = tosses.Noise(3e-4, 0.01, 0.02, 0.1)
+    other = tosses.perturbed(start, sigma, np.random.default_rng(1))
+    assert other.pos.std() == pytest.approx(sigma.pos_m, rel=0.05)
+    angle = np.radians(tosses.angle_deg(other.quat, quat))
+    assert np.sqrt((angle**2).mean() / 3) == pytest.approx(sigma.turn_rad, rel=0.05)
+    assert other.velocity[:, :3].std() == pytest.approx(sigma.vel_m_s, rel=0.05)
+    assert other.velocity[:, 3:].std() == pytest.approx(sigma.angvel_rad_s, rel=0.05)
+    np.testing.assert_allclose(np.linalg.norm(other.quat, axis=1), 1.0, atol=1e-12)
+
+
+def test_a_point_drawn_like_the_others_is_within_regions_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(2)
+    ranks = np.array([toss_study._rank(rng.standard_t(2, (20, 2))) for _ in range(2000)])
+    for region in (0.5, 0.9):
+        assert (ranks <= region).mean() == pytest.approx(region, abs=4 * np.sqrt(region * (1 - region) / 2000))
+    far = np.vstack([[50.0, 0.0], rng.normal(size=(19, 2))])
+    assert toss_study._rank(far) == 1.0
+
+
+def test_faces_and_time_to_rest() -> None:
+    turned = np.array([np.cos(np.pi / 4), np.sin(np.pi / 4), 0.0, 0.0])
+    assert tosses.face_up(np.array([1.0, 0.0, 0.0, 0.0])) == 4
+    # turned about x by 90° the cube has its y axis up
+    assert tosses.face_up(turned) == 2
+    assert tosses.face_up(np.full(4, np.nan)) == -1
+    pos = np.zeros((40, 3))
+    pos[:20, 0] = np.linspace(0.1, 0.0, 20)
+    whole = tosses.wholes([Path3(pos, np.tile([1.0, 0.0, 0.0, 0.0], (40, 1)))], 100.0)
+    assert whole.way_mm[0] == pytest.approx(100.0)
+    assert whole.turn_deg[0] == 0.0
+    assert whole.duration_s[0] == pytest.approx(0.18)  # then it is within 3 mm of its end
+
+
+def test_a_toss_without_an_end_is_infinitely_far(own: Tosses) -> None:
+    paths = [own.path(toss) for toss in range(N)]
+    paths[0] = Path3(np.full_like(paths[0].pos, np.nan), np.full_like(paths[0].quat, np.nan))
+    found = tosses.errors(own, paths)
+    assert not found.right_face[0]
+    assert found.right_face[1:].all()
+    assert found.place_mm[0] == np.inf
+
+
+def test_rows_that_fail_say_so() -> None:
+    rows = [
+        reality.Row("a", "source", "1 mm", "2 mm", "1 mm", "mujoco", "why", holds=False),
+        reality.Row("b", "source", "1 mm", "1 mm", "0 mm", "mujoco", holds=True),
+        reality.Row("c", "source", "1 mm", "1 mm", "0 mm", "mujoco"),
+    ]
+    lines = reality.table([{"rows": [vars(row) for row in rows]}]).splitlines()
+    assert lines[2].endswith("| source | **fails**: why |")
+    assert lines[3].endswith("| source | holds |")
+    assert lines[4].endswith("| source |  |")
+    assert len({line.count("|") for line in lines}) == 1
+
+
+def test_where_to_get_the_tosses_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    options = ["--part", "tosses", "--out", str(tmp_path / "out.jsonl")]
+    assert main(["reality", "--data", str(tmp_path), *options]) == 2
+    line = only_line(capsys.readouterr().err)
+    assert "cube_tosses_400.npz: no such file" in line
+    assert "ContactNets" in line
+    (tmp_path / "other.npz").write_bytes(b"no arrays")
+    assert main(["reality", "--data", str(tmp_path / "other.npz"), *options]) == 2
+    assert "other.npz: no file of tosses" in only_line(capsys.readouterr().err)
+
+
+def test_the_table_replaces_the_one_in_a_page(
+    own: Tosses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, small in (("RUNS", 2), ("MEMBERS", 3), ("FRICTIONS", (0.18, 0.2))):
+        monkeypatch.setattr(toss_study, name, small)
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{reality.BEGIN}\nstale rows\n{reality.END}\nafter\n")
+    data = written(own, tmp_path / "own.npz")
+    out = tmp_path / "out.jsonl"
+    arguments = ["--part", "tosses", "--data", str(data), "--write", str(page), "--out", str(out)]
+    assert main(["reality", *arguments]) == 0, capsys.readouterr().err
+    text = page.read_text()
+    assert "stale rows" not in text
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "| 8 tosses: face that is up at the end | 8 of 8 | 100.0% right |" in text
+    assert '"between_runs_median_mm"' in out.read_text()
+
+
+def test_the_real_tosses_are_read_and_tell_their_noise(real_data: Path) -> None:
+    if not (real_data / "reality").is_dir():
+        pytest.skip("the measured tosses do not lie beside this checkout")
+    data = read_tosses(real_data / "reality", 40)
+    assert len(data) == 40
+    sigma = tosses.noise(data)
+    assert 2e-4 < sigma.pos_m < 5e-4
+    assert 0.2 < np.degrees(sigma.turn_rad) < 0.7
+    assert 0.005 < sigma.vel_m_s < 0.03
+    assert 0.02 < sigma.angvel_rad_s < 0.2
+
+
+def test_frictions_of_cartons_are_told_apart_from_the_default() -> None:
+    inside, outside = (real_friction._row_of_friction(real_friction.CARTONS[k]) for k in (0, 3))
+    assert inside.holds
+    assert not outside.holds
+    assert outside.miss == "0.10"
