@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -163,13 +164,17 @@ def _rows_of_errors(found: Mapping[str, Any], n: int, engine: str) -> Iterator[R
 
 
 def _rows_of_spread(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
-    runs = found["runs"]
+    runs, sigma = found["runs"], found["noise"]
+    uncertain = (
+        f"{1000 * sigma['pos_m']:.2f} mm, {math.degrees(sigma['turn_rad']):.2f}°, {1000 * sigma['vel_m_s']:.0f} mm/s, "
+        f"{sigma['angvel_rad_s']:.2f} rad/s"
+    )
     yield Row(
         f"ends of {runs} runs whose starts differ as the data are uncertain", _CUBE,
         f"{found['from_measured_median_mm']:.1f} mm from the measured end",
         f"{found['between_runs_median_mm']:.1f} mm from each other",
         f"{found['from_measured_median_mm'] / found['between_runs_median_mm']:.1f} times", engine,
-        "medians; a perfect model of a perfect cube has the same in both",
+        f"medians; a perfect model of a perfect cube has the same in both; starts differ by {uncertain}",
     )  # fmt: skip
     measured, runs_agree = found["same_face_as_measured"], found["same_face_between_runs"]
     yield Row(

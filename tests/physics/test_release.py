@@ -78,7 +78,7 @@ def angle(one: NDArray[np.float64], two: NDArray[np.float64]) -> float:
     return float(2 * np.arccos(min(abs(one @ two), 1.0)))
 
 
-@pytest.fixture(scope="module", params=ENGINES)
+@pytest.fixture(scope="module", params=[*ENGINES, pytest.param("mjx-warp", marks=pytest.mark.gpu)])
 def two_worlds(request: pytest.FixtureRequest) -> petmjx.Trajectories:
     """A box that flies and turns, and one that lands flat from 2 mm and rests: of each engine in one call."""
     start, flat = FLIGHT, {"vel_m_s": STILL, "angvel_rad_s": STILL, "pos_m": (0.0, 0.0, 0.052)}
