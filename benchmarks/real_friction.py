@@ -149,7 +149,8 @@ def _row_of_kinetic_share() -> Row:
     miss = _outside(ours, low, high)
     return Row(
         "kinetic friction, as a share of static friction", _SAE,
-        f"{percent(low, 0)} to {percent(high, 0)}; CTU Code: 75 %", percent(ours, 0), percent(miss, 0), ALL_ENGINES, "by default", miss == 0.0,
+        f"{percent(low, 0)} to {percent(high, 0)}; CTU Code: 75 %", percent(ours, 0), percent(miss, 0),
+        ALL_ENGINES, "by default", miss == 0.0,
     )  # fmt: skip
 
 

@@ -221,6 +221,7 @@ def _rows_of_calibration(found: Mapping[str, Any], engine: str) -> Iterator[Row]
     chance, likeliest = found["chance_of_measured_face"], found["chance_of_members_face"]
     yield Row(
         "chance of the face that is up, as the draws have it", _CUBE,
-        f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} show each other's", percent(likeliest - chance), engine,
+        f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} show each other's",
+        percent(likeliest - chance), engine,
         "as much surer of the face than it may be",
     )  # fmt: skip
