@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from benchmarks.reality import Row
+from benchmarks.reality import ALL_ENGINES, Row, percent
 from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.engines.choose import make_engine
 from petmjx.free_motion import release
@@ -126,8 +126,8 @@ def _row_of_floor() -> Row:
     miss = _outside(ours, low, high)
     return Row(
         "static friction of a pallet on rack beams", _RACKS, f"{low} to {high} at 0.55 to 13 kN", f"{ours:g}",
-        f"{miss:.2f}", "all", "of the floor by default, so that pallets do not slide; physics.floor_friction says "
-        "another one", miss == 0.0,
+        f"{miss:.2f}", ALL_ENGINES,
+        "of the floor by default, so that pallets do not slide; physics.floor_friction says another one", miss == 0.0,
     )  # fmt: skip
 
 
@@ -148,8 +148,9 @@ def _row_of_kinetic_share() -> Row:
     low, high = min(shares), max(shares)
     miss = _outside(ours, low, high)
     return Row(
-        "kinetic friction, as a share of static friction", _SAE, f"{low:.0%} to {high:.0%}; CTU Code: 75%",
-        f"{ours:.0%}", f"{miss:.0%}", "all", "by default", miss == 0.0,
+        "kinetic friction, as a share of static friction", _SAE,
+        f"{percent(low, 0)} to {percent(high, 0)}; CTU Code: 75 %", percent(ours, 0), percent(miss, 0),
+        ALL_ENGINES, "by default", miss == 0.0,
     )  # fmt: skip
 
 
@@ -176,7 +177,7 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
     worst = int(abs(error).argmax())
     yield Row(
         f"way of a pallet that slides with {SPEED_M_S:g} m/s", f"Coulomb's law with kinetic frictions of: {_SAE}",
-        f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", f"{abs(error[worst]):.1%}", engine,
+        f"{expected[worst]:.3f} m", f"{expected[worst] * (1 + error[worst]):.3f} m", percent(abs(error[worst])), engine,
         f"the worst of {len(kinetic)} floors", bool(abs(error).max() < _WAY_WITHIN),
     )  # fmt: skip
     lift = MM_PER_M * max(_lowest_corner(pos, quat) for pos, quat in zip(moved.pos_m, moved.quat_wxyz, strict=True))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -29,6 +30,9 @@ PARTS: Final = {
 """Part of the gallery → the module with its ``rows(engine)``. The tosses, which need data, are not among them."""
 
 TOSSES: Final = "tosses"
+
+ALL_ENGINES: Final = "all"
+"""The engine of rows that are the same for each."""
 
 
 @dataclass(frozen=True)
@@ -88,19 +92,29 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str:
-    """The rows of all results as a Markdown table; those that do not hold say so."""
-    lines = [
-        "| quantity | measured | petmjx | misses by | engine | source | |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    """The rows of all results as Markdown, a table for each part; rows that do not hold say so. What is the same for
+    all engines has one row."""
     words = {True: "holds", False: "**fails**", None: ""}
+    parts: dict[str, dict[Row, None]] = {}
     for result in results:
-        for values in result["rows"]:
-            row = Row(**values)
+        name = str(result["case"]).removeprefix("reality-").replace("-", " ").capitalize()
+        parts.setdefault(name, {}).update(dict.fromkeys(Row(**values) for values in result["rows"]))
+    lines = []
+    for name, rows in parts.items():
+        lines += [f"### {name}", "", "| quantity | measured | petmjx | misses by | engine | | source |"]
+        lines += [f"| {' | '.join(['---'] * 7)} |"]
+        for row in rows:
             note = ": ".join(filter(None, (words[row.holds], row.note)))
-            cells = (row.quantity, row.measured, row.petmjx, row.miss, f"`{row.engine}`", row.source, note)
+            engine = row.engine if row.engine == ALL_ENGINES else f"`{row.engine}`"
+            cells = (row.quantity, row.measured, row.petmjx, row.miss, engine, note, row.source)
             lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+        lines.append("")
+    return "\n".join(lines)
+
+
+def percent(share: float, digits: int = 1) -> str:
+    """A share as documents write it."""
+    return f"{100 * share:.{digits}f} %"
 
 
 def present(part: str) -> bool:
@@ -117,9 +131,9 @@ _FRICTION_WITHIN: Final = 0.02
 _LEAST_P: Final = 0.01
 """Of a test below which two distributions differ."""
 _NAMES: Final = {
-    "way_mm": ("way along the ground", "mm"),
+    "way_mm": ("way along the ground", " mm"),
     "turn_deg": ("total turn", "°"),
-    "duration_s": ("time to rest", "s"),
+    "duration_s": ("time to rest", " s"),
 }
 
 
@@ -140,8 +154,8 @@ def _tosses(data: Path, limit: int | None, engine: str, *, whole: bool) -> tuple
 def _rows_of_errors(found: Mapping[str, Any], n: int, engine: str) -> Iterator[Row]:
     face, place, path = found["right_face"], found["place_median_mm"], found["path_mean_mm"]
     yield Row(
-        f"{n} tosses: face that is up at the end", _CUBE, f"{n} of {n}", f"{face:.1%} right", f"{1 - face:.1%}", engine,
-        f"meant: {_RIGHT_FACE:.1%}", face >= _RIGHT_FACE,
+        f"{n} tosses: face that is up at the end", _CUBE, f"{n} of {n}", f"{percent(face)} right", percent(1 - face),
+        engine, f"meant: {percent(_RIGHT_FACE)}", face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
         f"{n} tosses: place at the end", _CUBE, "by camera", "–", f"{place:.1f} mm in the median", engine,
@@ -156,25 +170,29 @@ def _rows_of_errors(found: Mapping[str, Any], n: int, engine: str) -> Iterator[R
         words, unit = _NAMES[name]
         ours, theirs = test["petmjx_median"], test["measured_median"]
         yield Row(
-            f"{n} tosses: distribution of {words}", _CUBE, f"median {theirs:.3g} {unit}", f"median {ours:.3g} {unit}",
+            f"{n} tosses: distribution of {words}", _CUBE, f"median {theirs:.3g}{unit}", f"median {ours:.3g}{unit}",
             f"KS distance {test['ks']:.2f}, p = {test['p']:.2g}", engine, "two-sample Kolmogorov–Smirnov test",
             test["p"] >= _LEAST_P,
         )  # fmt: skip
 
 
 def _rows_of_spread(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
-    runs = found["runs"]
+    runs, sigma = found["runs"], found["noise"]
+    uncertain = (
+        f"{1000 * sigma['pos_m']:.2f} mm, {math.degrees(sigma['turn_rad']):.2f}°, {1000 * sigma['vel_m_s']:.0f} mm/s, "
+        f"{sigma['angvel_rad_s']:.2f} rad/s"
+    )
     yield Row(
         f"ends of {runs} runs whose starts differ as the data are uncertain", _CUBE,
         f"{found['from_measured_median_mm']:.1f} mm from the measured end",
         f"{found['between_runs_median_mm']:.1f} mm from each other",
         f"{found['from_measured_median_mm'] / found['between_runs_median_mm']:.1f} times", engine,
-        "medians; a perfect model of a perfect cube has the same in both",
+        f"medians; a perfect model of a perfect cube has the same in both; starts differ by {uncertain}",
     )  # fmt: skip
     measured, runs_agree = found["same_face_as_measured"], found["same_face_between_runs"]
     yield Row(
-        "the same face up", _CUBE, f"{measured:.1%} of runs and the camera", f"{runs_agree:.1%} of two runs",
-        f"{runs_agree - measured:.1%}", engine,
+        "the same face up", _CUBE, f"{percent(measured)} of runs and the camera", f"{percent(runs_agree)} of two runs",
+        percent(runs_agree - measured), engine,
     )  # fmt: skip
 
 
@@ -184,7 +202,7 @@ def _rows_of_friction(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
         yield Row(
             "friction found from half of the tosses", _CUBE, f"{found['published']}", f"{half['friction']}",
             f"{abs(miss):.2f}", engine,
-            f"the other half then: {other['right_face']:.1%} right, {other['place_median_mm']:.1f} mm, "
+            f"the other half then: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
             f"path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
         )  # fmt: skip
@@ -195,14 +213,15 @@ def _rows_of_calibration(found: Mapping[str, Any], engine: str) -> Iterator[Row]
     for region, share in found["within"].items():
         asked, error = float(region), found["standard_error"][region]
         yield Row(
-            f"measured ends within the region of {asked:.0%} of {found['members']} draws", _CUBE, f"{share:.1%}",
-            f"{asked:.0%}", f"{abs(share - asked):.1%}", engine,
-            f"friction {mu} ± {sigma}, starts as uncertain as the data; by chance ± {error:.1%}",
+            f"measured ends within the region of {percent(asked, 0)} of {found['members']} draws", _CUBE,
+            percent(share), percent(asked, 0), percent(abs(share - asked)), engine,
+            f"friction {mu} ± {sigma}, starts as uncertain as the data; by chance ± {percent(error)}",
             abs(share - asked) <= 3 * error,
         )  # fmt: skip
     chance, likeliest = found["chance_of_measured_face"], found["chance_of_members_face"]
     yield Row(
-        "chance of the face that is up, as the draws have it", _CUBE, f"{chance:.1%} of draws show the measured face",
-        f"{likeliest:.1%} show each other's", f"{likeliest - chance:.1%}", engine,
+        "chance of the face that is up, as the draws have it", _CUBE,
+        f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} show each other's",
+        percent(likeliest - chance), engine,
         "as much surer of the face than it may be",
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import jax
@@ -12,11 +13,11 @@ from numpy.typing import NDArray
 
 import petmjx
 from petmjx.basics.errors import InputError
-from petmjx.engines.base import Engine
-from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.warp.cpu import MjxWarpCpuEngine
+from petmjx.verdict import Outcome
 from petmjx.world.free_bodies import FreeBodies
+from petmjx.world.job import Job
 
 DT = petmjx.Physics().timestep_s
 G = petmjx.Physics().gravity_m_s2
@@ -78,7 +79,7 @@ def angle(one: NDArray[np.float64], two: NDArray[np.float64]) -> float:
     return float(2 * np.arccos(min(abs(one @ two), 1.0)))
 
 
-@pytest.fixture(scope="module", params=ENGINES)
+@pytest.fixture(scope="module", params=[*ENGINES, pytest.param("mjx-warp", marks=pytest.mark.gpu)])
 def two_worlds(request: pytest.FixtureRequest) -> petmjx.Trajectories:
     """A box that flies and turns, and one that lands flat from 2 mm and rests: of each engine in one call."""
     start, flat = FLIGHT, {"vel_m_s": STILL, "angvel_rad_s": STILL, "pos_m": (0.0, 0.0, 0.052)}
@@ -253,6 +254,22 @@ def test_a_bad_argument_is_one_line_that_names_it(changes: dict[str, Any], line:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("engine", [MujocoEngine, MjxWarpCpuEngine, MjxJaxEngine])
-def test_every_engine_says_how_boxes_move(engine: type[Engine]) -> None:
-    assert engine.paths is not Engine.paths
+class Judge(Engine):
+    """An engine of a user's that only judges."""
+
+    name = "judge"
+
+    def run(self, jobs: Sequence[Job], sim: petmjx.Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        raise NotImplementedError
+
+
+def test_an_engine_without_paths_is_told_so() -> None:
+    with pytest.raises(InputError, match="engine judge lets no boxes go; mujoco, mjx-warp, mjx-warp-cpu and mjx-jax"):
+        release(Judge())
+
+
+def test_an_engine_that_is_given_is_taken_and_stays_open() -> None:
+    engine = MujocoEngine(1)
+    first, again = release(engine), release(engine)
+    assert first.engine == "mujoco"
+    np.testing.assert_array_equal(first.pos_m, again.pos_m)

@@ -129,13 +129,17 @@ def test_rows_that_fail_say_so() -> None:
     rows = [
         reality.Row("a", "source", "1 mm", "2 mm", "1 mm", "mujoco", "why", holds=False),
         reality.Row("b", "source", "1 mm", "1 mm", "0 mm", "mujoco", holds=True),
-        reality.Row("c", "source", "1 mm", "1 mm", "0 mm", "mujoco"),
+        reality.Row("c", "source", "1 mm", "1 mm", "0 mm", reality.ALL_ENGINES),
     ]
-    lines = reality.table([{"rows": [vars(row) for row in rows]}]).splitlines()
-    assert lines[2].endswith("| source | **fails**: why |")
-    assert lines[3].endswith("| source | holds |")
-    assert lines[4].endswith("| source |  |")
-    assert len({line.count("|") for line in lines}) == 1
+    results = [{"case": "reality-soft-columns", "rows": [vars(row) for row in some]} for some in (rows, rows[2:])]
+    heading, blank, titles, _, *lines = reality.table(results).splitlines()
+    assert (heading, blank) == ("### Soft columns", "")
+    assert lines == [
+        "| a | 1 mm | 2 mm | 1 mm | `mujoco` | **fails**: why | source |",
+        "| b | 1 mm | 1 mm | 0 mm | `mujoco` | holds | source |",
+        "| c | 1 mm | 1 mm | 0 mm | all |  | source |",
+    ]
+    assert titles.count("|") == lines[0].count("|")
 
 
 def test_where_to_get_the_tosses_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -164,7 +168,7 @@ def test_the_table_replaces_the_one_in_a_page(
     assert "stale rows" not in text
     assert text.startswith("before\n")
     assert text.endswith("after\n")
-    assert "| 8 tosses: face that is up at the end | 8 of 8 | 100.0% right |" in text
+    assert "| 8 tosses: face that is up at the end | 8 of 8 | 100.0 % right |" in text
     assert '"between_runs_median_mm"' in out.read_text()
 
 
