@@ -13,8 +13,9 @@ from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.hand import lets_go, take_up
 from petmjx.engines.warp.kernel.motion import center, middle_of, orientation
+from petmjx.engines.warp.kernel.quiet import count_quiet
 from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, tilt_of
-from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, speed_unless_trembling, trembles
+from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, trembles
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 from petmjx.world import release
@@ -30,54 +31,6 @@ EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
 MOVING = wp.constant(int(Flag.MOVING))
 CARRIER = wp.constant(history.CARRIER)
 NOTHING = wp.constant(release.NOTHING)
-
-
-@wp.func
-def _count_quiet(
-    # Model:
-    model: Model,
-    worlds: Worlds,
-    # In:
-    at: Thread,
-    quiet_steps: int,
-    signs: bool,
-    looks: int,
-    # Data out:
-    state: State,
-) -> tuple[int, bool]:
-    """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
-    and the count starts again. Boxes that tremble do not count; with such ones the count of a quiet pallet is 0."""
-    world = at.world
-    fast = bool(False)
-    for box in range(at.thread, at.placed, at.threads):
-        if not speed_unless_trembling(model, worlds, state, looks, world, box) < model.quiet_speed:
-            fast = True
-    count = int(0)
-    if not any_of_all(fast):
-        count = quiet_steps + model.poll_steps
-    quiet = count >= model.quiet_steps
-    if model.waits_for_rest == 0:
-        return count, quiet
-    creeps = bool(False)
-    for box in range(at.thread, at.placed, at.threads):
-        speed = speed_unless_trembling(model, worlds, state, looks, world, box)
-        if count <= model.poll_steps:
-            state.quiet_speed[world, box] = speed
-        first = state.quiet_speed[world, box]
-        if speed >= wp.max(model.slow_speed, model.slowing * first) or speed > wp.max(model.still_speed, first):
-            creeps = True
-    if any_of_all(creeps) and quiet and not signs:
-        quiet = False
-        count = model.poll_steps
-        for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = speed_unless_trembling(model, worlds, state, looks, world, box)
-    if quiet and looks > 2 * model.tremble_looks:
-        trembling = bool(False)
-        for box in range(at.thread, at.placed, at.threads):
-            trembling = trembling or trembles(model, state, looks, world, box)
-        if any_of_all(trembling):
-            count = 0
-    return count, quiet
 
 
 @wp.func
@@ -305,7 +258,7 @@ def after_step(
             if adapts and model.waits_for_rest != 0:
                 find_trembling(model, worlds, at, looks, state)
                 looks += 1
-            quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, looks, state)
+            quiet_steps, quiet = count_quiet(model, worlds, at, quiet_steps, culprit >= 0, looks, state)
         if not in_drive:
             goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
