@@ -101,8 +101,7 @@ class OpenWorld(WorldRun):
 
     def _lingers(self) -> bool:
         """Whether a world has paused early, since a wait was in vain, and still moves: its last wait is a long one."""
-        fails = self._metrics.culprit >= 0
-        return not (self._quiet.holds or fails) and self._waits.lasts_longer(self._step)
+        return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
         if self.paused:

@@ -10,6 +10,27 @@ from petmjx.engines.warp.records import Model, State, Thread, Worlds
 
 
 @wp.func
+def has_failed(
+    # Model:
+    model: Model,
+    # In:
+    at: Thread,
+    culprit: int,
+    # Data in:
+    state: State,
+) -> bool:
+    """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+    judged at rest, and may go back until then. ``culprit`` is that of the world: without one no box is looked at."""
+    if culprit < 0:
+        return False
+    world = at.world
+    failed = bool(False)
+    for box in range(at.thread, at.placed, at.threads):
+        failed = failed or state.drop_step[world, box] >= 0 or state.max_tilt[world, box] > model.tilt
+    return any_of_all(failed)
+
+
+@wp.func
 def count_quiet(
     # Model:
     model: Model,
@@ -17,7 +38,7 @@ def count_quiet(
     # In:
     at: Thread,
     quiet_steps: int,
-    signs: bool,
+    failed: bool,
     looks: int,
     # Data out:
     state: State,
@@ -43,7 +64,7 @@ def count_quiet(
         first = state.quiet_speed[world, box]
         if speed >= wp.max(model.slow_speed, model.slowing * first) or speed > wp.max(model.still_speed, first):
             creeps = True
-    if any_of_all(creeps) and quiet and not signs:
+    if any_of_all(creeps) and quiet and not failed:
         quiet = False
         count = model.poll_steps
         for box in range(at.thread, at.placed, at.threads):
