@@ -153,7 +153,7 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
         TableColumn(f"largest\n{name}"),
         TableColumn("fails", "left"),
         TableColumn("first box", "left", least=8),
-        caption="\n".join(text for column, text in _DOUBTS.items() if _doubts(summary, column).any()),
+        caption="; ".join(text for column, text in _DOUBTS.items() if _doubts(summary, column).any()),
     )
     marks = {column: _doubts(summary, column).tolist() for column in _DOUBTS}
     for place, row in enumerate(summary.to_dict("records")):
