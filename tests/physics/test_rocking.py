@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from typing import Any
 
 import pytest
@@ -23,6 +24,7 @@ from benchmarks.rocking import (
 from petmjx.verdict import Flag
 
 pytestmark = pytest.mark.slow
+needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="warp-lang is not installed (extra: warp)")
 
 LEVEL_G = 0.01
 """Levels are searched in these steps; a test at a level tells nothing finer."""
@@ -47,10 +49,11 @@ def test_the_block_itself_keeps_to_what_is_known_of_it() -> None:
     assert largest_level_g(RockingBlock(0.5, 0.2), 0.5) == 0.53  # by hand: (0.53 − 0.5) g for 0.3 s, and braked
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
+ENGINES = "mujoco", pytest.param("mjx-warp-cpu", marks=needs_warp)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
 def test_a_tower_that_rocks_and_comes_back_stands(engine: str) -> None:
-    if engine != "mujoco":
-        pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
     levels = [*ROCKS_G, *FALLS_G]
     axes = f'[axes]\nprofile = "eumos-40509"\nlevel = {levels}\nfriction_factor = {ROUGH / BOX_FRICTION}\n'
     worlds = swept([block_plan("tower", 300.0, [250.0] * 4)], engine, axes).worlds.sort_values("level_g")
@@ -95,3 +98,13 @@ def test_what_tines_let_rock_is_judged_at_rest(heights_mm: list[float]) -> None:
     assert (world.verdict, world["flags"], world.max_shift_m) == ("stable", 0, 0.0)
     impatient = scored(longest_wait_s=0.8)
     assert impatient["flags"] & Flag.MOVING  # whatever its verdict
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_pallets_say_that_a_box_still_rocks(engine: str) -> None:
+    for longest_wait_s, stands in ((0.4, False), (10.0, True)):
+        tines = {"name": "tines", "tines_mm": 10}
+        pallets = petmjx.Pallets(1, engine=engine, threads=1, placing=tines, longest_wait_s=longest_wait_s)
+        told = pallets.place(size_mm=[[150, 300, 900]], corner_mm=[[500, 250, 0]], mass_kg=[10.0], pallet=[0])
+        assert (told.stable[0], told.moving[0], told.ended[0]) == (stands, not stands, False)
+        pallets.close()
