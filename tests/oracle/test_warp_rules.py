@@ -131,6 +131,13 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
             sway_anchor=jnp.asarray(poses[1][..., :2] + rng.normal(0, 0.03, (WORLDS, BOXES, 2)), jnp.float32),
         ),
     )
+    stands = np.arange(BOXES) < placed[:, None]
+    max_tilt = stands * rng.choice([0.1, 0.9, 1.1], stands.shape, p=[0.7, 0.2, 0.1]) * sim.thresholds.tilt_deg
+    drop_step = np.where(stands & some(0.02, stands.shape), 1, -1)
+    metrics = after.metrics._replace(
+        max_tilt=jnp.asarray(max_tilt, jnp.float32), drop_step=jnp.asarray(drop_step, jnp.int32)
+    )
+    after = after._replace(metrics=metrics)
     return worlds, after, after._replace(qpos=poses[1])
 
 

@@ -80,6 +80,12 @@ class Metrics(NamedTuple):
         """Horizontal distance of boxes from where they were when their drive began, m."""
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
+    def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
+        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+        judged at rest, and may go back until then."""
+        failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
+        return (self.culprit >= 0) & failed.any(-1)
+
     def without_rest(self, where: Bool[Array, " world"]) -> Metrics:
         """Begin with another rest window."""
         return self._replace(

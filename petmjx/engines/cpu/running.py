@@ -15,7 +15,7 @@ from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Thresholds
 from petmjx.world.give import sinks_m
-from petmjx.world.job import Job
+from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
 
@@ -59,6 +59,13 @@ class OracleMetrics:
     @property
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+        judged at rest, and may go back until then."""
+        tilted = self.max_tilt_deg > self._thresholds.tilt_deg
+        return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
         """Whether it is known that the pallet does not stand, so that its world need not go on: a box has dropped; with
@@ -139,6 +146,13 @@ class OracleMetrics:
         """Whether a box is over a threshold in these poses, or has dropped."""
         _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
         return bool(crossed.any())
+
+    def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
+        """Whether a box has dropped, or is tilted too far in these poses and, in a drive, away by what it allows."""
+        lost = tilt_deg(quat) > self._thresholds.tilt_deg
+        if drive is not None and self._sway_origin is not None:
+            lost &= self._sway(pos, self._sway_origin) >= drive.allowed_sway_m
+        return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
         """A profile starts, with the k boxes in these poses. Sway is measured from here, and rest from its end.

@@ -248,7 +248,7 @@ class WorldRun:
         live = self._live
         places = live.n_placed < self._scene.n_boxes
         settles = self._settles and not self._driving and not self._waits.rests_first
-        if (places or settles) and not self._quiet.holds and self._metrics.culprit < 0:
+        if (places or settles) and not self._quiet.holds and not self._metrics.has_failed:
             self._flags |= Flag.MOVING
         if places:
             if self._recorder is not None:
@@ -288,8 +288,8 @@ class WorldRun:
 
     @property
     def _sign(self) -> int | None:
-        """The step of the first sign of failure, if there was one."""
-        return self._sign_step if self._metrics.culprit >= 0 else None
+        """The step of the first sign, if a box has failed since."""
+        return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:
         """Set the last step, and that from which on boxes must be still."""
@@ -303,7 +303,7 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: wait on for a world that moves, if it has not failed or is driven; or begin the drive."""
+        """At the last step: wait on for a world that moves, if no box is lost or it is driven; or begin the drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
             return
@@ -313,13 +313,13 @@ class WorldRun:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
         moves, waits = self._quiet.motion(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
         last_end = self._waits.last_end(self._step)
-        fails = self._metrics.is_over(pose[:, :3], pose[:, 3:])
-        if waits and (last_end != NEVER or not fails) and self._waits.may_go_on(self._step):
+        lost = self._metrics.is_lost(pose[:, :3], pose[:, 3:], self._job.drive if self._driving else None)
+        if waits and (last_end != NEVER or not lost) and self._waits.may_go_on(self._step):
             self._set_end(last_end)
             self._metrics.restart_rest()
             self._wait(self._step)
             return
-        if moves and not fails:
+        if moves and not lost:
             self._flags |= Flag.MOVING
         if self._settles and self._waits.rests_first and not self._driving:
             self._settle()
@@ -329,7 +329,7 @@ class WorldRun:
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed
-        return self._quiet.look(live.pose[:k], live.velocity[:k], self._metrics.culprit >= 0, self._waits.adapts)
+        return self._quiet.look(live.pose[:k], live.velocity[:k], self._metrics.has_failed, self._waits.adapts)
 
     # ------------------------------------------------------------------ drive
 
@@ -369,9 +369,9 @@ class WorldRun:
         pos[:k], quat[:k] = live.pose[:k, :3], live.pose[:k, 3:]
         boxes = metrics.finish(pos, quat, k, came_to_end)
         verdict, reason = judge(self._flags, boxes, k, self._sim.thresholds)
-        culprit, first_sign_s = metrics.culprit, metrics.first_sign_s
+        culprit, first_sign_s, n_at_sign = metrics.culprit, metrics.first_sign_s, self._n_at_sign
         if verdict is Verdict.STABLE:
-            culprit, first_sign_s = -1, float("nan")
+            culprit, first_sign_s, n_at_sign = -1, float("nan"), 0
         elif verdict is Verdict.UNSTABLE and culprit < 0:
             culprit = metrics.largest_excess(pos[:k], quat[:k])
         outcome = Outcome(
@@ -386,7 +386,7 @@ class WorldRun:
             n_steps=self._step - self._first_step,
             flags=self._flags,
             boxes=boxes,
-            n_at_sign=self._n_at_sign,
+            n_at_sign=n_at_sign,
             solver=self._sim.solver.value,
         )
         if self._recorder is not None:

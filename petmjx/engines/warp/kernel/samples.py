@@ -47,6 +47,14 @@ def excess_of(model: Model, worlds: Worlds, world: int, box: int, place: wp.vec3
 
 
 @wp.func
+def sway_of(state: State, world: int, box: int, place: wp.vec3) -> float:
+    """Horizontal distance of a box from where it was when its drive began, m."""
+    x = place[0] - state.sway_anchor[world, box, 0]
+    y = place[1] - state.sway_anchor[world, box, 1]
+    return wp.sqrt(x * x + y * y)
+
+
+@wp.func
 def measure(
     # Model:
     model: Model,
@@ -95,9 +103,7 @@ def measure(
     tilts = tilt > model.tilt
     lost = tilts and worlds.ends_when_lost[world]
     if driven:
-        x = place[0] - state.sway_anchor[world, box, 0]
-        y = place[1] - state.sway_anchor[world, box, 1]
-        sway = wp.sqrt(x * x + y * y)
+        sway = sway_of(state, world, box, place)
         state.max_sway[world, box] = wp.max(state.max_sway[world, box], sway)
         lost = lost or (tilts and box == culprit and model.waits_for_rest != 0 and sway >= worlds.allowed_sway[world])
     return dropped or lost
