@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
+from petmjx.engines.cpu.bed import Beds
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
@@ -83,6 +84,7 @@ class LiveWorld:
         self._shaken = shaken
         self._templates = templates
         self._held: HeldCarrier | None = None
+        self._beds: Beds | None = None
         self.n_placed = n_boxes
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
@@ -116,6 +118,8 @@ class LiveWorld:
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
         self.geom_bodies = geom_bodies(self.model, self.order)
+        gives = self.scene.stiffness is not None
+        self._beds = Beds(self.scene, self._sim.physics, self.model, self.geom_bodies) if gives else None
         self._look_into_data()
 
     def _look_into_data(self) -> None:
@@ -278,8 +282,12 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released."""
-        mujoco.mj_step(self.model, self.data, nstep=count)
+        """Advance by ``count`` steps in C, with the GIL released; where boxes give, step by step."""
+        if self._beds is None:
+            mujoco.mj_step(self.model, self.data, nstep=count)
+            return
+        for _ in range(count):
+            self._beds.step(self.model, self.data)
 
     def set_gravity(self, gravity: FloatArray) -> None:
         """(3,) m/s²."""
