@@ -11,7 +11,6 @@ comes to an end at a multiple of gravity: where that is below 1, the column buck
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
+from petmjx.engines.batch.bed import Beds, Faces
 from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
@@ -68,6 +69,12 @@ class PaddedModel:
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
         self._data: Any = mjx.make_data(template, impl="jax")
+        self._physics = sim.physics
+        self._beds: Beds | None = None
+
+    def lay_beds(self) -> None:
+        """From now on boxes may give. To be called outside of compiled programs."""
+        self._beds = Beds(self.model, self._data, self._physics)
 
     def no_forces(self, worlds: int) -> Float[Array, "world constraint"]:
         """The forces before the first step."""
@@ -78,6 +85,7 @@ class PaddedModel:
         fields: dict[str, Float[Array, "world ..."]],
         inputs: dict[str, Float[Array, "world ..."]],
         forces: Float[Array, "world constraint"],
+        faces: Faces | None = None,
     ) -> Stepped:
         """One step of all worlds.
 
@@ -85,11 +93,17 @@ class PaddedModel:
             fields: of the model.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied; where a held carrier is.
             forces: of the step before.
+            faces: where boxes give (``lay_beds``).
         """
 
-        def one(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> Any:
+        def one(
+            fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array, faces: Faces | None
+        ) -> Any:
             model, data = self.model.tree_replace(fields), self._data.replace(**inputs)
-            done = mjx.forward(model, data)
+            if self._beds is None or faces is None:
+                done = mjx.forward(model, data)
+            else:
+                done = self._beds.forward(model, data, faces)
             # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
             # for contacts almost at rest (3.17: solver.py, _LSPoint). Then the accelerations and forces of the last
             # step are used, from which the solver started.
@@ -99,7 +113,7 @@ class PaddedModel:
             forces = jnp.where(lost, forces, done._impl.efc_force)
             return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
 
-        data = jax.vmap(one)(fields, inputs, forces)
+        data = jax.vmap(one)(fields, inputs, forces, faces)
         start, forces = data.qacc_warmstart, data._impl.efc_force
         return Stepped(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data))
 
