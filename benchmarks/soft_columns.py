@@ -57,8 +57,8 @@ class Column:
         for size, (x, y), z, mass, stiffness in zip(
             self.size_mm.tolist(), low.tolist(), bottom.tolist(), self.mass_kg, self.stiffness_n_mm, strict=True
         ):
-            row = dict(length_mm=size[0], width_mm=size[1], height_mm=size[2], weight_kg=float(mass))
-            row |= dict(x_mm=x, y_mm=y, z_mm=z)
+            row = {"length_mm": size[0], "width_mm": size[1], "height_mm": size[2], "weight_kg": float(mass)}
+            row |= {"x_mm": x, "y_mm": y, "z_mm": z}
             rows.append(row | ({"stiffness_n_mm": float(stiffness)} if np.isfinite(stiffness) else {}))
         return petmjx.Plan.from_boxes(name, rows)
 

@@ -15,10 +15,13 @@ from petmjx.engines.batch.give import spring_laws
 from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.options.physics import Physics
-from petmjx.world.give import FACE_COSINE, LEAST_SHARE, POINTS_PER_BED
+from petmjx.world.give import EDGE_SHARE, FACE_COSINE, LEAST_SHARE, OUTWARD, POINTS_PER_BED
 
 LEAST_MOMENT_M2: Final = 1e-9
 """Second moment below which an area is a line."""
+
+LEAST_STEEP: Final = 1e-14
+"""Square of the slope below which depth is the same everywhere."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
@@ -49,7 +52,7 @@ class Pressed(NamedTuple):
     """Where faces of two boxes press on one another.
 
     ``flat``: whether they are faces; ``normal``: from the first to the second; ``points`` and ``depth``, m; ``area``
-    that is pressed and that of the ``smaller`` face, m².
+    that is pressed, and the ``least`` as on which the faces are stiff, m².
     """
 
     flat: Bool[Array, ""]
@@ -57,7 +60,7 @@ class Pressed(NamedTuple):
     points: Float[Array, "4 3"]
     depth: Float[Array, 4]
     area: Float[Array, ""]
-    smaller: Float[Array, ""]
+    least: Float[Array, ""]
 
 
 class Beds:
@@ -83,7 +86,7 @@ class Beds:
         margin = contact.includemargin[rows]
         touches = (contact.dist[rows] < margin).any(axis=1)
         is_bed = (give > 0) & found.flat & touches
-        spring = jnp.maximum(found.area, LEAST_SHARE * found.smaller) / jnp.where(give > 0, give, 1.0) / POINTS_PER_BED
+        spring = jnp.maximum(found.area, found.least) / jnp.where(give > 0, give, 1.0) / POINTS_PER_BED
         inverse = jnp.maximum(faces.inverse_mass[one] + faces.inverse_mass[two], 1e-12)
         solref, impedance = spring_laws(self._physics, spring, inverse)
         distance = jnp.where(found.area[:, None] > 0, margin - found.depth, 1.0)
@@ -162,14 +165,20 @@ def bed_of(
         corners, there = _cut(corners, there, across, jnp.abs(whole))
     rise_a, rise_b = -axes @ out_a / (out_a @ normal), -axes @ out_b / (out_b @ normal)
     slope, depth = rise_a - rise_b, apart @ normal - rise_a @ at
+    common, _, _ = _moments(corners, there)
     corners, there = _cut(corners, there, slope, depth)
     area, center, root = _moments(corners, there)
     places = center + _SIGNS @ root.T
     depths = jnp.maximum(depth + places @ slope, 0.0)
+    outward = jnp.clip(OUTWARD * (EDGE_SHARE * common / jnp.maximum(area, LEAST_MOMENT_M2) - 1.0), 0.0, 1.0)
+    deepest = jnp.where(there, depth + corners @ slope, 0.0).max()
+    steep = jnp.maximum(slope @ slope, LEAST_STEEP)
+    places = places + (outward * jnp.maximum(deepest - depths, 0.0) / steep)[:, None] * slope
     height = places @ rise_b + 0.5 * depths
     points = pos_b + reach_b * out_b + places @ axes + height[:, None] * normal
     smaller = 4.0 * jnp.minimum(_area(edges_a), _area(edges_b))
-    return Pressed(-(out_a @ out_b) >= FACE_COSINE, normal, points, depths, area, smaller)
+    least = jnp.maximum(EDGE_SHARE * common, LEAST_SHARE * smaller)
+    return Pressed(-(out_a @ out_b) >= FACE_COSINE, normal, points, depths, area, least)
 
 
 def _face(

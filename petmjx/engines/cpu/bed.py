@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.options.physics import Physics
-from petmjx.world.give import FACE_COSINE, LEAST_SHARE, POINTS_PER_BED, gives, spring_laws
+from petmjx.world.give import EDGE_SHARE, FACE_COSINE, LEAST_SHARE, OUTWARD, POINTS_PER_BED, gives, spring_laws
 from petmjx.world.scene import Scene
 
 PARALLEL: Final = 1e-6
@@ -22,7 +22,21 @@ _LEVEL: Final = 1e-12
 _FAR_M: Final = 1e3
 """How far off the line of depth 0 then is."""
 
+_LEAST_MOMENT_M2: Final = 1e-18
+"""Second moment below which an area is a line."""
+
+_TRUE: Final = np.ones(1, bool)
+_Y: Final = np.array([0.0, 1.0, 0.0])
+_Z: Final = np.array([0.0, 0.0, 1.0])
+_EAST: Final = np.array([1.0, 0.0, 0.0])
+_NEXT: Final = [1, 2, 0]
+_LAST: Final = [2, 0, 1]
+_FACES: Final = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+"""The axis of a face, and those of its edges."""
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
+_ASIDE: Final = np.array([1.0, -1.0])
+_WAYS: Final = np.array([-1.0, 1.0])
+_LATER: Final = np.tri(9, k=-1, dtype=bool)
 _FIELDS: Final = (
     "dist",
     "pos",
@@ -63,7 +77,7 @@ class Beds:
         self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """As ``mj_step`` with Euler's integrator; all that MuJoCo does between collisions and the solver is in order."""
+        """As ``mj_step`` with Euler's integrator, to the last bit but for the beds."""
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)
         mujoco.mj_kinematics(model, data)
@@ -84,193 +98,201 @@ class Beds:
 
     def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Replace the collider's contacts of faces, one of which gives, by those of a bed."""
-        if not data.ncon:
+        count = data.ncon
+        if not count:
             return
-        contact = data.contact
-        geom = np.array(contact.geom)
-        first, second = geom[:, 0], geom[:, 1]
-        give = self._give[first] + self._give[second]
-        concerned = (give > 0) & ~self._plane[first] & ~self._plane[second]
+        geom = data.contact.geom
+        # the collider gives a pair's contacts one after the other
+        begin = np.flatnonzero(np.concatenate([_TRUE, (geom[1:] != geom[:-1]).any(axis=1)]))
+        length = np.diff(begin, append=count)
+        one, two = geom[begin].T
+        give = self._give[one] + self._give[two]
+        concerned = (give > 0) & ~self._plane[one] & ~self._plane[two]
         if not concerned.any():
             return
-        # the collider gives a pair's contacts one after the other
-        begins = concerned & np.append(True, (geom[1:] != geom[:-1]).any(axis=1))
-        rows = np.flatnonzero(begins)
-        one, two = first[rows], second[rows]
-        frame = np.array(contact.frame[rows, :3])
-        place, turn = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
-        flat, normal, points, depth, area, smaller = pressed(
-            place[one], turn[one], self._half[one], place[two], turn[two], self._half[two], frame
-        )
-        spring = np.maximum(area, LEAST_SHARE * smaller) / give[rows] / POINTS_PER_BED
+        begin, length, one, two, give = (values[concerned] for values in (begin, length, one, two, give))
+        found = pressed(data.geom_xpos, data.geom_xmat, self._half, one, two, data.contact.frame[begin, :3])
+        flat, normal, points, depth, area, least = found
+        spring = np.maximum(area, least) / give / POINTS_PER_BED
         solref, impedance = spring_laws(self._physics, spring, self._inverse[one] + self._inverse[two])
-        number = np.cumsum(begins) - 1  # of a contact's pair
-        beds = concerned & np.append(flat, False)[number]
-        source = np.where(beds, 0, 1)
-        source[rows[flat]] = np.where(area[flat] > 0, POINTS_PER_BED, 0)
-        source = np.repeat(np.arange(len(geom)), source)
-        if len(source) != len(geom) or (source != np.arange(len(geom))).any():
-            _take(model, data, source)
-            contact = data.contact
-        if not len(source):
-            return
-        beds = beds[source]
-        number = number[source[beds]]
-        corner = np.arange(np.count_nonzero(beds)) % POINTS_PER_BED
-        contact.pos[beds] = points[number, corner]
-        contact.dist[beds] = contact.includemargin[beds] - depth[number, corner]
-        contact.frame[beds] = frames(normal)[number]
-        contact.solref[beds] = solref[number]
-        contact.solimp[beds, :2] = impedance[number, None]
+        beds = np.arange(len(begin))
+        if not ((length == POINTS_PER_BED) & flat & (area > 0)).all():
+            beds = np.flatnonzero(flat & (area > 0))
+            wanted = np.ones(count, np.intp)
+            for first, contacts, is_bed, some in zip(begin, length, flat, area > 0, strict=True):
+                if is_bed:
+                    wanted[first : first + contacts] = 0
+                    wanted[first] = POINTS_PER_BED * some
+            if not _take(model, data, np.repeat(np.arange(count), wanted)):
+                return  # MuJoCo counts it as a warning, and the world overflows
+            begin = (np.cumsum(wanted) - wanted)[begin[beds]]
+        rows, contact = begin[:, None] + np.arange(POINTS_PER_BED), data.contact
+        contact.pos[rows] = points[beds]
+        contact.dist[rows] = contact.includemargin[rows] - depth[beds]
+        contact.frame[rows] = frames(normal)[beds, None]
+        contact.solref[rows] = solref[beds, None]
+        contact.solimp[rows, :2] = impedance[beds, None, None]
 
 
-def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) -> None:
-    """Let contacts be those of these numbers."""
+def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) -> bool:
+    """Let contacts be those of these numbers; returns whether there is room for them."""
     values = {name: np.array(getattr(data.contact, name))[source] for name in _FIELDS}
     for _ in range(len(source) - data.ncon):
         if mujoco.mj_addContact(model, data, mujoco.MjContact()):
-            return  # MuJoCo counts it as a warning, and the world overflows
+            return False
     data.ncon = len(source)
     for name, value in values.items():
         getattr(data.contact, name)[:] = value
+    return True
 
 
 def frames(normal: FloatArray) -> FloatArray:
-    """(p, 9) frames of contacts with these normals (p, 3), as MuJoCo's ``mju_makeFrame`` has them."""
-    other = np.where((np.abs(normal[:, 1]) < 0.5)[:, None], (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    one = other - (other * normal).sum(axis=1, keepdims=True) * normal
-    one /= np.linalg.norm(one, axis=1, keepdims=True)
-    return np.concatenate([normal, one, np.cross(normal, one)], axis=1)
+    """(p, 9) frames of contacts with these unit normals (p, 3), as MuJoCo's ``mju_makeFrame`` has them."""
+    other = np.where(np.abs(normal[:, 1:2]) < 0.5, _Y, _Z)
+    one = _unit(other - (other * normal).sum(axis=1, keepdims=True) * normal)
+    return np.concatenate([normal, one, _cross(normal, one)], axis=1)
 
 
 def pressed(
-    pos_a: FloatArray,
-    turn_a: FloatArray,
-    half_a: FloatArray,
-    pos_b: FloatArray,
-    turn_b: FloatArray,
-    half_b: FloatArray,
+    pos: FloatArray,
+    turn: FloatArray,
+    half: FloatArray,
+    one: NDArray[np.integer],
+    two: NDArray[np.integer],
     normal: FloatArray,
 ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Where faces of two boxes press on one another, for p pairs.
+    """Where faces of boxes press on one another, for p pairs.
 
     Args:
-        pos_a, pos_b: (p, 3) middles, m.
-        turn_a, turn_b: (p, 3, 3) rotations.
-        half_a, half_b: (p, 3) half sizes, m.
+        pos: (n, 3) middles, m.
+        turn: (n, 9) rotations, row by row.
+        half: (n, 3) half sizes, m.
+        one, two: (p,) boxes.
         normal: (p, 3) of the collider, from the first to the second.
 
     Returns:
         (p,) whether they are faces; (p, 3) unit normals; (p, 4, 3) points, m; (p, 4) depths, m; (p,) area that is
-        pressed, m²; (p,) area of the smaller of both faces, m².
+        pressed, m²; (p,) area as on which the faces are stiff at least, m².
     """
-    center_a, out_a, edges_a, area_a = _face(pos_a, turn_a, half_a, normal)
-    center_b, out_b, edges_b, area_b = _face(pos_b, turn_b, half_b, -normal)
-    flat = -(out_a * out_b).sum(axis=1) >= FACE_COSINE
-    middle = out_a - out_b
-    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-    x = edges_a[:, 0] - (edges_a[:, 0] * middle).sum(axis=1, keepdims=True) * middle
-    x /= np.linalg.norm(x, axis=1, keepdims=True)
-    axes = np.stack([x, np.cross(middle, x), middle], axis=2)  # as columns
+    count = len(one)
+    boxes, toward = np.concatenate([one, two]), np.concatenate([normal, -normal])
+    columns = turn[boxes].reshape(-1, 3, 3).transpose(0, 2, 1)
+    along = (columns @ toward[:, :, None])[:, :, 0]
+    rows = np.arange(2 * count)[:, None]
+    order = _FACES[np.abs(along).argmax(axis=1)]
+    reach = half[boxes][rows, order]
+    # half axes of the face that looks most this way: out of the box, and along both edges
+    directions = columns[rows, order]
+    directions[:, 0] *= np.copysign(1.0, along[rows, order[:, :1]])
+    axes = directions * reach[:, :, None]
+    center = pos[boxes] + axes[:, 0]
+    out_a, out_b = directions[:count, 0], directions[count:, 0]
+    middle = _unit(out_a - out_b)
+    plane = np.empty((count, 3, 3))
+    edge = axes[:count, 1]
+    plane[:, 0] = _unit(edge - (edge * middle).sum(axis=1, keepdims=True) * middle)
+    plane[:, 1], plane[:, 2] = _cross(middle, plane[:, 0]), middle
+    vectors = np.empty((count, 7, 3))
     # origin: the middle of the second box's face
-    at_a = np.einsum("pi,pij->pj", center_a - center_b, axes)
-    lines = np.concatenate(
-        [
-            _sides(at_a[:, :2], np.einsum("pki,pij->pkj", edges_a, axes)[..., :2]),
-            _sides(np.zeros_like(at_a[:, :2]), np.einsum("pki,pij->pkj", edges_b, axes)[..., :2]),
-        ],
-        axis=1,
-    )
-    slope_a, slope_b = _slope(out_a, axes), _slope(out_b, axes)
-    slope = slope_a - slope_b
-    depth = np.column_stack([slope, at_a[:, 2] - (slope_a * at_a[:, :2]).sum(axis=1)])
-    steep = np.linalg.norm(slope, axis=1, keepdims=True)
-    level = np.column_stack([np.ones_like(steep), np.zeros_like(steep), np.copysign(_FAR_M, depth[:, 2:])])
-    edge = np.where(steep < _LEVEL, level, depth / np.maximum(steep, _LEVEL))
-    area, center, root = _moments(np.concatenate([lines, edge[:, None]], axis=1))
-    places = center[:, None] + np.einsum("pij,cj->pci", root, _SIGNS)
-    depths = np.einsum("pci,pi->pc", places, slope) + depth[:, 2, None]
-    height = np.einsum("pci,pi->pc", places, slope_b) + 0.5 * depths
-    points = center_b[:, None] + np.einsum("pij,pcj->pci", axes, np.concatenate([places, height[..., None]], axis=2))
-    return flat, middle, points, depths, area, np.minimum(area_a, area_b)
+    vectors[:, 0] = center[:count] - center[count:]
+    vectors[:, 1:3], vectors[:, 3:5] = axes[:count, 1:], axes[count:, 1:]
+    vectors[:, 5], vectors[:, 6] = out_a, out_b
+    seen = vectors @ plane.transpose(0, 2, 1)
+    lines = np.empty((count, 9, 3))
+    _sides(seen[:, 1:5, :2].reshape(count, 2, 2, 2), seen[:, 0, :2], lines)
+    rise = -seen[:, 5:, :2] / seen[:, 5:, 2:]
+    depth = np.empty((count, 3))
+    depth[:, :2] = rise[:, 0] - rise[:, 1]
+    depth[:, 2] = seen[:, 0, 2] - (rise[:, 0] * seen[:, 0, :2]).sum(axis=1)
+    steep = np.sqrt((depth[:, :2] ** 2).sum(axis=1))
+    lines[:, 8] = depth / np.maximum(steep, _LEVEL)[:, None]
+    level = steep < _LEVEL
+    if level.any():
+        lines[level, 8] = _EAST
+        lines[level, 8, 2] = np.copysign(_FAR_M, depth[level, 2])
+    area, common, deepest, centroid, root = _moments(lines)
+    places = np.empty((count, POINTS_PER_BED, 3))
+    places[..., :2] = centroid[:, None] + _SIGNS @ root.transpose(0, 2, 1)
+    depths = (places[..., :2] @ depth[:, :2, None])[..., 0] + depth[:, 2:]
+    outward = np.clip(OUTWARD * (EDGE_SHARE * common / np.maximum(area, _LEAST_MOMENT_M2) - 1.0), 0.0, 1.0)
+    if outward.any():
+        away = lines[:, 8, :2, None]
+        short = deepest[:, None] - (places[..., :2] @ away)[..., 0] - lines[:, 8, 2:]
+        places[..., :2] += (outward[:, None] * short)[..., None] * away[:, None, :, 0]
+    places[..., 2] = (places[..., :2] @ rise[:, 1, :, None])[..., 0] + 0.5 * depths
+    points = center[count:, None] + places @ plane
+    of_face = 4.0 * reach[:, 1] * reach[:, 2]
+    flat = -(out_a * out_b).sum(axis=1) >= FACE_COSINE
+    least = np.maximum(EDGE_SHARE * common, LEAST_SHARE * np.minimum(of_face[:count], of_face[count:]))
+    return flat, middle, points, depths, area, least
 
 
-def _face(
-    pos: FloatArray, turn: FloatArray, half: FloatArray, toward: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(p, 3) middle, (p, 3) outward normal, (p, 2, 3) half edges and (p,) area of the face that looks most this way."""
-    along = np.einsum("pij,pi->pj", turn, toward)
-    axis = np.abs(along).argmax(axis=1)
-    rows = np.arange(len(axis))
-    out = turn[rows, :, axis] * np.where(along[rows, axis] < 0, -1.0, 1.0)[:, None]
-    one, two = (axis + 1) % 3, (axis + 2) % 3
-    edges = np.stack([turn[rows, :, one] * half[rows, one, None], turn[rows, :, two] * half[rows, two, None]], axis=1)
-    return pos + out * half[rows, axis, None], out, edges, 4.0 * half[rows, one] * half[rows, two]
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.sqrt((vectors * vectors).sum(axis=1, keepdims=True)))
 
 
-def _sides(center: FloatArray, edges: FloatArray) -> FloatArray:
-    """(p, 4, 3) the sides of a parallelogram as lines: what x, y and 1 are multiplied by is the distance inside it.
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """As ``np.cross``, which takes ten times as long for a few vectors."""
+    return np.asarray(a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT])
+
+
+def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
+    """Fill in the sides of two parallelograms as lines: what x, y and 1 are multiplied by is the distance inside one.
 
     Args:
-        center: (p, 2).
-        edges: (p, 2, 2) half edges.
+        edges: (p, 2, 2, 2) half edges: parallelogram, edge, coordinate.
+        at: (p, 2) middle of the first one; that of the second one is the origin.
+        lines: (p, 9, 3), of which eight are filled in.
     """
-    one, two = edges[:, 0], edges[:, 1]
-    cross = one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]
-    found = []
-    for edge, factor in ((one, -np.sign(cross)), (two, np.sign(cross))):
-        length = np.linalg.norm(edge, axis=1)
-        across = np.column_stack([edge[:, 1], -edge[:, 0]]) * (factor / length)[:, None]
-        offset, reach = (across * center).sum(axis=1), np.abs(cross) / length
-        found += [np.column_stack([across, reach - offset]), np.column_stack([-across, reach + offset])]
-    return np.stack(found, axis=1)
+    cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
+    length = np.sqrt((edges * edges).sum(axis=3))
+    across = edges[..., ::-1] * _ASIDE * (np.copysign(1.0, cross) * _WAYS / length)[..., None]
+    reach = np.abs(cross) / length
+    offset = (across[:, 0] @ at[:, :, None])[..., 0]
+    lines[:, 0:2, :2], lines[:, 2:4, :2] = across[:, 0], -across[:, 0]
+    lines[:, 4:6, :2], lines[:, 6:8, :2] = across[:, 1], -across[:, 1]
+    lines[:, 0:2, 2], lines[:, 2:4, 2] = reach[:, 0] - offset, reach[:, 0] + offset
+    lines[:, 4:6, 2] = lines[:, 6:8, 2] = reach[:, 1]
 
 
-def _slope(out: FloatArray, axes: FloatArray) -> FloatArray:
-    """(p, 2) by how much a face rises along x and y."""
-    along = np.einsum("pi,pij->pj", out, axes)
-    return -along[:, :2] / along[:, 2:]
-
-
-def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(p,) area, (p, 2) centroid and (p, 2, 2) root of the second moments for each area, of the common inside of lines.
+def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The common inside of lines: (p,) area, (p,) area without the last line, (p,) how far from the last line it
+    reaches, (p, 2) centroid and (p, 2, 2) root of the second moments for each area.
 
     Each edge is a line cut off by all others; area and moments are sums over edges (Green's theorem).
 
     Args:
         lines: (p, k, 3) as ``_sides`` gives them.
     """
-    n = lines.shape[1]
-    across, offset = lines[..., :2], lines[..., 2]
-    foot, along = -offset[..., None] * across, np.stack([across[..., 1], -across[..., 0]], axis=2)
-    sine = np.einsum("pji,pki->pjk", along, across)  # [line j, cut by k]
-    inside = np.einsum("pji,pki->pjk", foot, across) + offset[:, None, :]
+    across, offset = lines[:, :, :2], lines[:, :, 2]
+    along = across[:, :, ::-1] * _ASIDE
+    turned = across.transpose(0, 2, 1)
+    sine, cosine = along @ turned, across @ turned  # [line j, cut by k]
     parallel = np.abs(sine) < PARALLEL
-    same = np.einsum("pji,pki->pjk", across, across) > 0
-    apart = offset[:, None, :] + np.where(same, -1.0, 1.0) * offset[:, :, None]
+    inside = offset[:, None, :] - offset[:, :, None] * np.where(parallel, np.rint(cosine), cosine)
+    cut = -inside / np.where(parallel, 1.0, sine)
     # of two lines in the same place the first one is an edge
-    ties = np.arange(n)[:, None] < np.arange(n)[None, :]
-    outside = parallel & ((apart < 0) | (same & (apart == 0) & ~ties))
-    outside[:, np.arange(n), np.arange(n)] = False
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cut = -inside / sine
-    low = np.where(~parallel & (sine > 0), cut, -np.inf).max(axis=2)
-    high = np.where(~parallel & (sine < 0), cut, np.inf).min(axis=2)
-    edge = ~outside.any(axis=2) & (low < high)
-    low, high = np.where(edge, low, 0.0), np.where(edge, high, 0.0)
-    begin, end = foot + low[..., None] * along, foot + high[..., None] * along
-    cross = begin[..., 0] * end[..., 1] - begin[..., 1] * end[..., 0]
-    cross = np.where(edge, cross, 0.0)
-    area = 0.5 * cross.sum(axis=1)
-    there = area > 0
-    safe = np.where(there, area, 1.0)
-    both = begin + end
-    center = np.einsum("pj,pji->pi", cross, both) / (6.0 * safe[:, None])
-    second = np.einsum("pj,pji,pjk->pik", cross, both, both)
-    second += np.einsum("pj,pji,pjk->pik", cross, begin, begin) + np.einsum("pj,pji,pjk->pik", cross, end, end)
-    second = second / (24.0 * safe[:, None, None]) - center[:, :, None] * center[:, None, :]
+    outside = parallel & ((inside < 0) | ((inside == 0) & _LATER))
+    low = np.where(sine >= PARALLEL, cut, -_FAR_M)
+    high = np.where(sine <= -PARALLEL, cut, np.where(outside, -np.inf, _FAR_M))
+    length = np.maximum(high[:, :-1, :-1].min(axis=2) - low[:, :-1, :-1].max(axis=2), 0.0)
+    common = 0.5 * np.where(length > 0, length * offset[:, :-1], 0.0).sum(axis=1)
+    low, high = low.max(axis=2), high.min(axis=2)
+    length = np.maximum(high - low, 0.0)
+    is_edge = length > 0
+    share = np.where(is_edge, length * offset, 0.0)  # twice the area of a triangle with the origin
+    area = 0.5 * share.sum(axis=1)
+    share /= np.where(area > 0, area, 1.0)[:, None]
+    half_way = np.where(is_edge, 0.5 * (low + high), 0.0)
+    middle = half_way[:, :, None] * along - offset[:, :, None] * across
+    reach = (middle @ across[:, -1, :, None])[..., 0] + offset[:, -1:] + 0.5 * length * np.abs(sine[:, :, -1])
+    reach = np.where(is_edge, reach, 0.0).max(axis=1)
+    centroid = (share[:, None] @ middle)[:, 0] / 3.0
+    second = (share[:, :, None] * middle).transpose(0, 2, 1) @ middle / 4.0
+    second += ((share * length**2)[:, :, None] * along).transpose(0, 2, 1) @ along / 48.0
+    second -= centroid[:, :, None] * centroid[:, None, :]
     root = np.zeros_like(second)
-    root[:, 0, 0] = np.sqrt(np.maximum(second[:, 0, 0], 1e-18))
+    root[:, 0, 0] = np.sqrt(np.maximum(second[:, 0, 0], _LEAST_MOMENT_M2))
     root[:, 1, 0] = second[:, 0, 1] / root[:, 0, 0]
     root[:, 1, 1] = np.sqrt(np.maximum(second[:, 1, 1] - root[:, 1, 0] ** 2, 0.0))
-    return np.where(there, area, 0.0), center, root
+    return np.maximum(area, 0.0), common, reach, centroid, root

@@ -118,7 +118,7 @@ class LiveWorld:
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
         self.geom_bodies = geom_bodies(self.model, self.order)
-        gives = self.scene.stiffness is not None
+        gives = self.scene.stiffness is not None and bool(np.isfinite(self.scene.stiffness).any())
         self._beds = Beds(self.scene, self._sim.physics, self.model, self.geom_bodies) if gives else None
         self._look_into_data()
 

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.world.give import FACE_COSINE
+from petmjx.world.give import EDGE_SHARE, FACE_COSINE, LEAST_SHARE, OUTWARD
 
 FLAT = wp.constant(FACE_COSINE)
+EDGE = wp.constant(EDGE_SHARE)
+SHARE = wp.constant(LEAST_SHARE)
+OUT = wp.constant(OUTWARD)
 LEVEL = wp.constant(1e-9)
 """Second moments, m², below which an area is a line."""
+
+STEEP = wp.constant(1e-14)
+"""Square of the slope below which depth is the same everywhere."""
 
 MOST = wp.constant(10)
 Polygon = wp.types.matrix(shape=(10, 2), dtype=wp.float32)
@@ -61,6 +67,19 @@ def _cut(corners: Polygon, count: int, x: float, y: float, one: float) -> tuple[
 
 
 @wp.func
+def _area(corners: Polygon, count: int) -> float:
+    """Area of a polygon."""
+    area = float(0.0)
+    for i in range(1, count - 1):
+        px = corners[i, 0] - corners[0, 0]
+        py = corners[i, 1] - corners[0, 1]
+        qx = corners[i + 1, 0] - corners[0, 0]
+        qy = corners[i + 1, 1] - corners[0, 1]
+        area += 0.5 * wp.abs(px * qy - py * qx)
+    return area
+
+
+@wp.func
 def bed_of(
     pos_a: wp.vec3,
     turn_a: wp.mat33,
@@ -76,8 +95,8 @@ def bed_of(
         toward: the collider's normal, from the first to the second.
 
     Returns:
-        Whether they are faces; the normal; points and depths, row by row; the area that is pressed, m²; the area of the
-        smaller face, m².
+        Whether they are faces; the normal; points and depths, row by row; the area that is pressed, m²; the area as
+        on which the faces are stiff at least, m².
     """
     axis_a = _face_axis(turn_a, toward)
     axis_b = _face_axis(turn_b, toward)
@@ -126,6 +145,8 @@ def bed_of(
     rise_b = -wp.vec2(wp.dot(out_b, x), wp.dot(out_b, y)) / wp.dot(out_b, normal)
     slope = rise_a - rise_b
     depth = wp.dot(apart, normal) - rise_a[0] * ax - rise_a[1] * ay
+    whole = EDGE * _area(corners, count)
+    least = wp.max(whole, SHARE * smaller)
     corners, count = _cut(corners, count, slope[0], slope[1], depth)
     # area and moments of triangles around the first corner
     area = float(0.0)
@@ -147,7 +168,7 @@ def bed_of(
         yy += part * (py * py + py * qy + qy * qy) / 6.0
         xy += part * (2.0 * px * py + px * qy + qx * py + 2.0 * qx * qy) / 12.0
     if area <= 0.0:
-        return True, normal, points, 0.0, smaller
+        return True, normal, points, 0.0, least
     mx = mx / area
     my = my / area
     xx = wp.max(xx / area - mx * mx, LEVEL)
@@ -156,6 +177,11 @@ def bed_of(
     root = wp.sqrt(xx)
     lean = xy / root
     rest = wp.sqrt(wp.max(yy - lean * lean, 0.0))
+    outward = wp.clamp(OUT * (whole / area - 1.0), 0.0, 1.0)
+    deepest = float(0.0)
+    for i in range(count):
+        deepest = wp.max(deepest, depth + slope[0] * corners[i, 0] + slope[1] * corners[i, 1])
+    outward = outward / wp.max(wp.dot(slope, slope), STEEP)
     center = pos_b + half_b[axis_b] * out_b
     for i in range(4):
         first = wp.where(i < 2, -1.0, 1.0)
@@ -163,10 +189,13 @@ def bed_of(
         u = corners[0, 0] + mx + first * root
         v = corners[0, 1] + my + first * lean + second * rest
         deep = wp.max(depth + slope[0] * u + slope[1] * v, 0.0)
+        further = outward * wp.max(deepest - deep, 0.0)
+        u += further * slope[0]
+        v += further * slope[1]
         height = rise_b[0] * u + rise_b[1] * v + 0.5 * deep
         point = center + u * x + v * y + height * normal
         points[i, 0] = point[0]
         points[i, 1] = point[1]
         points[i, 2] = point[2]
         points[i, 3] = -deep
-    return True, normal, points, area, smaller
+    return True, normal, points, area, least

@@ -160,7 +160,7 @@ def collide(
             give = give_of_pair(worlds, at.world, one, two)
             work.pair_spring[block, pair] = spring_of_pair(worlds, at.world, one, two)
             if one != 0 and give > 0.0 and count > 0:
-                are_faces, outward, points, area, smaller = bed_of(
+                are_faces, outward, points, area, least = bed_of(
                     work.geom_xpos[block, one],
                     work.geom_xmat[block, one],
                     geom_half(worlds, at.world, one),
@@ -174,7 +174,7 @@ def collide(
                     normal = outward
                     for i in range(4):
                         work.pair_points[block, pair, i] = points[i]
-                    work.pair_spring[block, pair] = spring_of_bed(area, smaller, give)
+                    work.pair_spring[block, pair] = spring_of_bed(wp.max(area, least), give)
         work.pair_normal[block, pair] = normal
         changed = changed or work.pair_ncon[block, pair] != count
         work.pair_ncon[block, pair] = count

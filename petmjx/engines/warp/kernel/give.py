@@ -55,9 +55,9 @@ def give_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
 
 
 @wp.func
-def spring_of_bed(area: float, smaller: float, give: float) -> float:
+def spring_of_bed(area: float, give: float) -> float:
     """Stiffness of a contact of faces that press on one another with this area, m², N/m."""
-    return wp.max(area, SHARE * smaller) / give / CONTACTS
+    return area / give / CONTACTS
 
 
 @wp.func
