@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from petmjx.engines.batch import film, hand
+from petmjx.engines.batch.bed import Faces
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
@@ -28,6 +29,8 @@ class Lockstep:
 
     def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
         self.rules, self.model, self.gives, self.wraps = rules, model, gives, wraps
+        if gives:
+            model.lay_beds()
 
     def compiled(
         self,
@@ -51,6 +54,7 @@ class Lockstep:
         without a recorder it must be the same program, since another one might round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
+        faces = (Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]),) if self.gives else ()
         if self.rules.driven:
             state = self.rules.begin_drives(state, worlds)
 
@@ -58,7 +62,7 @@ class Lockstep:
             carry: tuple[State, Float[Array, "world constraint"]], _: None
         ) -> tuple[tuple[State, Float[Array, "world constraint"]], Trail]:
             before, forces = carry
-            after, forces, top_force = self._advance(before, forces, worlds, fields, profiles)
+            after, forces, top_force = self._advance(before, forces, worlds, fields, profiles, faces)
             passed = Trail(
                 ran=before.running,
                 fresh=(after.last_placed_at == after.step) & (after.placed > before.placed),
@@ -81,6 +85,7 @@ class Lockstep:
         worlds: Worlds,
         fields: dict[str, Float[Array, "world ..."]],
         profiles: Float[Array, "profile step 3"],
+        faces: tuple[Faces, ...],
     ) -> tuple[State, Float[Array, "world constraint"], Float[Array, "world box"]]:
         """One step of every world and all that follows from it; constraint forces, and forces on tops during it."""
         rules, held = self.rules, self.model.held
@@ -112,7 +117,7 @@ class Lockstep:
         if held:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
-        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces)
+        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, *faces)
         running = state.running[:, None]
 
         def moved(

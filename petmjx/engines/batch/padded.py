@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
+from petmjx.engines.batch.bed import Beds, Faces
 from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.slip import SlipLaw
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
@@ -70,6 +71,12 @@ class PaddedModel:
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
         self._data: Any = mjx.make_data(template, impl="jax")
+        self._physics = sim.physics
+        self._beds: Beds | None = None
+
+    def lay_beds(self) -> None:
+        """From now on boxes may give. To be called outside of compiled programs."""
+        self._beds = Beds(self.model, self._data, self._physics)
 
     def _model_of(self, fields: dict[str, jax.Array]) -> Any:
         """A world's model."""
@@ -84,6 +91,7 @@ class PaddedModel:
         fields: dict[str, Float[Array, "world ..."]],
         inputs: dict[str, Float[Array, "world ..."]],
         forces: Float[Array, "world constraint"],
+        faces: Faces | None = None,
     ) -> Stepped:
         """One step of all worlds.
 
@@ -91,13 +99,17 @@ class PaddedModel:
             fields: of the model.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied; where a held carrier is.
             forces: of the step before.
+            faces: where boxes give (``lay_beds``).
         """
 
-        def ready(fields: dict[str, jax.Array], inputs: dict[str, jax.Array]) -> Any:
+        def ready(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None) -> Any:
             # mjx.forward up to the solver
             model, data = self._model_of(fields), self._data.replace(**inputs)
-            moving = mjx.fwd_velocity(model, mjx.fwd_position(model, data))
-            return mjx.fwd_acceleration(model, mjx.fwd_actuation(model, moving))
+            if self._beds is None or faces is None:
+                data = mjx.fwd_position(model, data)
+            else:
+                data = self._beds.fwd_position(model, data, faces)
+            return mjx.fwd_acceleration(model, mjx.fwd_actuation(model, mjx.fwd_velocity(model, data)))
 
         def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
             # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
@@ -109,7 +121,7 @@ class PaddedModel:
             done = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
             return mjx.euler(self._model_of(fields), done)
 
-        data = jax.vmap(ready)(fields, inputs)
+        data = jax.vmap(ready)(fields, inputs, faces)
         if self._slip is not None:
             data = self._slip.solve(fields, data)
         else:

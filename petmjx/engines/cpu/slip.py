@@ -40,8 +40,13 @@ class SlipLaw:
         return self.acts and bool(velocity.dot(velocity) > SLOW_M_S**2)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Take one step. All contacts have three rows (``condim`` 3), behind those of other constraints."""
+        """Take one step."""
         mujoco.mj_step1(model, data)
+        self.step2(model, data)
+
+    def step2(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """As ``mj_step2``, with Euler's integrator. All contacts have three rows (``condim`` 3), behind those of other
+        constraints."""
         first = data.ne + data.nf + data.nl
         if not self.acts or data.nefc == first:
             mujoco.mj_step2(model, data)

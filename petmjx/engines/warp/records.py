@@ -178,6 +178,7 @@ class Workspace:
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both are rigid
     geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
     geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
     geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # where they begin

@@ -11,7 +11,7 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.block import cross, fused, prefix_sums, times, wait_for_all
 from petmjx.engines.warp.kernel.efc import put_number
-from petmjx.engines.warp.kernel.give import spring_law, spring_of_pair
+from petmjx.engines.warp.kernel.give import spring_law
 from petmjx.engines.warp.kernel.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.kernel.ordering import free_position
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
@@ -151,7 +151,7 @@ def make_constraint(
             velocity += along + arms_two * angular_velocity(state, world, body_two)
         kbi = _reference(model, point[3])
         if at.gives != 0:
-            spring = spring_of_pair(worlds, world, first, second)
+            spring = work.pair_spring[block, pair]
             if spring > 0.0:
                 kbi = spring_law(model, spring, weight)
         damping = wp.where(model.friction_damping > 0.0, model.friction_damping, kbi[1])
