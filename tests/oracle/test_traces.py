@@ -18,6 +18,7 @@ from support.plans import Box, make_scene, stack
 from support.traces import Seen, every_step
 from support.worlds import boxes_by_plan
 
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.options.config import Check, Quiet, Schedule, Simulation
@@ -32,6 +33,10 @@ SAME_TILT_DEG = 0.05
 """Frames of the other engines are float32: the last digit of a quaternion is 0.01° near 0."""
 SAME_FORCE = 1e-5
 """Sums of float32."""
+
+LEFT_OUT = 0.93
+"""Share of the largest force of all steps that is found at least, if it is more than a box's weight: steps in which no
+box is accelerated upwards are left out."""
 
 CAPACITY, BATCH = 2, 8
 """Boxes of the largest world on mjx-jax, and its worlds: programs take long to compile, and steps long to take."""
@@ -156,7 +161,9 @@ def test_outcomes_follow_from_frames(engine: str, kind: str) -> None:
         outcome, boxes, trace = seen.outcome, seen.outcome.boxes, seen.trace
         assert (trace.end, trace.end) == (outcome.n_steps, seen.step_of(outcome.sim_time_s)), name
         np.testing.assert_allclose(boxes.max_tilt_deg, seen.tilt_deg(), atol=SAME_TILT_DEG, err_msg=name)
-        np.testing.assert_allclose(boxes.max_top_force_n, seen.top_force_n(), rtol=SAME_FORCE, err_msg=name)
+        share = boxes.max_top_force_n / np.fmax(seen.top_force_n(), 1e-6)
+        assert (share <= 1 + SAME_FORCE).all(), name
+        assert (share[seen.top_force_n() > seen.job.scene.mass.min() * STANDARD_GRAVITY] >= LEFT_OUT).all(), name
         if not outcome.flags & Flag.EARLY_STOP:
             rest = boxes.rest_top_force_n
             np.testing.assert_allclose(rest, seen.rest_force_n(), rtol=SAME_FORCE, atol=1e-3, err_msg=name)

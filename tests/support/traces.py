@@ -161,7 +161,6 @@ class Seen:
         return mean
 
     def top_force_n(self) -> FloatArray:
-        """(n,) the largest of samples, and at least the one at rest."""
-        during = self.history.top_force_n[[frame + 1 for frame in self.samples]]
-        largest = np.fmax.reduce(during, axis=0, initial=0.0)
-        return np.fmax(largest, self.outcome.boxes.rest_top_force_n)
+        """(n,) the largest of all steps after the soft start."""
+        largest: FloatArray = np.fmax.reduce(self.history.top_force_n[1:], axis=0, initial=0.0)
+        return largest

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from petmjx.engines.batch import film, hand
 from petmjx.engines.batch.bed import Faces
@@ -17,6 +17,8 @@ from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State
 from petmjx.engines.batch.template import FIRST_BOX_BODY, override_fields
 from petmjx.engines.batch.worlds import Worlds
+from petmjx.metrics import motion_jax as motion
+from petmjx.metrics.spec import RESTLESS_M_S, RISING_M_S2
 from petmjx.options.config import SOFT_START_STEPS
 
 CHUNK_STEPS = 25
@@ -127,7 +129,7 @@ class Lockstep:
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
-        seen_qpos = state.qpos
+        seen_qpos, before = state.qpos, state
         carrier_qpos, qpos = moved(done.qpos, state.carrier_qpos, state.qpos)
         carrier_qvel, qvel = moved(done.qvel, state.carrier_qvel, state.qvel)
         carrier_qacc, qacc = moved(done.qacc_warmstart, state.carrier_qacc, state.qacc)
@@ -143,7 +145,20 @@ class Lockstep:
             carrier_qacc_warmstart=carrier_qacc,
             step=state.step + state.running,
         )
-        return rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force), done.forces, done.top_force
+        presses = self._presses(before, worlds, jnp.maximum(seen_qacc[..., 2].max(-1), carrier_qacc[:, 2]))
+        after = rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force, presses)
+        return after, done.forces, done.top_force
+
+    def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
+        """Whether the forces of the step after ``before`` count between samples: a box is fast, and one rises or it is
+        time to look for quiet; while a drive acts always. ``rising``: the largest acceleration upwards, m/s²."""
+        rules, step = self.rules, before.step + 1
+        if not rules.sim.waits_for_rest:
+            return jnp.zeros_like(before.running)
+        fast = (rules.standing(before) & (motion.speed(before.qvel, worlds.half) > RESTLESS_M_S)).any(-1)
+        polled = step % rules.sim.quiet.poll_steps == 0
+        acts = step - before.driven_from <= worlds.profile_steps
+        return (fast & (polled | (rising > RISING_M_S2))) | (acts & rules.driven)
 
     def _excitation(
         self, state: State, worlds: Worlds, profiles: Float[Array, "profile step 3"]

@@ -36,6 +36,7 @@ class _Seen(NamedTuple):
     qpos: Float[Array, "world box 7"]
     qacc: Float[Array, "world box 6"]
     top_force: Float[Array, "world box"]
+    presses: Bool[Array, " world"]
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
@@ -163,6 +164,7 @@ class Rules:
         seen_qpos: Float[Array, "world box 7"],
         qacc: Float[Array, "world box 6"],
         top_force: Float[Array, "world box"],
+        presses: Bool[Array, " world"],
     ) -> State:
         """Everything that happens between two steps.
 
@@ -170,13 +172,13 @@ class Rules:
             state: poses, velocities and step counters as the step left them.
             seen_qpos: poses at the beginning of the step, to which contacts and accelerations belong.
             qacc: linear (m/s²) and angular (rad/s²) of each box in that step.
-            top_force: N.
+            top_force: N. ``presses``: it counts, also in a step without a sample.
         """
         before, in_hand = state.running, hand.carried(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
         values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
-        state = self._sample(state, worlds, _Seen(seen_qpos, qacc, top_force), nonfinite)
+        state = self._sample(state, worlds, _Seen(seen_qpos, qacc, top_force, presses), nonfinite)
         state = state._replace(
             steps_done=state.steps_done + (before & (state.step > 0)),
             flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
@@ -202,7 +204,6 @@ class Rules:
         standing = self.judged(state)
         sampled = standing & sample[:, None]
         looked = standing & (sample | look | last)[:, None]
-
         qpos = jnp.where(sample[:, None, None], seen.qpos, state.qpos)
         pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
         tilt = motion.tilt_deg(quat)
@@ -234,6 +235,7 @@ class Rules:
             top_force=seen.top_force,
             dropped=dropped,
             sampled=sampled,
+            presses=standing & (sample | (counted & seen.presses))[:, None],
             tilts=standing & (sample | look)[:, None],
             looked=looked,
             rested=standing & resting[:, None],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -20,6 +19,7 @@ from petmjx.engines.cpu.recorder import WorldRecorder
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.settled import SettledState
 from petmjx.engines.cpu.soft import SoftWorld
+from petmjx.engines.cpu.stepping import Stepper
 from petmjx.engines.cpu.waits import NEVER, Waits
 from petmjx.options.config import SOFT_START_STEPS, Check, Simulation
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -43,7 +43,8 @@ class WorldRun:
         cancelled: Callable[[], bool],
         timeout_s: float | None = None,
     ) -> None:
-        self._give_up_at = time.monotonic() + timeout_s if timeout_s is not None else None
+        self._stepper = Stepper(sim, timeout_s)
+        self._begun = False
         self._index = index
         self._job = job
         self._sim = sim
@@ -107,11 +108,13 @@ class WorldRun:
             begun = begun and self._take_steps(1) == 1
         live.set_gravity(self._down)
         live.data.time = 0.0
+        self._begun = True
         if self._recorder is not None and live.n_placed:
             self._recorder.look(0, live)
         return begun
 
     def _resume(self, start: SettledState) -> None:
+        self._begun = True
         self._step = self._first_step = self._waits.last_placement = start.step
         self._live = start.resumed(self._scene, self._sim, self._clock.time_s(start.step))
         self._metrics = start.metrics.fork()
@@ -154,15 +157,11 @@ class WorldRun:
 
     def _take_steps(self, count: int) -> int:
         """Take steps; returns how many: fewer where the world's time is up before."""
-        if self._give_up_at is None:
-            self._live.step(count)
-            return count
-        for taken in range(count):
-            if time.monotonic() > self._give_up_at:
-                self._flags |= Flag.TIMEOUT
-                return taken
-            self._live.step(1)
-        return count
+        acts = self._drive is not None and self._drive.acts(self._step)
+        taken = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
+        if taken < count:
+            self._flags |= Flag.TIMEOUT
+        return taken
 
     # ------------------------------------------------------------------ events
 

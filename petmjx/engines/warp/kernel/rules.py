@@ -14,7 +14,7 @@ from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.hand import lets_go, take_up
 from petmjx.engines.warp.kernel.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernel.quiet import count_quiet, has_failed
-from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, length_of, measure, sway_of, tilt_of
+from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, length_of, measure, press, sway_of, tilt_of
 from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, trembles
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
@@ -183,6 +183,7 @@ def after_step(
     worlds: Worlds,
     # In:
     at: Thread,
+    presses: bool,
     nonfinite: bool,
     # Data out:
     state: State,
@@ -191,6 +192,7 @@ def after_step(
     """Everything that happens between two steps.
 
     Args:
+        presses: forces on tops count, also if the step has no sample.
         nonfinite: a body's position or velocity is not finite or out of range.
     """
     world = at.world
@@ -214,7 +216,7 @@ def after_step(
 
     violent = bool(False)
     lost = bool(False)
-    if looks_at_poses or resting:
+    if looks_at_poses or resting or presses:
         for box in range(at.thread, at.placed - at.carried, at.threads):
             if looks_at_poses:
                 if measure(model, worlds, at, box, step, culprit, sample, look, driven, state, work):
@@ -226,6 +228,8 @@ def after_step(
                     or length_of(state.qacc, world, box, 3) > model.angular_acceleration
                 ):
                     violent = True
+            if sample or (presses and counted):
+                press(world, at.block, box, state, work)
             if resting:
                 state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
     signs = bool(False)
