@@ -20,8 +20,8 @@ HEIGHT_M = 0.1
 TIMES_S = np.arange(0.0, 1.3, 0.01)
 
 LIFT_M = 0.0005
-"""What a level box that slides may lift off. It lifts off by the depth of its contacts, a tenth of a millimetre; without
-the correction by up to 45 mm."""
+"""What a level box that slides may lift off. It lifts off by the depth of its contacts, a tenth of a millimetre;
+without the correction by up to 45 mm."""
 
 WAY, WAY_M = 0.01, 0.001
 """How exact its way is: the last centimetre a second is that of a contact that sticks."""
@@ -53,7 +53,7 @@ def slide(engine: str, n_boxes: int = 1, physics: dict[str, Any] | None = None) 
 
 
 def way_m(friction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) how far a box slides; at the times looked at, all but the fastest on the least friction have come to rest."""
+    """(n,) how far a box slides. At the last time all but the fastest on the least friction have come to rest."""
     stops_s = np.minimum(SPEED_M_S / (friction * G), TIMES_S[-1])
     return SPEED_M_S * stops_s - friction * G * stops_s**2 / 2
 
