@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 import petmjx
+from petmjx.option_types import EngineName
 
 Acceleration = Callable[[float], float]
 """Of the ground, m/s², by time, s."""
@@ -259,7 +260,7 @@ def block_plan(name: str, width_mm: float, heights_mm: Sequence[float]) -> petmj
     )
 
 
-def swept(plans: Sequence[petmjx.Plan], engine: str, sweep: str, **options: Any) -> petmjx.RunResults:
+def swept(plans: Sequence[petmjx.Plan], engine: EngineName, sweep: str, **options: Any) -> petmjx.RunResults:
     """A sweep with these tables, on a Euro pallet."""
     text = f'name = "rocking"\n[simulation]\ncarrier = "euro-pallet"\n{sweep}'
     with tempfile.TemporaryDirectory() as folder:
@@ -268,7 +269,7 @@ def swept(plans: Sequence[petmjx.Plan], engine: str, sweep: str, **options: Any)
         return petmjx.sweep(file, plans, engine=engine, threads=1, **options)
 
 
-def rows(engine: str = "mujoco") -> Iterator[Row]:
+def rows(engine: EngineName = "mujoco") -> Iterator[Row]:
     """All rows of this module, as they are simulated."""
     yield from free_rocking(engine)
     yield from overturning(engine)
@@ -283,7 +284,7 @@ SHORTEST_TILT_RAD: Final = math.radians(0.5)
 """Smaller swings are as large as what contacts give way."""
 
 
-def free_rocking(engine: str) -> Iterator[Row]:
+def free_rocking(engine: EngineName) -> Iterator[Row]:
     """Impacts of a block that rocks after a pulse: the share of energy each leaves, and how long half a swing takes."""
     for block in FREE_BLOCKS:
         level = _rocking_level_g(block)
@@ -344,7 +345,7 @@ OVER_TAN: Final = (1.1, 1.3, 1.5, 1.8, 2.1, 2.4, 2.8, 3.2, 3.7, 4.3, 5.0, 6.0)
 """Lengths of pulses, and their peaks over g tan α, at which rocking begins."""
 
 
-def overturning(engine: str) -> Iterator[Row]:
+def overturning(engine: EngineName) -> Iterator[Row]:
     """How many of 8 × 12 half-sine pulses overturn a block, or do not, as they do Housner's."""
     for block in (RockingBlock(0.15, 0.6), RockingBlock(0.3, 0.6)):
         width, height = 1000 * block.width_m, 1000 * block.height_m
@@ -373,7 +374,7 @@ TILTED_BLOCKS: Final = (RockingBlock(0.15, 0.9), RockingBlock(0.2, 0.6), Rocking
 
 
 def tilting(
-    engine: str,
+    engine: EngineName,
     frictions: Sequence[float] = (0.3, 0.5, 0.7),
     blocks: Sequence[RockingBlock] = TILTED_BLOCKS,
 ) -> Iterator[Row]:
@@ -382,10 +383,10 @@ def tilting(
         for friction in frictions:
             angle = math.degrees(math.atan(friction))
             failed = _fail_angle_deg(block_plan("b", 500.0, [100.0]), profile, friction, engine)
-            source = "atan(friction)"
-            yield Row(f"{profile}: box of friction {friction:g} slides, °", source, angle, failed, engine)
+            name = f"{profile}: box of friction {friction:g} slides"
+            yield Row(f"{name}, °", "atan(friction)", angle, failed, engine)
             late = slide_late_deg(math.radians(angle), rate)
-            yield Row(f"{profile}: the same, late by, °", "uniform jerk", late, failed - angle, engine)
+            yield Row(f"{name}, late by, °", "Coulomb", late, failed - angle, engine)
         for block in blocks:
             width, height = 1000 * block.width_m, 1000 * block.height_m
             angle = math.degrees(block.slenderness_rad)
@@ -393,17 +394,16 @@ def tilting(
             name = f"{profile}: block {width:g} × {height:g} mm topples"
             yield Row(f"{name}, °", "atan(width / height)", angle, failed, engine)
             late = block.late_deg(rate, THRESHOLD_M)
-            yield Row(f"{profile}: the same, late by, °", "inverted pendulum", late, failed - angle, engine)
+            yield Row(f"{name}, late by, °", "Housner 1963, linear", late, failed - angle, engine)
 
 
 def slide_late_deg(angle_rad: float, rate_deg_s: float) -> float:
     """By how much a tilt has gone on until a box has slid by the threshold: its acceleration grows by g ω / cos θ each
     second, so it has slid g ω t³ / (6 cos θ)."""
-    seconds = (6 * THRESHOLD_M * math.cos(angle_rad) / (GRAVITY * math.radians(rate_deg_s))) ** (1 / 3)
-    return rate_deg_s * seconds
+    return rate_deg_s * math.cbrt(6 * THRESHOLD_M * math.cos(angle_rad) / (GRAVITY * math.radians(rate_deg_s)))
 
 
-def _fail_angle_deg(plan: petmjx.Plan, profile: str, friction: float, engine: str) -> float:
+def _fail_angle_deg(plan: petmjx.Plan, profile: str, friction: float, engine: EngineName) -> float:
     axes = f'[axes]\nprofile = "{profile}"\nfriction_factor = {friction / BOX_FRICTION}\n'
     return float(swept([plan], engine, axes).worlds.fail_angle_deg.iloc[0])
 
@@ -412,7 +412,9 @@ STACKS: Final = (2, 3, 4, 5)
 FRICTIONS: Final = (0.3, 0.5, 0.7, 0.9, 1.2)
 
 
-def eumos_levels(engine: str, stacks: Sequence[int] = STACKS, frictions: Sequence[float] = FRICTIONS) -> Iterator[Row]:
+def eumos_levels(
+    engine: EngineName, stacks: Sequence[int] = STACKS, frictions: Sequence[float] = FRICTIONS
+) -> Iterator[Row]:
     """The largest level of EUMOS's test that stacks of boxes of 300 × 300 × 250 mm survive, to 0.01 g.
 
     A stack rocks as one block, since its boxes press on each other's whole faces.
@@ -421,7 +423,9 @@ def eumos_levels(engine: str, stacks: Sequence[int] = STACKS, frictions: Sequenc
     factors = [friction / BOX_FRICTION for friction in frictions]
     axes = f'[axes]\nprofile = "eumos-40509"\ndirection = "+x"\nfriction_factor = {factors}\n'
     search = "[search]\nlower = 0.2\nupper = 1.4\ntolerance = 0.01\n"
-    for answer in swept(plans, engine, axes + search).summary.to_dict("records"):
+    summary = swept(plans, engine, axes + search).summary
+    assert summary is not None
+    for answer in summary.to_dict("records"):
         n, friction = int(answer["plan_id"]), round(answer["friction_factor"] * BOX_FRICTION, 3)
         expected = largest_level_g(RockingBlock(SIDE_MM / 1000, 0.25 * n), friction)
         quantity = f"stack of {n}, friction {friction:g}: largest level of EUMOS's test, g"

@@ -76,7 +76,7 @@ class _Run:
         self._quiet.restart()
         while self._goes_on and self._time_s - begin_s < longest_s:
             quiet = self._look()
-            if self._metrics.culprit >= 0:  # nothing is gained by patience
+            if self._metrics.has_failed:  # nothing is gained by patience
                 failed_s = self._time_s if failed_s is None else failed_s
                 if self._time_s - failed_s >= self._sim.interval_s:
                     return True
@@ -117,7 +117,7 @@ class _Run:
         if self._polls % self._polls_per_sample == 0:
             none = np.zeros(len(pose))
             self._metrics.add_sample(self._time_s, pose[:, :3], pose[:, 3:], np.zeros((len(pose), 6)), none)
-        return self._quiet.look(pose, velocity, sign_seen=self._metrics.culprit >= 0)
+        return self._quiet.look(pose, velocity, has_failed=self._metrics.has_failed)
 
     def _judged(self, placed: int, moving: bool) -> Stood:
         scene, sim = self._scene, self._sim

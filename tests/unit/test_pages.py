@@ -212,6 +212,8 @@ def test_flags_that_make_a_verdict_doubtful_are_told() -> None:
     (note,) = notes_in_words(moving)
     assert note.startswith("Boxes still moved after the longest wait")
     assert headline(moving).startswith("stable, still moving")
+    aside = told(Flag.MOVING, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, culprit=0, first_sign_s=1.0)
+    assert headline(aside).startswith("unstable by shift, still moving: first box 0")
     edge = told(Flag.KNIFE_EDGE, plan_edge_m=0.041, rest_edge_m=-0.00031)
     (note,) = notes_in_words(edge)
     assert note.startswith("A load acts at the edge of what bears it, within 0.31 mm, at rest:")
