@@ -44,7 +44,7 @@ middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
 
 OUTWARD: Final = 0.6
 """And its pressure goes outward: by this times ``EDGE_SHARE`` / share − 1 of the way to its deepest line. At a quarter
-of the face it is there, with the lean 12 F / (k·L) that Simpson's nine points have when only those at the edge bear."""
+of the face it is there, with the lean 12 F / (k·L) at which of Simpson's nine points only those at the edge bear."""
 
 FACE_COSINE: Final = 0.5
 """Faces press on one another if their normals are at least so opposite. Else an edge presses on something."""

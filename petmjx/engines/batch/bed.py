@@ -200,8 +200,9 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([there & (here >= 0), crosses], axis=1).reshape(-1)
-    order = jnp.argsort(~stay, stable=True)[: k + 1]
-    return points.reshape(-1, 2)[order], stay[order]
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # those beyond the last one are dropped
+    left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
+    return left, jnp.arange(k + 1) < stay.sum()
 
 
 def _moments(
