@@ -30,6 +30,7 @@ class Reading:
     Attributes:
         time_s: since its soft start.
         ended: it has failed and does not go on: a box has dropped, or the simulation was given up.
+        flags: with ``MOVING`` also where it has paused since its time was up, and boxes still move.
         pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
         culprit: the first box that has crossed a threshold at a sample; -1: none has.

@@ -27,11 +27,18 @@ DIMENSIONLESS: Final = "1"
 TEXT: Final = ""
 """Unit of columns without a quantity: texts, yes or no."""
 
+RESTLESS_M_S: Final = 0.01
+RISING_M_S2: Final = 0.5
+"""Forces on tops are looked at in all steps that begin with a box faster than the first and in which one is accelerated
+upwards by more than the second, and else at looks for quiet (docs/rules.md, section 7). What is left out is a twentieth
+more than a weight: boxes press by more than their weights while they are accelerated upwards."""
+
 
 class When(StrEnum):
     """When in a run a metric is taken."""
 
     PLAN = "plan"
+    STEPS = "steps"
     SAMPLES = "samples"
     LOOKS = "looks"
     REST = "rest window"
@@ -190,10 +197,10 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
     ),
     _largest(
-        "max_top_force_n", "N", When.SAMPLES,
+        "max_top_force_n", "N", When.STEPS,
         "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
-        of_box="largest sampled force on its top, at least the one at rest",
-        of_world="largest sampled force on top of any box, at least the one at rest", relative=True,
+        of_box="largest force on its top in any step, at least the one at rest",
+        of_world="largest force on top of any box in any step, at least the one at rest", relative=True,
     ),
     _largest(
         "rest_top_force_n", "N", When.REST,

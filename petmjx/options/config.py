@@ -92,8 +92,8 @@ class Quiet(Checked):
     ``quiet_m_s`` for ``steps`` steps. A box is as fast as its fastest point.
 
     With elliptic cones each box must also be slow or have slowed down then, and one that moves must not have become
-    faster, as a box does that begins to topple. A box for which this does not hold creeps. Once a box has crossed a
-    threshold, the result of the creep is known, so it is not waited for.
+    faster, as a box does that begins to topple. A box for which this does not hold creeps. Once a box
+    has dropped or tilted too far, the result of the creep is known, so it is not waited for.
 
     A box that goes to and fro without getting anywhere trembles, and is not waited for.
 

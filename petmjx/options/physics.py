@@ -58,8 +58,9 @@ class Physics(Checked):
     """Contacts, carrier, floor, gravity and timestep.
 
     The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
-    cone, the carrier's friction, the five of contacts (solref, solreffriction, solimp, impratio, skin_m), and whether
-    boxes fall into their places. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    cone, the carrier's friction, the six of contacts (solref, solreffriction, solimp, impratio, slip_correction,
+    skin_m), and whether boxes fall into their places. Friction of 0.5 between boxes: CTU Code, Annex 7, Appendix 2
+    (cardboard on cardboard).
 
     Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
     (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
@@ -90,6 +91,16 @@ class Physics(Checked):
     )
     impratio: Annotated[float, within(1, 10_000)] = Field(
         100.0, description="MuJoCo's impratio: how much stiffer friction is than pressure, with elliptic cones"
+    )
+    slip_correction: bool = Field(
+        True,
+        description="whether friction of a contact that slides leaves its pressure alone, with elliptic cones "
+        "(petmjx/world/slip.py); else, as in MuJoCo itself, a slip raises it, and boxes that slide hop",
+    )
+    kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
+        1.0,
+        description="friction of a contact that slides faster than 2 cm/s, as a share of its friction at rest, with "
+        "elliptic cones; CTU Code, Annex 7: 0.75",
     )
     skin_m: Annotated[float, within(0, 0.001)] = Field(
         0.0001,
@@ -147,6 +158,7 @@ PHYSICS["reference"] = Physics(
     solreffriction=(0.0, 0.0),
     solimp=(0.99, 0.99, 0.01),
     impratio=1.0,
+    slip_correction=False,
     skin_m=0.0,
     falls_into_place=True,
 )

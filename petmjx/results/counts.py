@@ -18,21 +18,25 @@ COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 
 @dataclass
 class WorldCounts:
-    """Worlds by verdict and reason, how many needed more than one attempt, and how many stable ones still moved."""
+    """Worlds by verdict and reason, and how many needed more than one attempt. Worlds that still moved at their ends,
+    whose verdict may change with time: ``moving`` counts stable ones, ``moving_by_shift`` those unstable by shift."""
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
     moving: int = 0
+    moving_by_shift: int = 0
 
     def add(
         self, verdicts: Sequence[str], reasons: Iterable[str], attempts: Iterable[int], flags: Iterable[int]
     ) -> None:
         """Count the rows of a part; ``attempts``: which attempt gave the verdict, from 1."""
+        reasons = [*reasons]
         for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
             self.verdicts[Verdict(verdict), Reason(reason)] += count
         self.retried += sum(attempt > 1 for attempt in attempts)
-        stable = (verdict == Verdict.STABLE for verdict in verdicts)
-        self.moving += sum(stands and bool(flag & Flag.MOVING) for stands, flag in zip(stable, flags, strict=True))
+        moves = [bool(flag & Flag.MOVING) for flag in flags]
+        self.moving += sum(m and verdict == Verdict.STABLE for m, verdict in zip(moves, verdicts, strict=True))
+        self.moving_by_shift += sum(m and reason == Reason.SHIFT for m, reason in zip(moves, reasons, strict=True))
 
     def add_worlds(self, worlds: pa.Table) -> None:
         """Count the rows of a table ``worlds`` (its columns ``COUNTED``): a million in a tenth of a second."""
@@ -42,6 +46,7 @@ class WorldCounts:
         self.retried += pc.sum(pc.greater(worlds["attempt"], 1)).as_py() or 0
         moves = pc.not_equal(pc.bit_wise_and(worlds["flags"], pa.scalar(int(Flag.MOVING), pa.int32())), 0)
         self.moving += pc.sum(pc.and_(pc.equal(worlds["verdict"], Verdict.STABLE.value), moves)).as_py() or 0
+        self.moving_by_shift += pc.sum(pc.and_(pc.equal(worlds["reason"], Reason.SHIFT.value), moves)).as_py() or 0
 
     def as_json(self) -> dict[str, Any]:
         """Worlds by verdict, and those that are not stable by reason."""
@@ -56,5 +61,6 @@ class WorldCounts:
             **by_verdict,
             "by_reason": by_reason,
             "moving": self.moving,
+            "moving_by_shift": self.moving_by_shift,
             "retried": self.retried,
         }

@@ -21,6 +21,12 @@ MAX_VALUES: Final = 50
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
+_DOUBTS: Final = {
+    "monotone": "* a level above the smallest that failed was survived",
+    "moving": "~ boxes still moved there when the longest wait was over",
+}
+"""Columns of a search's summary that make an answer doubtful, with what tables say; a text begins with its mark."""
+
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
 
@@ -147,18 +153,26 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
         TableColumn(f"largest\n{name}"),
         TableColumn("fails", "left"),
         TableColumn("first box", "left", least=8),
-        caption="" if summary["monotone"].all() else "* a level above the smallest that failed was survived",
+        caption="; ".join(text for column, text in _DOUBTS.items() if _doubts(summary, column).any()),
     )
-    for row in summary.to_dict("records"):
+    marks = {column: _doubts(summary, column).tolist() for column in _DOUBTS}
+    for place, row in enumerate(summary.to_dict("records")):
         table.add(
             str(row["plan_id"]),
             str(row["profile"]),
             f"{row['direction_deg']:g}",
-            number(row[column]) + ("" if row["monotone"] else " *"),
+            number(row[column]) + "".join(f" {text[0]}" for mark, text in _DOUBTS.items() if marks[mark][place]),
             str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}",
             "" if pd.isna(row["box"]) else f"{int(row['box'])} {row['article']}",
         )
     return table
+
+
+def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
+    """(n,) the answers that a column of ``_DOUBTS`` makes doubtful; none where an older run has no such column."""
+    if column not in summary:
+        return pd.Series(False, index=summary.index)
+    return summary[column].astype(bool) != (column == "monotone")
 
 
 def _largest(summary: pd.DataFrame) -> tuple[str, str]:

@@ -17,7 +17,7 @@ from petmjx.show.orders import order_lines
 from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.sweeps.confidence import contradicted
 from petmjx.sweeps.search import MODES
-from petmjx.verdict import Verdict
+from petmjx.verdict import Reason, Verdict
 
 SHOWN_PLANS: Final = 10
 """Most plans that a line names."""
@@ -109,6 +109,8 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
         _add(table, verdict.value, int(counts.get(verdict.value, 0)), worlds, _STYLES[verdict.value])
         for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
             _add(table, f"  {reason}", int(count), worlds)
+            if reason == Reason.SHIFT and (moving := int(counts.get("moving_by_shift", 0))):
+                _add(table, "    still moving", moving, worlds, "yellow")
         if verdict is Verdict.STABLE and (moving := int(counts.get("moving", 0))):
             _add(table, "  still moving", moving, worlds, "yellow")
     expected = info.get("expected_worlds")
@@ -140,6 +142,8 @@ def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
     _add(table, "  survive all levels", int(failed.isna().sum()), len(answers))
     table.add_row("tests simulated", f"{tests:,}", "")
     _add(table, "  invalid", int(summary["n_invalid"].sum()), tests, "yellow")
+    if "n_moving" in summary and (moving := int(summary["n_moving"].sum())):
+        _add(table, "  still moving", moving, tests, "yellow")
     _add_end(table, info, "tests", tests)
     return table
 

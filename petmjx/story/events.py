@@ -12,7 +12,7 @@ from petmjx.basics.text import counted, shown
 from petmjx.basics.units import MM_PER_M
 from petmjx.story.tell import Story
 from petmjx.story.words import first_box_in_words
-from petmjx.verdict import Flag, Verdict
+from petmjx.verdict import Flag, Reason, Verdict
 from petmjx.world.job import FORCE
 
 MOST_DROPS: Final = 8
@@ -31,8 +31,9 @@ def headline(story: Story) -> str:
     """Verdict, reason, first box and when, in one line."""
     outcome = story.outcome
     text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
-    if outcome.verdict is Verdict.STABLE:
+    if outcome.verdict is Verdict.STABLE or outcome.reason is Reason.SHIFT:
         text += ", still moving" if outcome.flags & Flag.MOVING else ""
+    if outcome.verdict is Verdict.STABLE:
         return text + ("" if math.isnan(outcome.margin) else f", margin {outcome.margin:.2f}")
     if outcome.culprit < 0:
         return text

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from petmjx.basics.units import FloatArray
 from petmjx.options.config import Thresholds
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
 
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
@@ -41,24 +41,27 @@ class Probe:
     Attributes:
         culprit: box that failed first, −1 for none.
         mode: how it failed: `failure_mode`.
+        moving: whether boxes still moved when its time was up, so that longer waiting may change its verdict.
         values: columns that the sweep adds to ``worlds``.
     """
 
     verdict: Verdict
     culprit: int = -1
     mode: str = ""
+    moving: bool = False
     values: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
         """Of a world that was simulated; ``tilt_deg``: from where on a box that failed is said to have tilted."""
-        return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), values or {})
+        moving = Flag.MOVING in outcome.flags
+        return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Probe:
         """Of a world's row, column → value, null as None."""
         culprit = -1 if row["culprit"] is None else int(row["culprit"])
-        return cls(Verdict(row["verdict"]), culprit, row["mode"], row)
+        return cls(Verdict(row["verdict"]), culprit, row["mode"], bool(row["flags"] & Flag.MOVING), row)
 
 
 @dataclass
@@ -81,6 +84,7 @@ class Found:
     mode: str = ""
     n_tests: int = 0
     n_invalid: int = 0
+    n_moving: int = 0
 
     @property
     def monotone(self) -> bool:
@@ -164,6 +168,7 @@ class Bisection:
             found = self.items[item]
             found.n_tests += 1
             found.n_invalid += world.verdict is Verdict.INVALID
+            found.n_moving += world.moving
             if world.verdict is Verdict.STABLE:
                 survivors.append((found, level))
             elif level < found.failed:

@@ -213,6 +213,8 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
         "monotone": found.monotone,
         "n_tests": found.n_tests,
         "n_invalid": found.n_invalid,
+        "n_moving": found.n_moving,
+        "moving": any(probe.moving for probe in (answer.at_largest, answer.at_failure) if probe is not None),
     }
     if columns.has_eumos:
         at_largest: Mapping[str, Any] = answer.at_largest.values if answer.at_largest is not None else {}
@@ -228,6 +230,7 @@ def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
         "placement": "int32",
         "n_tests": "int32",
         "n_invalid": "int32",
+        "n_moving": "int32",
         "eumos_passed": "boolean",
     }
     floats = [name for name in frame if str(name).endswith(("_g", "_s", "_share", "_m", "_scale"))]
@@ -275,4 +278,6 @@ _DESCRIPTIONS = {
     "mode": "how it failed: slide, tilt or drop; the reason where that world was invalid",
     "monotone": "no tested level above the smallest that failed was survived",
     "n_tests": "levels tested",
+    "n_moving": "levels at which boxes still moved when the world's time was up (longest_wait_s)",
+    "moving": "they did at the largest level survived or at the smallest that failed: the answer may change with time",
 }

@@ -34,6 +34,22 @@ LEAST_SHARE: Final = 0.05
 their places is no bed of springs."""
 
 
+POINTS_PER_BED: Final = 4
+"""Contacts of two faces that press on one another, one of which gives."""
+
+EDGE_SHARE: Final = 2 / 3
+"""A face that is pressed on less than this share of what two faces have in common is as stiff as if it were on so much.
+On springs alone a load near an edge would sink in without end. A carton spreads it, and its edges bear more than its
+middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
+
+OUTWARD: Final = 0.6
+"""And its pressure goes outward: by this times ``EDGE_SHARE`` / share − 1 of the way to its deepest line. At a quarter
+of the face it is there, with the lean 12 F / (k·L) that Simpson's nine points have when only those at the edge bear."""
+
+FACE_COSINE: Final = 0.5
+"""Faces press on one another if their normals are at least so opposite. Else an edge presses on something."""
+
+
 @dataclass(frozen=True)
 class Face:
     """What the law of a contact needs to know of a shape.
@@ -65,6 +81,20 @@ def shared_area_m2(one: Face, two: Face) -> float:
     if abs(az - bz) < ah + bh - TOUCH_M or length <= 0.0 or width <= 0.0:
         return smaller
     return max(length * width, LEAST_SHARE * smaller)
+
+
+def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(p, 2) MuJoCo's solref and (p,) impedances of contacts that are springs of these stiffnesses at rest."""
+    time_s, damping = physics.solref
+    time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
+    # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
+    stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
+    lack = stiffness / (spring_n_m * inverse_mass)
+    impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
+    longer = np.maximum(lack / (1 - LEAST_IMPEDANCE), 1.0)
+    if time_s < 0:
+        return np.column_stack([time_s / longer, damping / longer**0.5]), impedance
+    return np.column_stack([time_s * longer**0.5, np.full_like(longer, damping)]), impedance
 
 
 def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tuple[tuple[float, float], Triple]:

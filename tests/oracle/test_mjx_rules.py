@@ -7,7 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from support.fake_stepper import CARRIER_KG, CREEP_M, FALLS_KG, FakeEngine, assert_same, fake_scene, run_all
+from support.fake_stepper import (
+    CARRIER_KG,
+    CREEP_M,
+    FALLS_KG,
+    SWAYS_KG,
+    FakeEngine,
+    assert_same,
+    fake_scene,
+    run_all,
+)
 
 from petmjx.engines.batch.mjx_jax import FEWEST_WORLDS, alike_jobs
 from petmjx.options.config import Check, Schedule, Simulation
@@ -92,6 +101,23 @@ def test_every_world_follows_the_rules_to_the_step(engine: FakeEngine, schedule:
         np.testing.assert_allclose(placements(outcome, sim), expected.placed_at, rtol=FORCE_RELATIVE, atol=0.01)
         assert outcome.verdict is Verdict.STABLE
         assert outcome.sim_time_s == pytest.approx(expected.end * DT)
+
+
+def test_a_shift_is_judged_at_rest(engine: FakeEngine) -> None:
+    """A box that is beyond the threshold for as long as it moves is waited for like one at its place."""
+    swaying = [tuple(mass + SWAYS_KG * (mass > 47) for mass in masses) for masses in MASSES]
+    times = [tuple(float(np.ceil(mass)) for mass in masses) for masses in swaying]
+    outcomes = run_all(engine, [Job(fake_scene(*masses)) for masses in swaying], SHORT)
+    reasons = set()
+    for masses, outcome in zip(times, outcomes, strict=True):
+        expected = plainly(masses, SHORT)
+        ends_aside = any(expected.end - at < mass for at, mass in zip(expected.placed_at, masses, strict=True))
+        assert (outcome.n_steps, outcome.reason) == (expected.end, Reason.SHIFT if ends_aside else Reason.NONE)
+        assert bool(outcome.flags & Flag.MOVING) is expected.moving
+        np.testing.assert_allclose(placements(outcome, SHORT), expected.placed_at, rtol=FORCE_RELATIVE, atol=0.01)
+        assert (outcome.culprit >= 0) is ends_aside
+        reasons.add(outcome.reason)
+    assert reasons == {Reason.NONE, Reason.SHIFT}
 
 
 def test_fixed_intervals_are_whole_steps_of_the_running_clock() -> None:

@@ -7,6 +7,7 @@ drops, samples, the end. Besides, each engine's outcome must follow from its own
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from support.plans import Box, make_scene, stack
 from support.traces import Seen, every_step
 from support.worlds import boxes_by_plan
 
+from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.base import Engine
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.options.config import Check, Quiet, Schedule, Simulation
@@ -32,6 +34,10 @@ SAME_TILT_DEG = 0.05
 SAME_FORCE = 1e-5
 """Sums of float32."""
 
+LEFT_OUT = 0.93
+"""Share of the largest force of all steps that is found at least, if it is more than a box's weight: steps in which no
+box is accelerated upwards are left out."""
+
 CAPACITY, BATCH = 2, 8
 """Boxes of the largest world on mjx-jax, and its worlds: programs take long to compile, and steps long to take."""
 
@@ -42,8 +48,17 @@ samples or at steps that are known beforehand, so float32 changes a step only wh
 of a threshold at a look."""
 
 
-def push(kind: str, level: float, rest_s: float) -> Drive:
-    return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (60, 1))), yaw_rad=0.5, rest_s=rest_s)
+def push(kind: str, level: float, rest_s: float, steps: int = 60, yaw_rad: float = 0.5) -> Drive:
+    return Drive(Excitation("push", kind, np.tile([level, 0.0, 0.0], (steps, 1))), yaw_rad=yaw_rad, rest_s=rest_s)
+
+
+ROCKS = push(ACCELERATION, 4.5, rest_s=0.1, steps=120, yaw_rad=0.0)
+"""Tilts the boxes of ``SLENDER`` by 9.6°, about half as far as they can come back from: 80 mm at the top."""
+
+SLENDER: dict[str, tuple[Box, ...]] = {
+    "slender box": (((200.0, 300.0, 600.0), (500.0, 250.0, 0.0), 10.0),),
+    "slender stack": tuple(((200.0, 300.0, 300.0), (500.0, 250.0, 300.0 * k), 10.0) for k in range(2)),
+}
 
 
 KINDS: dict[str, tuple[dict[str, Any], Drive | None]] = {
@@ -57,6 +72,7 @@ KINDS: dict[str, tuple[dict[str, Any], Drive | None]] = {
         {"schedule": Schedule.FIXED, "settle_s": 0.1, "quiet": Quiet(landing_steps=400)},
         push(FORCE, 0.5, rest_s=0.1),
     ),
+    "rocks when time is up": ({"longest_wait_s": 0.3, "carrier": "euro-pallet"}, ROCKS),
 }
 """Kind of worlds → options and drive."""
 
@@ -89,9 +105,18 @@ class Worlds:
 
 def worlds_of(kind: str) -> Worlds:
     changes, drive = KINDS[kind]
-    sim, plans = SHORT.changed(**changes), boxes_by_plan() | LARGER
+    sim, plans = SHORT.changed(**changes), SLENDER if drive is ROCKS else boxes_by_plan() | LARGER
     jobs = [Job(make_scene(boxes, sim), drive=drive, record=every_step(sim)) for boxes in plans.values()]
     return Worlds(sim, tuple(plans), tuple(jobs))
+
+
+def warp_engine() -> Engine:
+    from support.tiny_worlds import LONG_NS, engine
+
+    return engine(slice_ns=LONG_NS)
+
+
+ENGINES: dict[str, Callable[[], Engine]] = {"mujoco": lambda: MujocoEngine(1), "mjx-warp": warp_engine}
 
 
 @functools.cache
@@ -102,9 +127,7 @@ def on_c(kind: str) -> dict[str, Seen]:
 @functools.cache
 def on_warp(kind: str) -> dict[str, Seen]:
     pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
-    from support.tiny_worlds import LONG_NS, engine
-
-    return worlds_of(kind).seen_on(engine(slice_ns=LONG_NS))
+    return worlds_of(kind).seen_on(warp_engine())
 
 
 @functools.cache
@@ -138,7 +161,9 @@ def test_outcomes_follow_from_frames(engine: str, kind: str) -> None:
         outcome, boxes, trace = seen.outcome, seen.outcome.boxes, seen.trace
         assert (trace.end, trace.end) == (outcome.n_steps, seen.step_of(outcome.sim_time_s)), name
         np.testing.assert_allclose(boxes.max_tilt_deg, seen.tilt_deg(), atol=SAME_TILT_DEG, err_msg=name)
-        np.testing.assert_allclose(boxes.max_top_force_n, seen.top_force_n(), rtol=SAME_FORCE, err_msg=name)
+        share = boxes.max_top_force_n / np.fmax(seen.top_force_n(), 1e-6)
+        assert (share <= 1 + SAME_FORCE).all(), name
+        assert (share[seen.top_force_n() > seen.job.scene.mass.min() * STANDARD_GRAVITY] >= LEFT_OUT).all(), name
         if not outcome.flags & Flag.EARLY_STOP:
             rest = boxes.rest_top_force_n
             np.testing.assert_allclose(rest, seen.rest_force_n(), rtol=SAME_FORCE, atol=1e-3, err_msg=name)
@@ -156,6 +181,25 @@ def test_boxes_are_placed_on_quiet_pallets(engine: str) -> None:
                 assert seen.looks[step] >= seen.sim.quiet.steps, name
 
 
+@pytest.mark.parametrize("engine", ["mujoco", "mjx-warp"])
+def test_shift_is_judged_at_rest(engine: str) -> None:
+    """Boxes that have rocked far beyond the threshold come back, if they have the time; else it is said that they move.
+    (How long they rock depends on the last digits: it ends some looks earlier or later.)"""
+    for name, seen in ON[engine]("rocks when time is up").items():
+        outcome = seen.outcome
+        assert outcome.boxes.max_sway_m.max() > 2 * seen.sim.thresholds.shift_m, name
+        assert Flag.MOVING in outcome.flags, name
+        last_s = seen.trace.driven[1] * seen.sim.physics.timestep_s + ROCKS.rest_s
+        assert outcome.sim_time_s > last_s + seen.sim.longest_wait_s, name
+    patient = worlds_of("rocks when time is up")
+    sim = patient.sim.changed(longest_wait_s=5.0)
+    jobs = [replace(job, record=None) for job in patient.jobs]
+    for outcome in run_all(ENGINES[engine](), jobs, sim):
+        assert (outcome.reason, outcome.flags, outcome.culprit, outcome.n_at_sign) == (Reason.NONE, Flag.NONE, -1, 0)
+        assert outcome.boxes.max_sway_m.max() > 2 * sim.thresholds.shift_m
+        assert np.abs(outcome.boxes.shift_m).max() == 0.0  # less than shift_floor_m
+
+
 def test_the_worlds_show_what_the_rules_are_about() -> None:
     seen = [each for kind in KINDS for each in on_c(kind).values()]
     assert len(seen) >= 50
@@ -165,4 +209,5 @@ def test_the_worlds_show_what_the_rules_are_about() -> None:
     assert all(any(flag & each for each in flags) for flag in (Flag.EARLY_STOP, Flag.MOVING))
     assert sum(each.trace.driven[0] > 0 for each in seen) >= 20
     rests = [each.trace.end - each.trace.driven[1] for each in on_c("braked").values() if each.trace.driven[0] > 0]
-    assert {65, 250} <= {*rests}  # as soon as they may rest, and when they must
+    assert min(rest for rest in rests if rest >= 65) == 65  # as soon as they may rest
+    assert max(rests) > 250  # and after their time, since a box moves

@@ -38,22 +38,35 @@ SAME = 1e-5
 
 
 @wp.func
-def _one(model: Model, worlds: records.Worlds, state: records.State, work: Workspace, world: int, astray: bool) -> None:
+def _one(
+    model: Model,
+    worlds: records.Worlds,
+    state: records.State,
+    work: Workspace,
+    world: int,
+    presses: bool,
+    astray: bool,
+) -> None:
     at = Thread()
     at.block = world
     at.thread = 0
     at.threads = 1
     at.world = world
     at.placed = state.placed[world]
-    after_step(model, worlds, at, astray, state, work)
+    after_step(model, worlds, at, presses, astray, state, work)
 
 
 def _all(
-    model: Model, worlds: records.Worlds, state: records.State, work: Workspace, astray: wp.array[wp.bool]
+    model: Model,
+    worlds: records.Worlds,
+    state: records.State,
+    work: Workspace,
+    presses: wp.array[wp.bool],
+    astray: wp.array[wp.bool],
 ) -> None:
     world = wp.tid()
     if state.status[world] == 0:
-        _one(model, worlds, state, work, world, astray[world])
+        _one(model, worlds, state, work, world, presses[world], astray[world])
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +144,13 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
             sway_anchor=jnp.asarray(poses[1][..., :2] + rng.normal(0, 0.03, (WORLDS, BOXES, 2)), jnp.float32),
         ),
     )
+    stands = np.arange(BOXES) < placed[:, None]
+    max_tilt = stands * rng.choice([0.1, 0.9, 1.1], stands.shape, p=[0.7, 0.2, 0.1]) * sim.thresholds.tilt_deg
+    drop_step = np.where(stands & some(0.02, stands.shape), 1, -1)
+    metrics = after.metrics._replace(
+        max_tilt=jnp.asarray(max_tilt, jnp.float32), drop_step=jnp.asarray(drop_step, jnp.int32)
+    )
+    after = after._replace(metrics=metrics)
     return worlds, after, after._replace(qpos=poses[1])
 
 
@@ -155,9 +175,9 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     worlds, after, before = random_worlds(sim, rng)
     top_force = jnp.asarray(rng.random((WORLDS, BOXES)), jnp.float32)
     # Of a world that turns into no number, a velocity is too high to be true.
-    astray = rng.random(WORLDS) < 0.05
+    astray, presses = rng.random(WORLDS) < 0.05, rng.random(WORLDS) < 0.5
     after = after._replace(carrier_qvel=after.carrier_qvel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
-    expected = as_batched(sim, worlds, after, before, top_force)
+    expected = as_batched(sim, worlds, after, before, top_force, jnp.asarray(presses))
 
     sizes = records.axes(WORLDS, BOXES, boards=1, npairmax=1, nconmax=1)
     with wp.ScopedDevice("cpu"):
@@ -180,7 +200,8 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         work = filled(Workspace, records.in_buffer(buffer, sizes))
         work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
-        inputs = [model, device_record(records.Worlds, flat_worlds), state, work, wp.array(astray, dtype=wp.bool)]
+        inputs = [model, device_record(records.Worlds, flat_worlds), state, work]
+        inputs += [wp.array(each, dtype=wp.bool) for each in (presses, astray)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)
         found = {name: getattr(state, name).numpy() for name in flat}
 
@@ -234,12 +255,12 @@ def device_record(kind: Any, values: Any) -> Any:
     return filled(kind, {name: wp.array(np.asarray(values[name]), dtype=types[name].dtype) for name in types})
 
 
-def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, top_force: jax.Array) -> State:
+def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, *pressing: Any) -> State:
     """What the batched rules make of the same worlds: those that place boxes, and those that drive settled ones."""
     timetable = build_timetable(sim, BOXES)
     with jax.numpy_rank_promotion("allow"):
         placing, driving = (
-            Rules(sim, timetable, BOXES, driven=driven).after_step(after, worlds, before.qpos, after.qacc, top_force)
+            Rules(sim, timetable, BOXES, driven=driven).after_step(after, worlds, before.qpos, after.qacc, *pressing)
             for driven in (False, True)
         )
     is_driven = after.driven_from != NEVER

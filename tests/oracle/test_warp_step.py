@@ -25,6 +25,7 @@ from support.worlds import make_plan
 
 from petmjx.basics.warp_setup import set_up_warp
 from petmjx.engines.batch.upload import GRANULE
+from petmjx.engines.cpu.slip import SlipLaw
 from petmjx.engines.warp import launch, newton
 from petmjx.engines.warp.launch import Launch
 from petmjx.engines.warp.programs import friction_damping
@@ -112,7 +113,7 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
     compared, many = 0, np.zeros(2)
     for at in range(max(steps) + 1):
         found = step(data) if at in steps else None
-        mujoco.mj_step(model, data)
+        SlipLaw(physics).step(model, data)
         # A contact that barely touches may be there in double precision and not in single.
         if found is None or found.contacts != data.ncon:
             continue
@@ -136,7 +137,7 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
             assert found.iterations <= iterations + MORE_ITERATIONS, where
     assert compared >= len(steps) // 2
     assert many[0] <= SLIDING_SHARE * many[1]
-    assert (many[1] > 0) == (preset == "pallet" and name in ("heap", "on boards"))
+    assert (many[1] > 0) == (preset == "pallet" and name == "heap")
 
 
 TILTS = {"edge, 3°": (3.0, 0.0), "edge, 45°": (45.0, 0.0), "corner": (45.0, np.degrees(np.arctan(0.5**0.5)))}
@@ -164,7 +165,7 @@ def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[floa
         bodies[1, :3], bodies[1, 3:] = (0.0, 4.0, scene.floor_z + reach[0] + gap_m), turn
         bodies[2, :3], bodies[2, 3:] = (0.0, 0.0, top + reach[1] + gap_m), turn
         found = step(data)
-        mujoco.mj_step(model, data)
+        SlipLaw(physics).step(model, data)
         assert found.contacts == data.ncon
         assert data.ncon >= 2 or (gap_m > 0 and tilt_deg == TILTS["edge, 3°"])
         acceleration = data.qacc.reshape(-1, 6)

@@ -4,6 +4,7 @@ What a box does after it was placed is written into its mass:
 
 * it trembles (too fast to be quiet) for ``mass`` steps, then is at rest;
 * with a mass of ``FALLS_KG`` or more it falls 10 mm a step;
+* if half a kilogram is left over it sways meanwhile: from its first step to its last it is 30 mm from its place;
 * what presses on its top is its age, 1 N a step: the force at rest tells when the box was placed;
 * the carrier's excitation moves it along x and y: 1 µm a step for each newton or m/s².
 
@@ -34,6 +35,7 @@ from support.plans import make_scene
 FALLS_KG = 1000.0
 FALL_M = 0.01
 TREMBLE_M_S = 0.1
+SWAYS_KG, SWAY_M = 0.5, 0.03
 CREEP_M = 1e-6
 
 CARRIER_KG = PHYSICS["pallet"].carrier_mass_kg
@@ -79,6 +81,8 @@ class FakeStepper(PaddedModel):
             push = push - fields["opt.gravity"][:, :2]
         pose = pose.at[:, -c:, :2].add(CREEP_M * push[:, None])
         pose = pose.at[:, -c:, 2].add(jnp.where(mass >= FALLS_KG, -FALL_M, 0.0))
+        sways = jnp.where(mass % 1.0 == SWAYS_KG, SWAY_M, 0.0)
+        pose = pose.at[:, -c:, 1].add(sways * ((age == 1.0).astype(jnp.float32) - (age == jnp.ceil(mass))))
         flat = (n, -1)
         still = jnp.zeros((n, 6 * k))
         return Stepped(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), forces, age)

@@ -10,7 +10,7 @@ import numpy as np
 from petmjx.basics.units import FloatArray, seconds_to_steps
 from petmjx.history import History, Record
 from petmjx.metrics import motion_np
-from petmjx.options.config import Simulation
+from petmjx.options.config import Schedule, Simulation
 from petmjx.verdict import Flag, Outcome, Reason
 from petmjx.world.job import Job
 from support.histories import history_of
@@ -117,10 +117,14 @@ class Seen:
 
     @cached_property
     def poses(self) -> list[tuple[int, int]]:
-        """Steps at which poses are looked at, and their frames: of samples, of looks in the drive, and the last one."""
+        """Steps at which poses are looked at, and their frames: of samples, of looks in the drive, at the end of a
+        fixed schedule, and the last one."""
         found, acts, first = {}, self.trace.driven[0], self.steps[0]
         if acts > 0 and self.sim.waits_for_rest:
             found = {step: step - first for step in self.steps if step >= acts and not step % self.sim.quiet.poll_steps}
+        fixed_end = seconds_to_steps((self.outcome.n_boxes + 1) * self.sim.interval_s, self.sim.physics.timestep_s)
+        if self.sim.schedule is Schedule.FIXED and acts < 0 and fixed_end in self.steps:
+            found[fixed_end] = fixed_end - first  # a world that moves there goes on
         found |= {self.steps[frame] + 1: frame for frame in self.samples}
         return [*sorted(found.items()), (self.steps[-1], len(self.steps) - 1)]
 
@@ -157,7 +161,6 @@ class Seen:
         return mean
 
     def top_force_n(self) -> FloatArray:
-        """(n,) the largest of samples, and at least the one at rest."""
-        during = self.history.top_force_n[[frame + 1 for frame in self.samples]]
-        largest = np.fmax.reduce(during, axis=0, initial=0.0)
-        return np.fmax(largest, self.outcome.boxes.rest_top_force_n)
+        """(n,) the largest of all steps after the soft start."""
+        largest: FloatArray = np.fmax.reduce(self.history.top_force_n[1:], axis=0, initial=0.0)
+        return largest

@@ -44,10 +44,10 @@ def velocities(pace: np.ndarray) -> np.ndarray:
     return rows
 
 
-def quiet_on_c(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
+def quiet_on_c(paces: np.ndarray, sim: Simulation, failed: bool) -> list[bool]:
     """Whether the C engine calls the pallet quiet at each poll. ``paces``: (poll, box)."""
     rule = QuietRule(sim, SCENE)
-    return [rule.look(AT_HOME, velocities(pace), sign) for pace in paces]
+    return [rule.look(AT_HOME, velocities(pace), failed) for pace in paces]
 
 
 @functools.cache
@@ -56,14 +56,15 @@ def _count_quiet(sim: Simulation) -> Any:
     return jax.jit(Rules(sim, build_timetable(sim, BOXES), BOXES, driven=False).count_quiet)
 
 
-def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
+def quiet_on_mjx(paces: np.ndarray, sim: Simulation, failed: bool) -> list[bool]:
     """The same of the rules that the MJX engines share."""
     worlds = upload_worlds([Job(SCENE)], 1, BOXES, {}, sim)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
-    culprit = jnp.array([0 if sign else -1], jnp.int32)
-    state = state._replace(
-        status=jnp.array([Status.RUNNING], jnp.int32), metrics=state.metrics._replace(culprit=culprit)
+    tilt = jnp.where(failed, 1.1 * sim.thresholds.tilt_deg, 0.0)
+    signs = state.metrics._replace(
+        culprit=jnp.array([0], jnp.int32), max_tilt=state.metrics.max_tilt.at[0, 0].set(tilt)
     )
+    state = state._replace(status=jnp.array([Status.RUNNING], jnp.int32), metrics=signs)
     found = []
     count = _count_quiet(sim)
     for pace in paces:
@@ -74,16 +75,16 @@ def quiet_on_mjx(paces: np.ndarray, sim: Simulation, sign: bool) -> list[bool]:
 
 
 @pytest.mark.parametrize("sim", [ADAPTIVE, ANY_PACE, ONE_LOOK, RARE_LOOKS])
-@pytest.mark.parametrize("sign", [False, True])
-def test_the_engines_agree_on_what_is_quiet(sim: Simulation, sign: bool) -> None:
+@pytest.mark.parametrize("failed", [False, True])
+def test_the_engines_agree_on_what_is_quiet(sim: Simulation, failed: bool) -> None:
     rng = np.random.default_rng(5)
     seen = set()
     for _ in range(12):
         # Paces that wander through all that matters: above the limit, slowing, steady, at rest.
         steps = rng.normal(-0.12, 0.3, (40, BOXES)) * (rng.random((40, BOXES)) < 0.5)
         paces = 3.0 * np.exp(np.cumsum(steps, axis=0)) * rng.uniform(0.2, 1.0, BOXES)
-        on_c = quiet_on_c(paces, sim, sign)
-        assert quiet_on_mjx(paces, sim, sign) == on_c
+        on_c = quiet_on_c(paces, sim, failed)
+        assert quiet_on_mjx(paces, sim, failed) == on_c
         seen |= set(on_c)
     assert seen == {False, True}
 
@@ -98,7 +99,7 @@ ONE_CREEPS = np.where(np.arange(BOXES) == 1, 0.3, FADING)
 
 @pytest.mark.parametrize("find", [quiet_on_c, quiet_on_mjx])
 @pytest.mark.parametrize(
-    ("paces", "sim", "sign", "first_quiet"),
+    ("paces", "sim", "failed", "first_quiet"),
     [
         # Three polls of five steps make the 15 that all must be slow.
         (AT_REST, ADAPTIVE, False, 2),
@@ -116,10 +117,10 @@ ONE_CREEPS = np.where(np.arange(BOXES) == 1, 0.3, FADING)
         (np.full((POLLS, BOXES), 1.1), ADAPTIVE, True, None),
     ],
 )
-def test_what_creeps_is_waited_for_until_a_box_crosses_a_threshold(
-    find: Finder, paces: np.ndarray, sim: Simulation, sign: bool, first_quiet: int | None
+def test_what_creeps_is_waited_for_until_a_box_has_failed(
+    find: Finder, paces: np.ndarray, sim: Simulation, failed: bool, first_quiet: int | None
 ) -> None:
-    found = find(paces, sim, sign)
+    found = find(paces, sim, failed)
     assert (found.index(True) if True in found else None) == first_quiet
 
 

@@ -115,6 +115,7 @@ def test_round_trip(tmp_path: Path) -> None:
         "invalid": 0,
         "by_reason": {"unstable": {"drop": 1}, "invalid": {}},
         "moving": 0,
+        "moving_by_shift": 0,
         "retried": 0,
         "skipped_plans": 1,
         "odd_plans": 0,

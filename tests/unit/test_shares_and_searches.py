@@ -14,7 +14,7 @@ from petmjx.metrics.spec import BoxMetrics
 from petmjx.results.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
 from petmjx.sweeps.eumos import eumos_assessment
 from petmjx.sweeps.search import Bisection, Probe, failure_mode
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.verdict import Flag, Outcome, Reason, Verdict
 
 
 def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:
@@ -208,6 +208,17 @@ def test_bisection_reads_outcomes_and_counts_invalid_ones_as_not_survived() -> N
     assert (search.largest_survived(0), search.first_failed(0)) == (0.1, 0.2)
     assert (search.items[0].mode, search.items[0].n_invalid) == ("nonfinite", 1)
     assert failure_mode(answers[0]) == ""
+
+
+def test_a_search_counts_tests_that_still_moved() -> None:
+    moving = make_outcome(1, Verdict.UNSTABLE, Reason.SHIFT, culprit=0, flags=Flag.MOVING)
+    assert Probe.of(moving).moving
+    row = {"verdict": "stable", "culprit": None, "mode": "", "flags": int(Flag.MOVING | Flag.FORKED)}
+    assert Probe.from_row(row).moving
+    assert not Probe.from_row(row | {"flags": int(Flag.FORKED)}).moving
+    search = Bisection([0.0, 0.1, 0.2, 0.3], [STANDS], sections=3)
+    search.record(search.next_tests(0), [STANDS, Probe.from_row(row), Probe.of(moving)])
+    assert (search.items[0].n_moving, search.largest_survived(0)) == (2, 0.2)
 
 
 def test_the_mode_is_that_of_the_box_that_went_first() -> None:

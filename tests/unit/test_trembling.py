@@ -54,7 +54,7 @@ def on_c(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
     rule = QuietRule(SIM, SCENE)
     found = []
     for pose, velocity in zip(poses, velocities, strict=True):
-        rule.look(pose, velocity, sign_seen=False)
+        rule.look(pose, velocity, has_failed=False)
         found.append(rule.trembling.which(BOXES).tolist())
     return found
 
@@ -105,7 +105,7 @@ def test_the_engines_agree_on_what_trembles() -> None:
 def test_what_trembles_is_not_waited_for() -> None:
     rule = QuietRule(SIM, SCENE)
     poses, velocities = (some[:, :1] for some in some_motion(2 * PERIOD + 3, np.random.default_rng(3)))
-    quiet = [rule.look(pose, velocity, sign_seen=False) for pose, velocity in zip(poses, velocities, strict=True)]
+    quiet = [rule.look(pose, velocity, has_failed=False) for pose, velocity in zip(poses, velocities, strict=True)]
     assert quiet.index(True) == 2 * PERIOD + SIM.quiet.steps // SIM.quiet.poll_steps - 1
     assert not rule.holds  # whoever goes on then has the flag of worlds that move
     moved = np.array([[0.5 * SIM.quiet.slow_m_s * 0.1, 0, 0, 0, 0, 0, 0]])

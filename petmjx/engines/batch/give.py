@@ -43,20 +43,24 @@ def laws(
     soft = give[:, one] + give[:, two]
     gives = soft > 0
     spring = area / jnp.where(gives, soft, 1.0) / CONTACTS_PER_FACE
-
-    time, damping = physics.solref
-    time = time if time < 0 else max(time, 2 * physics.timestep_s)
-    stiffness = -time if time < 0 else 1 / (time * damping) ** 2
-    pull = spring * jnp.maximum(inverse[:, one] + inverse[:, two], 1e-12)
-    lack = stiffness / pull
-    impedance = jnp.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
-    longer = jnp.maximum(lack / (1 - LEAST_IMPEDANCE), 1.0)
-    if time < 0:
-        solref = jnp.stack([time / longer, damping / jnp.sqrt(longer)], axis=-1)
-    else:
-        solref = jnp.stack([time * jnp.sqrt(longer), jnp.full_like(longer, damping)], axis=-1)
+    solref, impedance = spring_laws(physics, spring, jnp.maximum(inverse[:, one] + inverse[:, two], 1e-12))
     solimp = jnp.broadcast_to(model.pair_solimp, (n, *model.pair_solimp.shape)).at[..., :2].set(impedance[..., None])
     return {
         "pair_solref": jnp.where(gives[..., None], solref, model.pair_solref),
         "pair_solimp": jnp.where(gives[..., None], solimp, model.pair_solimp),
     }
+
+
+def spring_laws(
+    physics: Physics, spring_n_m: Float[Array, ...], inverse_mass: Float[Array, ...]
+) -> tuple[Float[Array, "... 2"], Float[Array, ...]]:
+    """solref and impedance of contacts that are springs of these stiffnesses at rest."""
+    time, damping = physics.solref
+    time = time if time < 0 else max(time, 2 * physics.timestep_s)
+    stiffness = -time if time < 0 else 1 / (time * damping) ** 2
+    lack = stiffness / (spring_n_m * inverse_mass)
+    impedance = jnp.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
+    longer = jnp.maximum(lack / (1 - LEAST_IMPEDANCE), 1.0)
+    if time < 0:
+        return jnp.stack([time / longer, damping / jnp.sqrt(longer)], axis=-1), impedance
+    return jnp.stack([time * jnp.sqrt(longer), jnp.full_like(longer, damping)], axis=-1), impedance

@@ -6,9 +6,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from petmjx.engines.batch import film, hand
+from petmjx.engines.batch.bed import Faces
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
@@ -16,6 +17,8 @@ from petmjx.engines.batch.setup import compiler_options
 from petmjx.engines.batch.state import State
 from petmjx.engines.batch.template import FIRST_BOX_BODY, override_fields
 from petmjx.engines.batch.worlds import Worlds
+from petmjx.metrics import motion_jax as motion
+from petmjx.metrics.spec import RESTLESS_M_S, RISING_M_S2
 from petmjx.options.config import SOFT_START_STEPS
 
 CHUNK_STEPS = 25
@@ -28,6 +31,8 @@ class Lockstep:
 
     def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
         self.rules, self.model, self.gives, self.wraps = rules, model, gives, wraps
+        if gives:
+            model.lay_beds()
 
     def compiled(
         self,
@@ -51,6 +56,7 @@ class Lockstep:
         without a recorder it must be the same program, since another one might round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
+        faces = (Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]),) if self.gives else ()
         if self.rules.driven:
             state = self.rules.begin_drives(state, worlds)
 
@@ -58,7 +64,7 @@ class Lockstep:
             carry: tuple[State, Float[Array, "world constraint"]], _: None
         ) -> tuple[tuple[State, Float[Array, "world constraint"]], Trail]:
             before, forces = carry
-            after, forces, top_force = self._advance(before, forces, worlds, fields, profiles)
+            after, forces, top_force = self._advance(before, forces, worlds, fields, profiles, faces)
             passed = Trail(
                 ran=before.running,
                 fresh=(after.last_placed_at == after.step) & (after.placed > before.placed),
@@ -81,6 +87,7 @@ class Lockstep:
         worlds: Worlds,
         fields: dict[str, Float[Array, "world ..."]],
         profiles: Float[Array, "profile step 3"],
+        faces: tuple[Faces, ...],
     ) -> tuple[State, Float[Array, "world constraint"], Float[Array, "world box"]]:
         """One step of every world and all that follows from it; constraint forces, and forces on tops during it."""
         rules, held = self.rules, self.model.held
@@ -112,7 +119,7 @@ class Lockstep:
         if held:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
-        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces)
+        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, *faces)
         running = state.running[:, None]
 
         def moved(
@@ -122,7 +129,7 @@ class Lockstep:
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
-        seen_qpos = state.qpos
+        seen_qpos, before = state.qpos, state
         carrier_qpos, qpos = moved(done.qpos, state.carrier_qpos, state.qpos)
         carrier_qvel, qvel = moved(done.qvel, state.carrier_qvel, state.qvel)
         carrier_qacc, qacc = moved(done.qacc_warmstart, state.carrier_qacc, state.qacc)
@@ -138,7 +145,20 @@ class Lockstep:
             carrier_qacc_warmstart=carrier_qacc,
             step=state.step + state.running,
         )
-        return rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force), done.forces, done.top_force
+        presses = self._presses(before, worlds, jnp.maximum(seen_qacc[..., 2].max(-1), carrier_qacc[:, 2]))
+        after = rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force, presses)
+        return after, done.forces, done.top_force
+
+    def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
+        """Whether the forces of the step after ``before`` count between samples: a box is fast, and one rises or it is
+        time to look for quiet; while a drive acts always. ``rising``: the largest acceleration upwards, m/s²."""
+        rules, step = self.rules, before.step + 1
+        if not rules.sim.waits_for_rest:
+            return jnp.zeros_like(before.running)
+        fast = (rules.standing(before) & (motion.speed(before.qvel, worlds.half) > RESTLESS_M_S)).any(-1)
+        polled = step % rules.sim.quiet.poll_steps == 0
+        acts = step - before.driven_from <= worlds.profile_steps
+        return (fast & (polled | (rising > RISING_M_S2))) | (acts & rules.driven)
 
     def _excitation(
         self, state: State, worlds: Worlds, profiles: Float[Array, "profile step 3"]

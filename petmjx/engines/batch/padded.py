@@ -9,7 +9,9 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
+from petmjx.engines.batch.bed import Beds, Faces
 from petmjx.engines.batch.mjx import mjx
+from petmjx.engines.batch.slip import SlipLaw
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
 from petmjx.options.config import Simulation
@@ -64,10 +66,21 @@ class PaddedModel:
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
+        self._slip = None if self.pyramidal else SlipLaw(sim.physics, self._model_of)
         self.model: Any = mjx.put_model(template, impl="jax")
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
         self._data: Any = mjx.make_data(template, impl="jax")
+        self._physics = sim.physics
+        self._beds: Beds | None = None
+
+    def lay_beds(self) -> None:
+        """From now on boxes may give. To be called outside of compiled programs."""
+        self._beds = Beds(self.model, self._data, self._physics)
+
+    def _model_of(self, fields: dict[str, jax.Array]) -> Any:
+        """A world's model."""
+        return self.model.tree_replace(fields)
 
     def no_forces(self, worlds: int) -> Float[Array, "world constraint"]:
         """The forces before the first step."""
@@ -78,6 +91,7 @@ class PaddedModel:
         fields: dict[str, Float[Array, "world ..."]],
         inputs: dict[str, Float[Array, "world ..."]],
         forces: Float[Array, "world constraint"],
+        faces: Faces | None = None,
     ) -> Stepped:
         """One step of all worlds.
 
@@ -85,21 +99,34 @@ class PaddedModel:
             fields: of the model.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied; where a held carrier is.
             forces: of the step before.
+            faces: where boxes give (``lay_beds``).
         """
 
-        def one(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> Any:
-            model, data = self.model.tree_replace(fields), self._data.replace(**inputs)
-            done = mjx.forward(model, data)
+        def ready(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None) -> Any:
+            # mjx.forward up to the solver
+            model, data = self._model_of(fields), self._data.replace(**inputs)
+            if self._beds is None or faces is None:
+                data = mjx.fwd_position(model, data)
+            else:
+                data = self._beds.fwd_position(model, data, faces)
+            return mjx.fwd_acceleration(model, mjx.fwd_actuation(model, mjx.fwd_velocity(model, data)))
+
+        def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
             # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
             # for contacts almost at rest (3.17: solver.py, _LSPoint). Then the accelerations and forces of the last
             # step are used, from which the solver started.
-            lost = ~jnp.isfinite(done.qacc).all()
-            qacc = jnp.where(lost, data.qacc_warmstart, done.qacc)
-            done = done.replace(qacc=qacc, qacc_warmstart=qacc)
-            forces = jnp.where(lost, forces, done._impl.efc_force)
-            return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
+            lost = ~jnp.isfinite(data.qacc).all()
+            qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)
+            forces = jnp.where(lost, forces, data._impl.efc_force)
+            done = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
+            return mjx.euler(self._model_of(fields), done)
 
-        data = jax.vmap(one)(fields, inputs, forces)
+        data = jax.vmap(ready)(fields, inputs, faces)
+        if self._slip is not None:
+            data = self._slip.solve(fields, data)
+        else:
+            data = jax.vmap(lambda fields, data: mjx.solve(self._model_of(fields), data))(fields, data)
+        data = jax.vmap(ended)(fields, data, forces)
         start, forces = data.qacc_warmstart, data._impl.efc_force
         return Stepped(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data))
 

@@ -36,6 +36,7 @@ class _Seen(NamedTuple):
     qpos: Float[Array, "world box 7"]
     qacc: Float[Array, "world box 6"]
     top_force: Float[Array, "world box"]
+    presses: Bool[Array, " world"]
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
@@ -61,8 +62,10 @@ class Rules:
 
     def standing(self, state: State) -> Bool[Array, "world box"]:
         """Boxes in play: placed, in a world that runs."""
-        placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
-        return placed & state.running[:, None]
+        return self._placed(state) & state.running[:, None]
+
+    def _placed(self, state: State) -> Bool[Array, "world box"]:
+        return jnp.arange(self.capacity)[None] < state.placed[:, None]
 
     def judged(self, state: State) -> Bool[Array, "world box"]:
         """Boxes in play that no hand has."""
@@ -145,8 +148,14 @@ class Rules:
         shift = motion.shift(middles, worlds.target, limits.shift_floor_m, worlds.sinks)
         tilt = motion.tilt_deg(state.qpos[..., 3:])
         excess = motion.excess(shift, tilt, state.metrics.drop_step >= 0, limits)
-        placed = jnp.arange(self.capacity)[None] < state.placed[:, None]
-        return (placed & (excess > 1)).any(-1)
+        return (self._placed(state) & (excess > 1)).any(-1)
+
+    def _is_lost(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
+        """Whether a box has dropped, or is tilted too far now and, in a drive, away by what it allows."""
+        tilted = motion.tilt_deg(state.qpos[..., 3:]) > self.sim.thresholds.tilt_deg
+        if self.driven:
+            tilted &= state.metrics.sway(motion.middles(state.qpos, worlds.middle)) >= worlds.allowed_sway[:, None]
+        return (self._placed(state) & (tilted | (state.metrics.drop_step >= 0))).any(-1)
 
     def after_step(
         self,
@@ -155,6 +164,7 @@ class Rules:
         seen_qpos: Float[Array, "world box 7"],
         qacc: Float[Array, "world box 6"],
         top_force: Float[Array, "world box"],
+        presses: Bool[Array, " world"],
     ) -> State:
         """Everything that happens between two steps.
 
@@ -162,13 +172,13 @@ class Rules:
             state: poses, velocities and step counters as the step left them.
             seen_qpos: poses at the beginning of the step, to which contacts and accelerations belong.
             qacc: linear (m/s²) and angular (rad/s²) of each box in that step.
-            top_force: N.
+            top_force: N. ``presses``: it counts, also in a step without a sample.
         """
         before, in_hand = state.running, hand.carried(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
         values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
         nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
-        state = self._sample(state, worlds, _Seen(seen_qpos, qacc, top_force), nonfinite)
+        state = self._sample(state, worlds, _Seen(seen_qpos, qacc, top_force, presses), nonfinite)
         state = state._replace(
             steps_done=state.steps_done + (before & (state.step > 0)),
             flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
@@ -194,7 +204,6 @@ class Rules:
         standing = self.judged(state)
         sampled = standing & sample[:, None]
         looked = standing & (sample | look | last)[:, None]
-
         qpos = jnp.where(sample[:, None, None], seen.qpos, state.qpos)
         pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
         tilt = motion.tilt_deg(quat)
@@ -226,6 +235,7 @@ class Rules:
             top_force=seen.top_force,
             dropped=dropped,
             sampled=sampled,
+            presses=standing & (sample | (counted & seen.presses))[:, None],
             tilts=standing & (sample | look)[:, None],
             looked=looked,
             rested=standing & resting[:, None],
@@ -272,7 +282,7 @@ class Rules:
         at_begin = jnp.where((count <= quiet.poll_steps)[:, None], speed, state.quiet_speed)
         creeps = (speed >= jnp.maximum(quiet.slow_m_s, quiet.slowing * at_begin)).any(-1)
         faster = (speed > jnp.maximum(quiet.still_m_s, at_begin)).any(-1)
-        anew = enough & (creeps | faster) & (state.metrics.culprit < 0)
+        anew = enough & (creeps | faster) & ~state.metrics.has_failed(self.sim.thresholds)
         count = jnp.where(anew, quiet.poll_steps, count)
         at_begin = jnp.where(anew[:, None], speed, at_begin)
         count = jnp.where(enough & ~anew & trembles.any(-1), 0, count)
@@ -293,14 +303,14 @@ class Rules:
         poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
         adapts = self._adaptive | (state.waits_since > state.last_placed_at)
         state, still = self.count_quiet(state, worlds, poll, adapts)
-        no_sign = state.metrics.culprit < 0
+        failed = state.metrics.has_failed(self.sim.thresholds)
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         late = ~in_drive & (state.step >= self._deadline(state, worlds, more, adapts))
         go = waits & (late | (still & adapts & enough))
         # with a drive to come, and no look whether the pallet rests
         settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~more & ~settles
-        moves = (settles | (go & more)) & no_sign & (state.quiet_steps < quiet.steps)
+        moves = (settles | (go & more)) & ~failed & (state.quiet_steps < quiet.steps)
         rest_from = self.rest_from(state)
         state = state._replace(
             rest_from=jnp.where(rests, rest_from, state.rest_from),
@@ -336,15 +346,15 @@ class Rules:
     def _deadline(
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
-        """The latest step for the event that is waited for. A sign of failure ends patience, counted from it; so does a
-        wait before a box that was in vain."""
+        """The latest step for the event that is waited for. A box that has failed ends patience, counted from the first
+        sign; so does a wait before a box that was in vain."""
         sim, table = self.sim, self.timetable
-        no_sign = state.metrics.culprit < 0
+        hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
         patient = adapts & ~plain_static & sim.waits_for_rest
         since = jnp.maximum(state.waits_since, jnp.where(patient, state.metrics.sign_step, -1))
         if self.driven:
-            return jnp.where(patient & no_sign, self._longest_wait(state, worlds), since + table.due_steps)
+            return jnp.where(patient & hopeful, self._longest_wait(state, worlds), since + table.due_steps)
         due = jnp.asarray(table.due)[since]
         due = jnp.where(plain_static, table.static_end, due)
         settled = jnp.asarray(table.settled)[since]
@@ -352,7 +362,7 @@ class Rules:
             settled = jnp.asarray(table.settled_nominally)[worlds.n_boxes]
         due = jnp.where(~more & worlds.settles, settled, due)
         restless = more & ((state.flags & int(Flag.MOVING)) != 0)
-        return jnp.where(patient & no_sign & ~restless, self._longest_wait(state, worlds), due)
+        return jnp.where(patient & hopeful & ~restless, self._longest_wait(state, worlds), due)
 
     def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
         """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
@@ -361,8 +371,8 @@ class Rules:
         return jnp.asarray(self.timetable.longest)[state.last_placed_at]
 
     def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
-        """At the last step: a world that moves is waited for, if it has not failed or its drive may go on. One that
-        rests may begin its drive."""
+        """At the last step: a world that moves is waited for, if no box is lost or its drive may go on. One that rests
+        may begin its drive."""
         sim, table = self.sim, self.timetable
         ends = state.running & (state.step > 0) & (state.step >= state.end)
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
@@ -377,12 +387,12 @@ class Rules:
         if self.driven:
             drive_end = _drive_end(state, worlds)
             last_end = jnp.where(state.step < drive_end, drive_end, NEVER)
-        moves, over = ends & moves, self._is_over(state, worlds)
+        moves, lost = ends & moves, self._is_lost(state, worlds)
         limit = self._longest_wait(state, worlds)
         if sim.check == "static" and not self.driven:
             limit = jnp.where(worlds.settles, limit, table.static_end)
         may_wait = sim.waits_for_rest and sim.total_time_factor is None
-        again = moves & waits & ((last_end != NEVER) | ~over) & (state.step < limit) & may_wait
+        again = moves & waits & ((last_end != NEVER) | ~lost) & (state.step < limit) & may_wait
         settles = ends & ~again & worlds.settles & (not self.driven)
         finished = ends & ~again & ~settles
         last_window = jnp.where(last_end == NEVER, NEVER, last_end - table.rest_steps)
@@ -392,7 +402,7 @@ class Rules:
             waits_since=jnp.where(again, state.step, state.waits_since),
             quiet_steps=jnp.where(again, 0, state.quiet_steps),
             driven_from=jnp.where(settles, state.step, state.driven_from),
-            flags=state.flags | jnp.where(moves & ~over & ~again, int(Flag.MOVING), 0),
+            flags=state.flags | jnp.where(moves & ~lost & ~again, int(Flag.MOVING), 0),
             status=jnp.where(settles, Status.SETTLED, jnp.where(finished, Status.FINISHED, state.status)),
             metrics=state.metrics.without_rest(again),
         )

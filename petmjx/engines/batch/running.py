@@ -21,8 +21,9 @@ from petmjx.options.config import Thresholds
 class Sample(NamedTuple):
     """What a look at boxes sees: middles, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on tops, N.
 
-    ``sampled`` are the boxes of which it is a sample, ``tilts`` also those of a look in a drive, ``looked`` also those
-    of worlds that are at their end, ``rested`` those in a rest window, whose steps ``rests`` counts.
+    ``sampled`` are the boxes of which it is a sample, ``presses`` those whose forces count, ``tilts`` also those of a
+    look in a drive, ``looked`` also those of worlds that are at their end, ``rested`` those in a rest window, whose
+    steps ``rests`` counts.
     """
 
     step: Int[Array, " world"]
@@ -33,6 +34,7 @@ class Sample(NamedTuple):
     top_force: Float[Array, "world box"]
     dropped: Bool[Array, "world box"]
     sampled: Bool[Array, "world box"]
+    presses: Bool[Array, "world box"]
     tilts: Bool[Array, "world box"]
     looked: Bool[Array, "world box"]
     rested: Bool[Array, "world box"]
@@ -69,7 +71,7 @@ class Metrics(NamedTuple):
             max_tilt=largest(self.max_tilt, sample.tilt, sample.tilts),
             max_lin_acc=largest(self.max_lin_acc, sample.lin_acc, sample.sampled),
             max_ang_acc=largest(self.max_ang_acc, sample.ang_acc, sample.sampled),
-            max_top_force=largest(self.max_top_force, sample.top_force, sample.sampled),
+            max_top_force=largest(self.max_top_force, sample.top_force, sample.presses),
             rest_force_sum=self.rest_force_sum + jnp.where(sample.rested, sample.top_force, 0.0),
             rest_samples=self.rest_samples + sample.rests,
             drop_step=jnp.where(sample.dropped & (self.drop_step < 0), sample.step[:, None], self.drop_step),
@@ -79,6 +81,12 @@ class Metrics(NamedTuple):
     def sway(self, pos: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
         """Horizontal distance of boxes from where they were when their drive began, m."""
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
+
+    def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
+        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+        judged at rest, and may go back until then."""
+        failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
+        return (self.culprit >= 0) & failed.any(-1)
 
     def without_rest(self, where: Bool[Array, " world"]) -> Metrics:
         """Begin with another rest window."""

@@ -43,6 +43,10 @@ class ActingDrive:
         place = int(np.searchsorted(self._changes, step, side="right"))
         return int(self._changes[place]) if place < len(self._changes) else NEVER
 
+    def acts(self, step: int) -> bool:
+        """Whether one of its rows acts during the step after this one."""
+        return step - self.begin < len(self._rows) - 1
+
     def act(self, step: int, live: LiveWorld) -> None:
         """Set the force or gravity that acts during the step after this one."""
         row = self._rows[min(step - self.begin, len(self._rows) - 1)]

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
+from petmjx.engines.cpu.bed import Beds
 from petmjx.engines.cpu.hand import Hand
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
+from petmjx.engines.cpu.slip import LOOK_STEPS, SlipLaw
 from petmjx.engines.cpu.waiting import add_waiting, press_waiting
 from petmjx.metrics.force_np import top_forces
 from petmjx.options.config import Simulation
@@ -85,9 +87,12 @@ class LiveWorld:
         self._shaken = shaken
         self._templates = templates
         self._held = held
+        self._beds: Beds | None = None
         self.n_placed = n_boxes
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
+        self._slip = SlipLaw(sim.physics)
+        self._slides, self._looked = False, 0  # at the last look; steps since
         self._build(n_boxes)
 
     @property
@@ -118,6 +123,8 @@ class LiveWorld:
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
         self.geom_bodies = geom_bodies(self.model, self.order)
+        gives = self.scene.stiffness is not None and bool(np.isfinite(self.scene.stiffness).any())
+        self._beds = Beds(self.scene, self._sim.physics, self.model, self.geom_bodies) if gives else None
         self._look_into_data()
 
     def _look_into_data(self) -> None:
@@ -280,8 +287,28 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released."""
-        mujoco.mj_step(self.model, self.data, nstep=count)
+        """Advance by ``count`` steps in C, with the GIL released; step by step where boxes give, or may slide.
+
+        Looks whether anything moves come after every few steps of the world, however many each call takes.
+        """
+        while count > 0:
+            if self._looked == 0:
+                self._slides = self._slip.may_slide(self.data.qvel)
+            some = min(count, LOOK_STEPS - self._looked)
+            self._take_steps(some)
+            self._looked = (self._looked + some) % LOOK_STEPS
+            count -= some
+
+    def _take_steps(self, count: int) -> None:
+        if self._beds is None and not self._slides:
+            mujoco.mj_step(self.model, self.data, nstep=count)
+            return
+        for _ in range(count):
+            if self._beds is None:
+                mujoco.mj_step1(self.model, self.data)
+            else:
+                self._beds.step1(self.model, self.data)
+            self._slip.step2(self.model, self.data)
 
     def set_gravity(self, gravity: FloatArray) -> None:
         """(3,) m/s²."""

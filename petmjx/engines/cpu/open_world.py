@@ -13,7 +13,7 @@ from petmjx.engines.cpu.models import Templates
 from petmjx.engines.cpu.world import WorldRun
 from petmjx.engines.open import Reading
 from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome
+from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
@@ -101,8 +101,7 @@ class OpenWorld(WorldRun):
 
     def _lingers(self) -> bool:
         """Whether a world has paused early, since a wait was in vain, and still moves: its last wait is a long one."""
-        fails = self._metrics.culprit >= 0
-        return not (self._quiet.holds or fails) and self._waits.lasts_longer(self._step)
+        return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
         if self.paused:
@@ -111,13 +110,14 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The world as it is now."""
+        """The world as it is now. One that has paused since its time was up, and not since it rests, moves."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
+        moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
         return Reading(
             time_s=self._clock.time_s(self._step),
             ended=self.ended,
-            flags=self._flags,
+            flags=self._flags | (Flag.MOVING if moves else Flag.NONE),
             pos=pose[:, :3],
             quat=pose[:, 3:],
             top_force_n=live.top_forces(),

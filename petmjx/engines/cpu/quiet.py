@@ -38,13 +38,13 @@ class QuietRule:
         """Whether the last look found the pallet quiet."""
         return self._steps >= self._rule.steps
 
-    def look(self, pose: FloatArray, velocity: FloatArray, sign_seen: bool, adapts: bool = True) -> bool:
+    def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
         """One look; whether it finds the pallet quiet, but for boxes that tremble.
 
         Args:
             pose: (k, 7) of the placed boxes, in m and unit quaternions.
             velocity: (k, 6), linear in m/s and angular in rad/s.
-            sign_seen: whether a box has crossed a threshold; then creep is not waited for.
+            has_failed: whether a box has dropped or tilted too far; then creep is not waited for.
             adapts: whether the wait depends on what is seen: then it is looked which boxes tremble.
         """
         rule, radius = self._rule, self._radius_m[: len(velocity)]
@@ -61,7 +61,7 @@ class QuietRule:
         self._steps += rule.poll_steps
         if self._steps < rule.steps:
             return False
-        if self._waits_for_creep and not sign_seen:
+        if self._waits_for_creep and not has_failed:
             creeps = (speed >= np.maximum(rule.slow_m_s, rule.slowing * self._first)).any()
             faster = (speed > np.maximum(rule.still_m_s, self._first)).any()
             if creeps or faster:

@@ -11,12 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
+from petmjx.engines.cpu.forces import Pressed, largest_top_forces
 from petmjx.metrics.motion_np import excess, has_dropped, shift, tilt_deg
 from petmjx.metrics.spec import BoxMetrics
 from petmjx.options.config import Thresholds
 from petmjx.world.give import sinks_m
-from petmjx.world.job import Job
+from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
+
+_STEPS_TOGETHER = 64
+"""Steps whose forces are worked out together. With more there is nothing to gain."""
 
 
 class OracleMetrics:
@@ -30,7 +34,8 @@ class OracleMetrics:
         self.max_tilt_deg = np.zeros(n)
         self.max_lin_acc = np.zeros(n)
         self.max_ang_acc = np.zeros(n)
-        self.max_top_force_n = np.zeros(n)
+        self._max_top_force_n = np.zeros(n)
+        self._pressed: list[Pressed] = []
         self.drop_s = np.full(n, np.nan)
         self.max_sway_m = np.full(n, np.nan)
         self.culprit = -1
@@ -41,14 +46,17 @@ class OracleMetrics:
 
     def fork(self) -> OracleMetrics:
         """An independent copy, for a world that starts from this state."""
+        self._work_off()
         twin = copy.copy(self)
         for name, value in vars(self).items():
             if isinstance(value, np.ndarray):
                 setattr(twin, name, value.copy())
+        twin._pressed = []
         return twin
 
     def extend(self, scene: Scene) -> None:
         """The world's scene has more boxes, of which nothing is known yet."""
+        self._work_off()
         larger = OracleMetrics(scene, self._thresholds, self._gravity_m_s2)
         for name, value in vars(larger).items():
             if isinstance(value, np.ndarray) and name != "_sinks_m":
@@ -57,8 +65,38 @@ class OracleMetrics:
         self._scene, self._sinks_m = scene, larger._sinks_m
 
     @property
+    def max_top_force_n(self) -> FloatArray:
+        """(n,) so far, N."""
+        self._work_off()
+        return self._max_top_force_n
+
+    def _work_off(self) -> None:
+        """Work out the forces of the steps that wait for it."""
+        if self._pressed:
+            steps, self._pressed = self._pressed, []
+            self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))
+
+    def add_step(self, pressed: Pressed) -> None:
+        """Take in a step's forces on tops. They are worked out later, those of many steps together."""
+        if self._pressed and (len(self._pressed) >= _STEPS_TOGETHER or self._pressed[0].bodies is not pressed.bodies):
+            self._work_off()
+        self._pressed.append(pressed)
+
+    def add_forces(self, top_force_n: FloatArray) -> None:
+        """Take in forces on the tops of the first k boxes, N. What is no number does not count."""
+        largest = self._max_top_force_n[: len(top_force_n)]
+        np.fmax(largest, np.where(np.isfinite(top_force_n), top_force_n, 0.0), out=largest)
+
+    @property
     def any_dropped(self) -> bool:
         return bool(np.any(np.isfinite(self.drop_s)))
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+        judged at rest, and may go back until then."""
+        tilted = self.max_tilt_deg > self._thresholds.tilt_deg
+        return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
         """Whether it is known that the pallet does not stand, so that its world need not go on: a box has dropped; with
@@ -92,7 +130,7 @@ class OracleMetrics:
         ang = np.linalg.norm(acc[:, 3:], axis=1)
         np.maximum(self.max_lin_acc[:k], lin, out=self.max_lin_acc[:k])
         np.maximum(self.max_ang_acc[:k], ang, out=self.max_ang_acc[:k])
-        np.maximum(self.max_top_force_n[:k], top_force_n, out=self.max_top_force_n[:k])
+        self.add_forces(top_force_n)
         if k:
             self.add_look(time_s, pos, quat)
         limits = self._thresholds
@@ -139,6 +177,13 @@ class OracleMetrics:
         """Whether a box is over a threshold in these poses, or has dropped."""
         _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
         return bool(crossed.any())
+
+    def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
+        """Whether a box has dropped, or is tilted too far in these poses and, in a drive, away by what it allows."""
+        lost = tilt_deg(quat) > self._thresholds.tilt_deg
+        if drive is not None and self._sway_origin is not None:
+            lost &= self._sway(pos, self._sway_origin) >= drive.allowed_sway_m
+        return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
         """A profile starts, with the k boxes in these poses. Sway is measured from here, and rest from its end.

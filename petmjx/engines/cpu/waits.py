@@ -63,11 +63,11 @@ class Waits:
         return self._patient and step < self.longest
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the event that is waited for. Once a box shows a sign of failure, nothing is gained by
-        patience: it is as long as without, counted from the sign.
+        """The latest step for the event that is waited for. Once a box has failed nothing is gained by patience: it is
+        as long as without, counted from the first sign.
 
         Args:
-            sign_step: of the first sign; None: there was none.
+            sign_step: of the first sign; None: no box has failed.
         """
         if self.in_drive:
             return NEVER

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -20,6 +19,7 @@ from petmjx.engines.cpu.recorder import WorldRecorder
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.settled import SettledState
 from petmjx.engines.cpu.soft import SoftWorld
+from petmjx.engines.cpu.stepping import Stepper
 from petmjx.engines.cpu.waits import NEVER, Waits
 from petmjx.options.config import SOFT_START_STEPS, Check, Simulation
 from petmjx.verdict import Flag, Outcome, Verdict, judge
@@ -43,7 +43,8 @@ class WorldRun:
         cancelled: Callable[[], bool],
         timeout_s: float | None = None,
     ) -> None:
-        self._give_up_at = time.monotonic() + timeout_s if timeout_s is not None else None
+        self._stepper = Stepper(sim, timeout_s)
+        self._begun = False
         self._index = index
         self._job = job
         self._sim = sim
@@ -107,11 +108,13 @@ class WorldRun:
             begun = begun and self._take_steps(1) == 1
         live.set_gravity(self._down)
         live.data.time = 0.0
+        self._begun = True
         if self._recorder is not None and live.n_placed:
             self._recorder.look(0, live)
         return begun
 
     def _resume(self, start: SettledState) -> None:
+        self._begun = True
         self._step = self._first_step = self._waits.last_placement = start.step
         self._live = start.resumed(self._scene, self._sim, self._clock.time_s(start.step))
         self._metrics = start.metrics.fork()
@@ -154,15 +157,11 @@ class WorldRun:
 
     def _take_steps(self, count: int) -> int:
         """Take steps; returns how many: fewer where the world's time is up before."""
-        if self._give_up_at is None:
-            self._live.step(count)
-            return count
-        for taken in range(count):
-            if time.monotonic() > self._give_up_at:
-                self._flags |= Flag.TIMEOUT
-                return taken
-            self._live.step(1)
-        return count
+        acts = self._drive is not None and self._drive.acts(self._step)
+        taken = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
+        if taken < count:
+            self._flags |= Flag.TIMEOUT
+        return taken
 
     # ------------------------------------------------------------------ events
 
@@ -248,7 +247,7 @@ class WorldRun:
         live = self._live
         places = live.n_placed < self._scene.n_boxes
         settles = self._settles and not self._driving and not self._waits.rests_first
-        if (places or settles) and not self._quiet.holds and self._metrics.culprit < 0:
+        if (places or settles) and not self._quiet.holds and not self._metrics.has_failed:
             self._flags |= Flag.MOVING
         if places:
             if self._recorder is not None:
@@ -288,8 +287,8 @@ class WorldRun:
 
     @property
     def _sign(self) -> int | None:
-        """The step of the first sign of failure, if there was one."""
-        return self._sign_step if self._metrics.culprit >= 0 else None
+        """The step of the first sign, if a box has failed since."""
+        return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:
         """Set the last step, and that from which on boxes must be still."""
@@ -303,7 +302,7 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: wait on for a world that moves, if it has not failed or is driven; or begin the drive."""
+        """At the last step: wait on for a world that moves, if no box is lost or it is driven; or begin the drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
             return
@@ -313,13 +312,13 @@ class WorldRun:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
         moves, waits = self._quiet.motion(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
         last_end = self._waits.last_end(self._step)
-        fails = self._metrics.is_over(pose[:, :3], pose[:, 3:])
-        if waits and (last_end != NEVER or not fails) and self._waits.may_go_on(self._step):
+        lost = self._metrics.is_lost(pose[:, :3], pose[:, 3:], self._job.drive if self._driving else None)
+        if waits and (last_end != NEVER or not lost) and self._waits.may_go_on(self._step):
             self._set_end(last_end)
             self._metrics.restart_rest()
             self._wait(self._step)
             return
-        if moves and not fails:
+        if moves and not lost:
             self._flags |= Flag.MOVING
         if self._settles and self._waits.rests_first and not self._driving:
             self._settle()
@@ -329,7 +328,7 @@ class WorldRun:
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed
-        return self._quiet.look(live.pose[:k], live.velocity[:k], self._metrics.culprit >= 0, self._waits.adapts)
+        return self._quiet.look(live.pose[:k], live.velocity[:k], self._metrics.has_failed, self._waits.adapts)
 
     # ------------------------------------------------------------------ drive
 
@@ -369,9 +368,9 @@ class WorldRun:
         pos[:k], quat[:k] = live.pose[:k, :3], live.pose[:k, 3:]
         boxes = metrics.finish(pos, quat, k, came_to_end)
         verdict, reason = judge(self._flags, boxes, k, self._sim.thresholds)
-        culprit, first_sign_s = metrics.culprit, metrics.first_sign_s
+        culprit, first_sign_s, n_at_sign = metrics.culprit, metrics.first_sign_s, self._n_at_sign
         if verdict is Verdict.STABLE:
-            culprit, first_sign_s = -1, float("nan")
+            culprit, first_sign_s, n_at_sign = -1, float("nan"), 0
         elif verdict is Verdict.UNSTABLE and culprit < 0:
             culprit = metrics.largest_excess(pos[:k], quat[:k])
         outcome = Outcome(
@@ -386,7 +385,7 @@ class WorldRun:
             n_steps=self._step - self._first_step,
             flags=self._flags,
             boxes=boxes,
-            n_at_sign=self._n_at_sign,
+            n_at_sign=n_at_sign,
             solver=self._sim.solver.value,
         )
         if self._recorder is not None:

@@ -134,6 +134,30 @@ inline CUDA_CALLABLE void respond(
     bend[5] = along * y * y + across * (1.0 - v * y);
 }
 
+// Takes the excess of a contact that slides to what the residual j says, and with it j's normal part: petmjx/world/slip.py.
+// `begins`: j is of the accelerations from which the solver starts. Else `push` is the force at j. Returns whether j has
+// changed.
+inline CUDA_CALLABLE bool correct(
+    double impratio_invsqrt, double slack, bool begins, const double* push, const Numbers& contact, double* j, float* excess
+) {
+    float last[4];
+    contact.load(last, 7);
+    const double mu = last[3], tangent = sqrt(j[1] * j[1] + j[2] * j[2]);
+    if (begins) {
+        const double most = *excess, beyond = larger(tangent - slack, 0.0);
+        *excess = (float)(beyond < most ? beyond : most);
+        j[0] += mu * *excess;
+        return true;
+    }
+    const double dragged = sqrt(push[1] * push[1] + push[2] * push[2]) * (impratio_invsqrt * impratio_invsqrt) / last[2];
+    const double change = larger(tangent - dragged - slack, 0.0) - *excess, pressed = mu * change;
+    if (pressed <= PETMJX_SLIP_ENOUGH && pressed >= -PETMJX_SLIP_ENOUGH) return false;
+    const float next = (float)(*excess + PETMJX_SLIP_RELAXATION * change);
+    j[0] += mu * ((double)next - *excess);
+    *excess = next;
+    return true;
+}
+
 // What `drag` is after a whole step of Newton's method that changes the residual j by v. Where the contact does not
 // slide after it, `respond` replaces it.
 inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) {

@@ -176,7 +176,7 @@ inline CUDA_CALLABLE void newton(
     if (WARP == 1) thread = 0, threads = 1;  // so that the compiler knows
     const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
-    const double impratio_invsqrt = model.impratio_invsqrt;
+    const double impratio_invsqrt = model.impratio_invsqrt, slack = model.slip_slack;
     const size_t at = block, nconmax = model.nconmax;
     World world;
     world.ncon = work.ncon.data[at];
@@ -198,6 +198,7 @@ inline CUDA_CALLABLE void newton(
     world.force = work.contact_force.data + at * nconmax * 3;
     world.curvature = work.curvature.data + at * nconmax * 6;
     world.drag = work.drag.data + at * nconmax * 2;
+    world.excess = work.excess.data + at * nconmax;
     world.bodies_conadr = work.bodies_conadr.data + at * nconmax;
     const int* low = work.lowest.data + at * work.lowest.shape[1];
     const int ncon = world.ncon, nfree = world.nfree, nv = world.nv;
@@ -250,9 +251,13 @@ inline CUDA_CALLABLE void newton(
         #pragma unroll 1
         for (int k = thread; k < ncon; k += threads) {
             double push[3], bend[6];
-            respond(
-                pyramidal, impratio_invsqrt, Jaref + 3 * k, world.contact(k), iteration == 0, world.drag + 2 * k, push, bend
-            );
+            const Numbers contact = world.contact(k);
+            double* j = Jaref + 3 * k;
+            const bool corrects = !ends && iteration <= PETMJX_SLIP_ROUNDS && world.excess[k] >= 0.0f;
+            if (corrects && iteration == 0) correct(impratio_invsqrt, slack, true, push, contact, j, world.excess + k);
+            respond(pyramidal, impratio_invsqrt, j, contact, iteration == 0, world.drag + 2 * k, push, bend);
+            if (corrects && iteration > 0 && correct(impratio_invsqrt, slack, false, push, contact, j, world.excess + k))
+                respond(pyramidal, impratio_invsqrt, j, contact, false, world.drag + 2 * k, push, bend);
             for (int i = 0; i < 3; ++i) world.force[3 * k + i] = push[i];
             for (int i = 0; i < 6; i += 2) store_two(world.curvature + 6 * k + i, (float)bend[i], (float)bend[i + 1]);
         }

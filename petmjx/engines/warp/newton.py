@@ -37,12 +37,18 @@ import re
 from importlib import resources
 
 from petmjx.engines.warp.records import PANEL
+from petmjx.world.slip import ENOUGH_M_S2, RELAXATION
 
 PANELS_MACRO = "PETMJX_MOST_PANELS"
 """What C++ calls the panels of a kernel's largest system: its shared memory has room for as many."""
 
 FEW_PANELS = 40
 """A kernel whose largest system has no more panels factors one at a time (by_one.cuh), others two (by_two.cuh)."""
+
+SLIP_ROUNDS = 12
+"""Iterations after the first one that may change the excess of contacts that slide (petmjx/world/slip.py). The other
+engines change it between two calls of their solver. With these, steps of bricks that slide and tip take 6.6 iterations
+(without the law 7.4), those of a heap 24.9 (21.8); with 40 those of a heap take 40."""
 
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
@@ -67,13 +73,16 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
         threads: of a world.
         pause_after: iterations after which the solver pauses; 0: it does not.
     """
-    numbers = {
+    numbers: dict[str, float] = {
         PANELS_MACRO: panels,
         "PETMJX_FEW_PANELS": FEW_PANELS,
         "PETMJX_OWN_BYTES": own_bytes(panels, worlds),
         "PETMJX_WORLDS": worlds,
         "PETMJX_THREADS": threads,
         "PETMJX_PAUSE_AFTER": pause_after,
+        "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
+        "PETMJX_SLIP_RELAXATION": RELAXATION,
+        "PETMJX_SLIP_ENOUGH": ENOUGH_M_S2,
     }
     return "".join(f"#define {name} {number}\n" for name, number in numbers.items()) + source("newton.cu")
 

@@ -16,6 +16,7 @@ from petmjx.engines.batch.worlds import Worlds, uploaded
 from petmjx.engines.clock import Clock
 from petmjx.engines.open import Readings
 from petmjx.options.config import Simulation
+from petmjx.verdict import Flag
 from petmjx.world.next_boxes import Blank, NextBoxes, Stacks
 from petmjx.world.release import release_of_next
 from petmjx.world.scene import IDENTITY_QUAT
@@ -89,18 +90,31 @@ class Told(NamedTuple):
     status: Int[Array, " world"]
     flags: Int[Array, " world"]
     culprit: Int[Array, " world"]
+    quiet_steps: Int[Array, " world"]
     qpos: Float[Array, "world box 7"]
     top_force: Float[Array, "world box"]
     max_tilt: Float[Array, "world box"]
     max_top_force: Float[Array, "world box"]
     drop_step: Int[Array, "world box"]
 
+    @classmethod
+    def of(cls, state: State) -> Told:
+        """Of all worlds."""
+        return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
+
+    def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
+        """(m,) bits of ``Flag``, on the host. A world that has paused since its time was up, and not since it rests,
+        moves."""
+        tilted = np.asarray(self.max_tilt) > sim.thresholds.tilt_deg
+        failed = (np.asarray(self.culprit) >= 0) & (tilted | (np.asarray(self.drop_step) >= 0)).any(axis=1)
+        moves = (np.asarray(self.status) == Status.PAUSED) & (np.asarray(self.quiet_steps) < sim.quiet.steps) & ~failed
+        return np.asarray(self.flags, np.int64) | np.where(moves, int(Flag.MOVING), 0)
+
 
 @jax.jit
 def told_of(state: State, rows: Int[Array, " row"]) -> Told:
     """Of some worlds. Rows that there are not give those of any world."""
-    own = {name: getattr(state if name in State._fields else state.metrics, name) for name in Told._fields}
-    return take_rows(Told(**own), rows)
+    return take_rows(Told.of(state), rows)
 
 
 def readings_of(told: Told, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
@@ -125,7 +139,7 @@ def readings_of(told: Told, half_size: FloatArray, target: FloatArray, sim: Simu
         placed=placed,
         time_s=np.array([clock.time_s(int(step)) for step in steps])[which],
         ended=np.asarray(state.status) == Status.FINISHED,
-        flags=np.asarray(state.flags, np.int64),
+        flags=state.flags_now(sim),
         culprit=np.asarray(state.culprit, np.int64),
         pos=pose[:, :, :3],
         quat=pose[:, :, 3:],

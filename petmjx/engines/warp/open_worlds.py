@@ -23,7 +23,7 @@ from petmjx.engines.clock import Clock
 from petmjx.engines.open import OpenWorlds, Reading, Readings
 from petmjx.engines.warp import records
 from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
-from petmjx.engines.warp.next_box import NewBox, new_box, readings_of, told_of
+from petmjx.engines.warp.next_box import NewBox, Told, new_box, readings_of, told_of
 from petmjx.engines.warp.simulator import Open, Simulator, Traits
 from petmjx.options.config import Simulation
 from petmjx.verdict import Flag, Outcome
@@ -152,6 +152,7 @@ class WarpWorlds(OpenWorlds):
 
     def _read(self, worlds: Sequence[int]) -> list[Reading]:
         state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
+        flags = Told.of(state).flags_now(self._sim)
         found = []
         for world in worlds:
             k = int(state.placed[world])
@@ -160,7 +161,7 @@ class WarpWorlds(OpenWorlds):
                 Reading(
                     time_s=clock.time_s(max(int(state.step[world]), 0)),
                     ended=bool(state.status[world] == Status.FINISHED),
-                    flags=Flag(int(state.flags[world])),
+                    flags=Flag(int(flags[world])),
                     pos=self._scenes[world].middles(pose[:, :3], pose[:, 3:]),
                     quat=pose[:, 3:],
                     top_force_n=np.asarray(state.top_force[world, :k], np.float64),

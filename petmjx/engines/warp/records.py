@@ -76,6 +76,8 @@ class Model:
     carrier_skin: float  # the same of the carrier
     pyramidal: int  # 1 with pyramidal friction cones
     friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
+    slip_slack: float  # reference acceleration of a slip that is not corrected, m/s²; inf: none is
+    kinetic_share: float  # friction of contacts that slide fast, as a share of that at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # of the solver, as MuJoCo's
     iterations: int  # most iterations of the solver
@@ -164,6 +166,7 @@ class Workspace:
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
     drag: Annotated[wp.array3d[float], "block contact 2"]  # contact.cuh
+    excess: Annotated[wp.array2d[float], "block contact"]  # of contacts that slide; negative: does not (world/slip.py)
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
@@ -175,6 +178,7 @@ class Workspace:
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both are rigid
     geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
     geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
     geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # where they begin

@@ -163,7 +163,7 @@ class Simulator:
 
     def _moves(self, state: State) -> Bool[Array, " world"]:
         """Whether worlds that have paused are not quiet, and have not failed."""
-        return (state.metrics.culprit < 0) & (state.quiet_steps < self._sim.quiet.steps)
+        return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
         """Whether the wait of worlds that have paused goes on if it is the last one."""

@@ -26,6 +26,7 @@ struct World {
     double* force;              // (contact, 3)
     float* curvature;           // (contact, 6)
     float* drag;                // (contact, 2)
+    float* excess;              // (contact,) in Jaref so far; negative: does not slide
     int* bodies_conadr;         // (pair,) first contact of each pair of moving bodies
 
     inline CUDA_CALLABLE Numbers contact(int k) const { return Numbers(efc, nconmax, k); }

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from petmjx.engines.warp.kernel.bed import bed_of
 from petmjx.engines.warp.kernel.block import any_of_all, prefix_sums, wait_for_all, warp_by_warp
+from petmjx.engines.warp.kernel.give import give_of_pair, spring_of_bed, spring_of_pair
 from petmjx.engines.warp.kernel.motion import ROOM, body_of, first_geom, geom_half, skin_of
 from petmjx.engines.warp.kernel.mujoco_warp import box_box, mat83f, plane_box, vec8f
 from petmjx.engines.warp.records import Model, Thread, Workspace, Worlds
@@ -154,6 +156,25 @@ def collide(
             if distance < 0.0:
                 work.pair_points[block, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
                 count += 1
+        if at.gives != 0:
+            give = give_of_pair(worlds, at.world, one, two)
+            work.pair_spring[block, pair] = spring_of_pair(worlds, at.world, one, two)
+            if one != 0 and give > 0.0 and count > 0:
+                are_faces, outward, points, area, least = bed_of(
+                    work.geom_xpos[block, one],
+                    work.geom_xmat[block, one],
+                    geom_half(worlds, at.world, one),
+                    work.geom_xpos[block, two],
+                    work.geom_xmat[block, two],
+                    geom_half(worlds, at.world, two),
+                    normal,
+                )
+                if are_faces:
+                    count = wp.where(area > 0.0, 4, 0)
+                    normal = outward
+                    for i in range(4):
+                        work.pair_points[block, pair, i] = points[i]
+                    work.pair_spring[block, pair] = spring_of_bed(wp.max(area, least), give)
         work.pair_normal[block, pair] = normal
         changed = changed or work.pair_ncon[block, pair] != count
         work.pair_ncon[block, pair] = count

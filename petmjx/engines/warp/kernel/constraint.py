@@ -11,16 +11,19 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.block import cross, fused, prefix_sums, times, wait_for_all
 from petmjx.engines.warp.kernel.efc import put_number
-from petmjx.engines.warp.kernel.give import spring_law, spring_of_pair
+from petmjx.engines.warp.kernel.give import spring_law
 from petmjx.engines.warp.kernel.motion import angular_velocity, body_of, center, first_geom, linear_velocity
 from petmjx.engines.warp.kernel.ordering import free_position
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
+from petmjx.world.slip import STICKS_M_S
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP, mjMINMU), and its power and midpoint of impedances (solimp).
 MIN_VALUE = wp.constant(1e-15)
 MIN_IMPEDANCE = wp.constant(1e-4)
 MAX_IMPEDANCE = wp.constant(0.9999)
 MIN_FRICTION = wp.constant(1e-5)
+
+STICKS = wp.constant(STICKS_M_S)
 
 
 @wp.func
@@ -93,6 +96,12 @@ def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> fl
 
 
 @wp.func
+def friction_share(kinetic: float, slip: float) -> float:
+    """What a contact that slides so fast has of its friction at rest. Twin of petmjx/world/slip.py."""
+    return 1.0 - times(1.0 - kinetic, wp.clamp(slip / STICKS - 1.0, 0.0, 1.0))
+
+
+@wp.func
 def make_constraint(
     # Model:
     model: Model,
@@ -108,8 +117,9 @@ def make_constraint(
     """Constraints of all contacts, as ``efc`` has them (``records.EFC_WORDS``).
 
     Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
-    the frames of the bodies. With pyramidal cones the rows of the four edges are normal ± friction × tangent; they are
-    not stored.
+    the frames of the bodies. Contacts that slide have the law of petmjx/world/slip.py. With pyramidal cones the rows of
+    the four edges are normal ± friction × tangent; they are not stored. ``excess`` is the
+    largest with which the solver begins.
     """
     block = at.block
     world = at.world
@@ -141,7 +151,7 @@ def make_constraint(
             velocity += along + arms_two * angular_velocity(state, world, body_two)
         kbi = _reference(model, point[3])
         if at.gives != 0:
-            spring = spring_of_pair(worlds, world, first, second)
+            spring = work.pair_spring[block, pair]
             if spring > 0.0:
                 kbi = spring_law(model, spring, weight)
         damping = wp.where(model.friction_damping > 0.0, model.friction_damping, kbi[1])
@@ -151,6 +161,10 @@ def make_constraint(
                 put_number(work.efc, block, contact, 9 + 3 * r + i, arms_one[r, i])
                 put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
+        slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
+        mu = times(mu, friction_share(model.kinetic_share, slip))
+        excess = times(damping, slip) - model.slip_slack
+        work.excess[block, contact] = wp.where(excess > 0.0, excess, -1.0)
         put_number(work.efc, block, contact, 27, fused(-kbi[1], velocity[0], pull))
         put_number(work.efc, block, contact, 28, -damping * velocity[1])
         put_number(work.efc, block, contact, 29, -damping * velocity[2])

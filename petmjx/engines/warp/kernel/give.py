@@ -46,13 +46,27 @@ def _shared_area(worlds: Worlds, world: int, first: int, second: int) -> float:
 
 
 @wp.func
-def spring_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
-    """Stiffness of a contact of two geoms, N/m; 0: both are rigid."""
+def give_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
+    """Area for each stiffness of the beds of two geoms in series, m³/N; 0: both are rigid."""
     give = worlds.shape_give[world, second - 1]
+    if first != 0:
+        give += worlds.shape_give[world, first - 1]
+    return give
+
+
+@wp.func
+def spring_of_bed(area: float, give: float) -> float:
+    """Stiffness of a contact of faces that press on one another with this area, m², N/m."""
+    return area / give / CONTACTS
+
+
+@wp.func
+def spring_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
+    """Stiffness of a contact of two geoms that is none of faces, N/m; 0: both are rigid."""
+    give = give_of_pair(worlds, world, first, second)
     half = geom_half(worlds, world, second)
     area = 4.0 * half[0] * half[1]
     if first != 0:
-        give += worlds.shape_give[world, first - 1]
         area = _shared_area(worlds, world, first, second)
     if give == 0.0:
         return 0.0

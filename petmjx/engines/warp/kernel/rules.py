@@ -13,8 +13,9 @@ from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
 from petmjx.engines.warp.kernel.hand import lets_go, take_up
 from petmjx.engines.warp.kernel.motion import center, middle_of, orientation
-from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, excess_of, length_of, measure, tilt_of
-from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, speed_unless_trembling, trembles
+from petmjx.engines.warp.kernel.quiet import count_quiet, has_failed
+from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, length_of, measure, press, sway_of, tilt_of
+from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, trembles
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 from petmjx.world import release
@@ -30,54 +31,6 @@ EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
 MOVING = wp.constant(int(Flag.MOVING))
 CARRIER = wp.constant(history.CARRIER)
 NOTHING = wp.constant(release.NOTHING)
-
-
-@wp.func
-def _count_quiet(
-    # Model:
-    model: Model,
-    worlds: Worlds,
-    # In:
-    at: Thread,
-    quiet_steps: int,
-    signs: bool,
-    looks: int,
-    # Data out:
-    state: State,
-) -> tuple[int, bool]:
-    """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
-    and the count starts again. Boxes that tremble do not count; with such ones the count of a quiet pallet is 0."""
-    world = at.world
-    fast = bool(False)
-    for box in range(at.thread, at.placed, at.threads):
-        if not speed_unless_trembling(model, worlds, state, looks, world, box) < model.quiet_speed:
-            fast = True
-    count = int(0)
-    if not any_of_all(fast):
-        count = quiet_steps + model.poll_steps
-    quiet = count >= model.quiet_steps
-    if model.waits_for_rest == 0:
-        return count, quiet
-    creeps = bool(False)
-    for box in range(at.thread, at.placed, at.threads):
-        speed = speed_unless_trembling(model, worlds, state, looks, world, box)
-        if count <= model.poll_steps:
-            state.quiet_speed[world, box] = speed
-        first = state.quiet_speed[world, box]
-        if speed >= wp.max(model.slow_speed, model.slowing * first) or speed > wp.max(model.still_speed, first):
-            creeps = True
-    if any_of_all(creeps) and quiet and not signs:
-        quiet = False
-        count = model.poll_steps
-        for box in range(at.thread, at.placed, at.threads):
-            state.quiet_speed[world, box] = speed_unless_trembling(model, worlds, state, looks, world, box)
-    if quiet and looks > 2 * model.tremble_looks:
-        trembling = bool(False)
-        for box in range(at.thread, at.placed, at.threads):
-            trembling = trembling or trembles(model, state, looks, world, box)
-        if any_of_all(trembling):
-            count = 0
-    return count, quiet
 
 
 @wp.func
@@ -103,8 +56,8 @@ def _deadline(
     failed: bool,
     sign_step: int,
 ) -> int:
-    """The latest step for the event that is waited for. A sign of failure ends patience, counted from it; so does a
-    wait before a box that was in vain."""
+    """The latest step for the event that is waited for. A box that has failed ends patience, counted from the first
+    sign; so does a wait before a box that was in vain."""
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
@@ -134,25 +87,29 @@ def _look_at_the_end(
     at: Thread,
     seconds: float,
     looks: int,
+    driven: bool,
     # Data in:
     state: State,
 ) -> tuple[bool, bool, bool]:
     """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago,
-    whether one has that must be waited for, and whether a box is over a threshold now, or has dropped."""
+    whether one has that must be waited for, and whether a box is lost: it has dropped, or is tilted too far now and, in
+    a drive, away by what it allows."""
     world = at.world
     moves = bool(False)
     waits = bool(False)
-    failed = bool(False)
+    lost = bool(False)
     for box in range(at.thread, at.placed, at.threads):
         moved = moved_since(worlds, state, state.still_qpos, world, box)
         moves = moves or moved > model.still_speed * seconds
         most = wp.where(trembles(model, state, looks, world, box), model.slow_speed, model.still_speed)
         waits = waits or moved > most * seconds
         q = orientation(state, world, box + 1)
-        place = middle_of(worlds, world, box, center(state, world, box + 1), q)
-        if excess_of(model, worlds, world, box, place, tilt_of(q), state.drop_step[world, box] >= 0) > 1.0:
-            failed = True
-    return any_of_all(moves), any_of_all(waits), any_of_all(failed)
+        tilted = tilt_of(q) > model.tilt
+        if driven:
+            place = middle_of(worlds, world, box, center(state, world, box + 1), q)
+            tilted = tilted and sway_of(state, world, box, place) >= worlds.allowed_sway[world]
+        lost = lost or tilted or state.drop_step[world, box] >= 0
+    return any_of_all(moves), any_of_all(waits), any_of_all(lost)
 
 
 @wp.func
@@ -226,6 +183,7 @@ def after_step(
     worlds: Worlds,
     # In:
     at: Thread,
+    presses: bool,
     nonfinite: bool,
     # Data out:
     state: State,
@@ -234,6 +192,7 @@ def after_step(
     """Everything that happens between two steps.
 
     Args:
+        presses: forces on tops count, also if the step has no sample.
         nonfinite: a body's position or velocity is not finite or out of range.
     """
     world = at.world
@@ -257,7 +216,7 @@ def after_step(
 
     violent = bool(False)
     lost = bool(False)
-    if looks_at_poses or resting:
+    if looks_at_poses or resting or presses:
         for box in range(at.thread, at.placed - at.carried, at.threads):
             if looks_at_poses:
                 if measure(model, worlds, at, box, step, culprit, sample, look, driven, state, work):
@@ -269,6 +228,8 @@ def after_step(
                     or length_of(state.qacc, world, box, 3) > model.angular_acceleration
                 ):
                     violent = True
+            if sample or (presses and counted):
+                press(world, at.block, box, state, work)
             if resting:
                 state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
     signs = bool(False)
@@ -298,16 +259,18 @@ def after_step(
     # quiet brings the end of a drive forward: if a rest window from here on is over when the last one begins
     in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
+    failed = bool(False)
     if not finished and step > 0 and at.carried == 0 and (more or end == NEVER or in_drive):
         waited = step - state.waits_since[world]
+        failed = has_failed(model, at, culprit, state)
         quiet = bool(False)
         if step % model.poll_steps == 0 and waited > 0:
             if adapts and model.waits_for_rest != 0:
                 find_trembling(model, worlds, at, looks, state)
                 looks += 1
-            quiet_steps, quiet = _count_quiet(model, worlds, at, quiet_steps, culprit >= 0, looks, state)
+            quiet_steps, quiet = count_quiet(model, worlds, at, quiet_steps, failed, looks, state)
         if not in_drive:
-            goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, culprit >= 0, sign_step)
+            goes = step >= _deadline(model, worlds, state, world, driven, more, adapts, failed, sign_step)
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
@@ -324,18 +287,18 @@ def after_step(
     again = bool(False)
     last_end = NEVER
     last_window = NEVER
-    moving = (settles or (goes and more)) and culprit < 0 and quiet_steps < model.quiet_steps
+    moving = (settles or (goes and more)) and not failed and quiet_steps < model.quiet_steps
     if last and not finished:
         seconds = float(step - still_from) * model.timestep
-        moves, waits, failed = _look_at_the_end(model, worlds, at, seconds, looks, state)
+        moves, waits, lost = _look_at_the_end(model, worlds, at, seconds, looks, driven, state)
         limit = _longest_wait(model, worlds, state, world, driven)
         if model.static_end != NEVER and not driven and not worlds.settles[world]:
             limit = model.static_end
         if driven and step < state.driven_from[world] + worlds.drive_steps[world]:
             last_end = state.driven_from[world] + worlds.drive_steps[world]
             last_window = last_end - model.rest_steps
-        again = waits and (last_end != NEVER or not failed) and model.extends != 0 and step < limit
-        moving = moves and not failed and not again
+        again = waits and (last_end != NEVER or not lost) and model.extends != 0 and step < limit
+        moving = moves and not lost and not again
         settles = worlds.settles[world] and not driven and not again
         finished = not again and not settles
     if pauses:

@@ -9,12 +9,16 @@ import warp as wp
 
 from petmjx.engines.warp.kernel.motion import box_half, middle_of, rotation
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
+from petmjx.metrics.spec import RESTLESS_M_S, RISING_M_S2
 
 JUST_OVER = wp.constant(1.0000001192092896)
 """The next float32 after 1: the least excess of a box that has dropped."""
 
 LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
 HALF = wp.constant(wp.int64(32))
+
+RESTLESS = wp.constant(RESTLESS_M_S)
+RISING = wp.constant(RISING_M_S2)
 
 
 @wp.func
@@ -44,6 +48,14 @@ def excess_of(model: Model, worlds: Worlds, world: int, box: int, place: wp.vec3
             shift = wp.max(shift, moved)
     excess = wp.max(shift / model.shift, tilt / model.tilt)
     return wp.where(dropped, wp.max(excess, JUST_OVER), excess)
+
+
+@wp.func
+def sway_of(state: State, world: int, box: int, place: wp.vec3) -> float:
+    """Horizontal distance of a box from where it was when its drive began, m."""
+    x = place[0] - state.sway_anchor[world, box, 0]
+    y = place[1] - state.sway_anchor[world, box, 1]
+    return wp.sqrt(x * x + y * y)
 
 
 @wp.func
@@ -91,16 +103,27 @@ def measure(
     if sample:
         state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], length_of(state.qacc, world, box, 0))
         state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], length_of(state.qacc, world, box, 3))
-        state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[at.block, box])
     tilts = tilt > model.tilt
     lost = tilts and worlds.ends_when_lost[world]
     if driven:
-        x = place[0] - state.sway_anchor[world, box, 0]
-        y = place[1] - state.sway_anchor[world, box, 1]
-        sway = wp.sqrt(x * x + y * y)
+        sway = sway_of(state, world, box, place)
         state.max_sway[world, box] = wp.max(state.max_sway[world, box], sway)
         lost = lost or (tilts and box == culprit and model.waits_for_rest != 0 and sway >= worlds.allowed_sway[world])
     return dropped or lost
+
+
+@wp.func
+def press(
+    # In:
+    world: int,
+    block: int,
+    box: int,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> None:
+    """The force on a box's top, in a step in which it counts."""
+    state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[block, box])
 
 
 @wp.func
@@ -108,3 +131,21 @@ def speed_of(worlds: Worlds, state: State, world: int, box: int) -> float:
     """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
     radius = wp.length(box_half(worlds, world, box))
     return length_of(state.qvel, world, box, 0) + radius * length_of(state.qvel, world, box, 3)
+
+
+@wp.func
+def is_fast(worlds: Worlds, state: State, at: Thread) -> bool:
+    """Whether one of a thread's boxes is faster than ``RESTLESS_M_S``."""
+    fast = bool(False)
+    for box in range(at.thread, at.placed, at.threads):
+        fast = fast or speed_of(worlds, state, at.world, box) > RESTLESS
+    return fast
+
+
+@wp.func
+def rises(work: Workspace, at: Thread) -> bool:
+    """Whether one of a thread's free bodies is accelerated upwards by more than ``RISING_M_S2`` in this step."""
+    up = bool(False)
+    for body in range(at.thread, at.placed + 1 - at.held, at.threads):
+        up = up or work.qacc[at.block, 6 * body + 2] > wp.float64(RISING)
+    return up

@@ -31,6 +31,7 @@ from petmjx.engines.warp.kernel.hand import carry
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
+from petmjx.engines.warp.kernel.samples import is_fast, rises
 from petmjx.engines.warp.kernel.solve import in_pause, newton
 from petmjx.engines.warp.records import Counts, FrameBuffer, Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
@@ -110,6 +111,8 @@ def advance(
     begins = bool(False)
     anew = bool(False)
     sample = bool(False)
+    presses = bool(False)
+    restless = bool(False)
     measured = bool(False)
     changed = bool(False)
     astray = bool(False)
@@ -122,7 +125,14 @@ def advance(
         step = state.step[at.world] + 1
         sample = step > 0 and step % model.sample_every == 0
         every = frames.every[at.world]
-        measured = sample or step > state.rest_from[at.world] or every > 0 or worlds.pauses[at.world]
+        resting = step > state.rest_from[at.world]
+        if step > 0 and at.placed > 0 and model.waits_for_rest != 0 and not sample:
+            driven = state.driven_from[at.world]
+            acts = driven != NEVER and step - driven <= worlds.profile_steps[at.world]
+            restless = acts or any_of_all(is_fast(worlds, state, at))
+            presses = acts or (restless and step % model.poll_steps == 0)
+        presses = presses or sample
+        measured = presses or resting or every > 0 or worlds.pauses[at.world]
     if begins:
         gravity, push = excitation(model, worlds, state, at.world)
         left = any_of_all(begin_step(model, worlds, state, at, gravity, push, sample, work))
@@ -162,16 +172,18 @@ def advance(
     go_together()
     if on:
         limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
-        newton(model, at.block, at.thread, at.threads, limit, changed, measured, shared, shared_words, work)
+        newton(model, at.block, at.thread, at.threads, limit, changed, measured or restless, shared, shared_words, work)
         wait_for_all()
         if in_pause(work.solver_paused, at.block):
             on = False
     go_together()
     if on:
-        astray = any_of_all(end_step(model, at, measured, state, work))
+        if restless and not presses:
+            presses = any_of_all(rises(work, at))
+        astray = any_of_all(end_step(model, at, measured or presses, state, work))
     go_together()
     if on:
-        after_step(model, worlds, at, astray, state, work)
+        after_step(model, worlds, at, presses, astray, state, work)
         if every > 0:
             keep_frame(state, at, every, work, frames)
     return listed

@@ -1,0 +1,432 @@
+"""Blocks that rock, slide and are tilted: what mechanics and measurements say, and what petmjx says.
+
+The equations of motion are those of Housner 1963 ("The behavior of inverted pendulum structures during earthquakes",
+Bulletin of the Seismological Society of America 53): a rigid block that rocks about its lower edges and does not slip.
+They share no code with petmjx.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise, product
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+import petmjx
+
+Acceleration = Callable[[float], float]
+"""Of the ground, m/s², by time, s."""
+
+GRAVITY: Final = 9.81
+"""Of a simulation, m/s²."""
+LEVEL_M_S2: Final = 9.80665
+"""A level of 1 g of a profile, m/s²."""
+STEP_S: Final = 1e-3
+"""Of the integration by Runge and Kutta's method of order 4: at half of it no level below changes."""
+AT_REST_RAD_S: Final = 2e-3
+"""A block that is slower after an impact rests: 1 mm/s at the top of one of half a metre."""
+
+
+class Row(NamedTuple):
+    """One row of the gallery: a quantity with its unit, what its source says, and what petmjx says."""
+
+    quantity: str
+    source: str
+    expected: float
+    value: float
+    engine: str
+
+
+class Motion(NamedTuple):
+    """What became of a block: the largest tilt, rad (infinite if it fell); the largest friction that not slipping took;
+    and when it hit the ground, s."""
+
+    max_tilt_rad: float
+    friction: float
+    impacts_s: tuple[float, ...]
+
+    @property
+    def fell(self) -> bool:
+        """Whether it fell over."""
+        return not math.isfinite(self.max_tilt_rad)
+
+
+@dataclass(frozen=True)
+class RockingBlock:
+    """A rigid block on the ground, width_m × height_m in the plane of its motion.
+
+    Attributes:
+        kept: share of its angular speed that it has after an impact; None: 1 − 1.5 sin² α, by Housner.
+    """
+
+    width_m: float
+    height_m: float
+    kept: float | None = None
+
+    @cached_property
+    def slenderness_rad(self) -> float:
+        """α, the tilt beyond which it falls by itself."""
+        return math.atan2(self.width_m, self.height_m)
+
+    @cached_property
+    def radius_m(self) -> float:
+        """R, from an edge to the centre."""
+        return math.hypot(self.width_m, self.height_m) / 2
+
+    @cached_property
+    def rate_squared(self) -> float:
+        """p² = 3 g / (4 R), 1/s²."""
+        return 3 * GRAVITY / (4 * self.radius_m)
+
+    @cached_property
+    def speed_kept(self) -> float:
+        """Angular speed after an impact over that before."""
+        return 1 - 1.5 * math.sin(self.slenderness_rad) ** 2 if self.kept is None else self.kept
+
+    def rock(
+        self, ground: Acceleration, seconds: float, quiet_from_s: float, start: Sequence[float] = (0, 0)
+    ) -> Motion:
+        """Its motion on ground that accelerates; tilts are positive towards +x.
+
+        Args:
+            seconds: how long it is followed.
+            quiet_from_s: from when on the ground rests, so that a block at rest stays so.
+            start: its tilt, rad, and angular speed, rad/s.
+        """
+        tilt, speed = map(float, start)
+        side = math.copysign(1.0, tilt) if tilt else 0.0
+        largest, friction, impacts = abs(tilt), 0.0, []
+        step = 0
+        while (time_s := step * STEP_S) < seconds:
+            step += 1
+            if side == 0.0:
+                now = ground(time_s)
+                if abs(now) <= GRAVITY * math.tan(self.slenderness_rad):
+                    if time_s >= quiet_from_s:
+                        break
+                    continue
+                side = -math.copysign(1.0, now)
+            friction = max(friction, self._friction(tilt, speed, side, ground(time_s)))
+            next_tilt, next_speed = self._step(tilt, speed, side, time_s, ground)
+            if next_tilt * side < 0:
+                share = tilt / (tilt - next_tilt)
+                impacts.append(time_s + share * STEP_S)
+                at_impact = speed + share * (next_speed - speed)
+                next_speed, side = self.speed_kept * at_impact, -side
+                next_tilt = next_speed * (1 - share) * STEP_S
+                if abs(next_speed) < AT_REST_RAD_S:
+                    next_tilt = next_speed = side = 0.0
+            tilt, speed = next_tilt, next_speed
+            largest = max(largest, abs(tilt))
+            if largest > math.pi / 2:
+                return Motion(math.inf, friction, tuple(impacts))
+        return Motion(largest, friction, tuple(impacts))
+
+    def _angular(self, tilt: float, side: float, ground_m_s2: float) -> float:
+        """θ'' = −p² (sin(±α − θ) + a/g · cos(±α − θ))."""
+        lean = self.slenderness_rad * side - tilt
+        return -self.rate_squared * (math.sin(lean) + ground_m_s2 / GRAVITY * math.cos(lean))
+
+    def _step(self, tilt: float, speed: float, side: float, time_s: float, ground: Acceleration) -> tuple[float, float]:
+        half = STEP_S / 2
+        before, between, after = (ground(time_s + part) for part in (0.0, half, STEP_S))
+        first = self._angular(tilt, side, before)
+        second = self._angular(tilt + half * speed, side, between)
+        third = self._angular(tilt + half * (speed + half * first), side, between)
+        fourth = self._angular(tilt + STEP_S * (speed + half * second), side, after)
+        return (
+            tilt + STEP_S * speed + STEP_S**2 / 6 * (first + second + third),
+            speed + STEP_S / 6 * (first + 2 * second + 2 * third + fourth),
+        )
+
+    def _friction(self, tilt: float, speed: float, side: float, ground_m_s2: float) -> float:
+        """Horizontal over vertical force at the edge: the least friction that keeps it from slipping."""
+        lean, turn = self.slenderness_rad * side - tilt, self._angular(tilt, side, ground_m_s2)
+        across = self.radius_m * (math.cos(lean) * turn + math.sin(lean) * speed**2)
+        upward = self.radius_m * (math.sin(lean) * turn - math.cos(lean) * speed**2)
+        return abs(ground_m_s2 + across) / max(GRAVITY + upward, 1e-9)
+
+    def energy_kept(self, before_rad: float, after_rad: float) -> float:
+        """Share of energy that an impact leaves, from the largest tilts on both sides of it (without a drive)."""
+        rest = math.cos(self.slenderness_rad)
+        before, after = (math.cos(self.slenderness_rad - tilt) - rest for tilt in (before_rad, after_rad))
+        return after / before
+
+    def late_deg(self, rate_deg_s: float, shift_m: float) -> float:
+        """By how much a slow tilt has gone on until it has tipped so far that its centre is shifted by ``shift_m``.
+
+        θ'' = p² (θ + ωt), so θ = ω / p · (sinh pt − pt).
+        """
+        p, rate = math.sqrt(self.rate_squared), math.radians(rate_deg_s)
+        needed = shift_m / (self.radius_m * math.cos(self.slenderness_rad))
+        low, high = 0.0, 60.0 / p
+        for _ in range(60):
+            middle = (low + high) / 2
+            tipped = rate / p * (math.sinh(p * middle) - p * middle)
+            low, high = (middle, high) if tipped < needed else (low, middle)
+        return rate_deg_s * low
+
+
+def trapezoid(level_g: float, ramp_s: float = 0.05, hold_s: float = 0.3) -> Acceleration:
+    """The test of EUMOS 40509: up within 50 ms, held for 0.3 s, down."""
+    peak, end = level_g * LEVEL_M_S2, 2 * ramp_s + hold_s
+
+    def ground(time_s: float) -> float:
+        return peak * max(min(time_s / ramp_s, 1.0, (end - time_s) / ramp_s), 0.0)
+
+    return ground
+
+
+def half_sine(level_g: float, duration_s: float) -> Acceleration:
+    """A pulse of half a period."""
+
+    def ground(time_s: float) -> float:
+        return level_g * LEVEL_M_S2 * math.sin(math.pi * time_s / duration_s) if time_s < duration_s else 0.0
+
+    return ground
+
+
+EUMOS_S: Final = 0.4
+"""Length of EUMOS's pulse, s."""
+SETTLES_S: Final = 30.0
+"""For which blocks are followed: all here rest or have fallen."""
+
+
+def slide_m(level_g: float, friction: float, step_s: float = 1e-4) -> float:
+    """How far a block slides on its ground in EUMOS's test, by Coulomb's law, m."""
+    ground, grip = trapezoid(level_g), friction * GRAVITY
+    speed = way = time_s = 0.0
+    while time_s < EUMOS_S or speed > 0:
+        speed = max(speed + (ground(time_s) - grip) * step_s, 0.0)
+        way += speed * step_s
+        time_s += step_s
+    return way
+
+
+LEVEL_STEPS: Final = 100
+"""Levels of a search are hundredths of 1 g."""
+THRESHOLD_M: Final = petmjx.Thresholds().shift_m
+
+
+def largest_level_g(block: RockingBlock, friction: float) -> float:
+    """The largest level of EUMOS's test, in hundredths, that a block survives.
+
+    One that rocks before it slides, and whose rocking never takes more than the friction there is, does not slide. So
+    it falls at Housner's level, even where that is beyond the level at which a block that stands flat would slide too
+    far.
+    """
+    slides = _largest(lambda level: slide_m(level, friction) <= THRESHOLD_M)
+    if friction <= math.tan(block.slenderness_rad):
+        return slides
+    rocks = _largest(lambda level: not block.rock(trapezoid(level), SETTLES_S, EUMOS_S).fell)
+    needed = block.rock(trapezoid(rocks), SETTLES_S, EUMOS_S).friction
+    return rocks if needed < friction else min(rocks, slides)
+
+
+def _largest(survives: Callable[[float], bool], most: int = 3 * LEVEL_STEPS) -> float:
+    low, high = 0, most
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if survives(middle / LEVEL_STEPS) else (low, middle)
+    return low / LEVEL_STEPS
+
+
+# ---------------------------------------------------------------------- what petmjx says
+
+SIDE_MM: Final = 300.0
+DEPTH_MM: Final = 300.0
+BOX_FRICTION: Final = 0.5
+"""Of physics ``pallet``: axes have factors of it."""
+ROUGH: Final = 1.2
+"""A friction at which no slender block slides."""
+
+
+def block_plan(name: str, width_mm: float, heights_mm: Sequence[float]) -> petmjx.Plan:
+    """A block, or a stack of boxes, in the middle of a Euro pallet; it rocks in the plane of x and z."""
+    bottoms = np.cumsum([0.0, *heights_mm[:-1]])
+    return petmjx.Plan.from_boxes(
+        name,
+        size_mm=[[width_mm, DEPTH_MM, height] for height in heights_mm],
+        corner_mm=[[600.0 - width_mm / 2, 400.0 - DEPTH_MM / 2, float(bottom)] for bottom in bottoms],
+        mass_kg=[10.0] * len(heights_mm),
+    )
+
+
+def swept(plans: Sequence[petmjx.Plan], engine: str, sweep: str, **options: Any) -> petmjx.RunResults:
+    """A sweep with these tables, on a Euro pallet."""
+    text = f'name = "rocking"\n[simulation]\ncarrier = "euro-pallet"\n{sweep}'
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "rocking.toml"
+        file.write_text(text)
+        return petmjx.sweep(file, plans, engine=engine, threads=1, **options)
+
+
+def rows(engine: str = "mujoco") -> Iterator[Row]:
+    """All rows of this module, as they are simulated."""
+    yield from free_rocking(engine)
+    yield from overturning(engine)
+    yield from tilting(engine)
+    yield from eumos_levels(engine)
+
+
+FREE_BLOCKS: Final = tuple(RockingBlock(width_m, 0.6) for width_m in (0.12, 0.15, 0.2, 0.3))
+MEASURED_RESTITUTION: Final = {5: 0.95, 3: 0.97}
+"""Slenderness → measured angular speed after an impact, over Housner's, on concrete (ElGawady et al.)."""
+SHORTEST_TILT_RAD: Final = math.radians(0.5)
+"""Smaller swings are as large as what contacts give way."""
+
+
+def free_rocking(engine: str) -> Iterator[Row]:
+    """Impacts of a block that rocks after a pulse: the share of energy each leaves, and how long half a swing takes."""
+    for block in FREE_BLOCKS:
+        level = _rocking_level_g(block)
+        width, height = 1000 * block.width_m, 1000 * block.height_m
+        name = f"block {width:g} × {height:g} mm"
+        axes = f'[axes]\nprofile = "eumos-40509"\nlevel = {level}\nfriction_factor = {ROUGH / BOX_FRICTION}\n'
+        run = swept([block_plan("b", width, [height])], engine, axes, record="all", record_interval_s=0.002)
+        assert run.histories is not None
+        time_s, tilt = _free_swing(run.histories, run.worlds.iloc[0])
+        peaks, crossings = _swings(time_s, tilt)
+        kept = np.mean([block.energy_kept(*pair) for pair in pairwise(peaks)])
+        yield Row(f"{name}: energy an impact leaves", "Housner 1963", block.speed_kept**2, float(kept), engine)
+        swing_s = block.rock(lambda _: 0.0, 5.0, 0.0, start=(peaks[0], 0.0)).impacts_s
+        yield Row(
+            f"{name}: time of a swing from {math.degrees(peaks[0]):.1f}°, s",
+            "Housner 1963",
+            swing_s[1] - swing_s[0],
+            crossings[1] - crossings[0],
+            engine,
+        )
+        slender = round(block.height_m / block.width_m)
+        if slender in MEASURED_RESTITUTION:
+            found = math.sqrt(kept) / block.speed_kept
+            source = "measured on concrete, ElGawady et al."
+            yield Row(
+                f"{name}: angular speed kept over Housner's", source, MEASURED_RESTITUTION[slender], found, engine
+            )
+
+
+def _rocking_level_g(block: RockingBlock) -> float:
+    """A level of EUMOS's test that tilts a block by half of α."""
+    low, high = math.tan(block.slenderness_rad), 3.0
+    while high - low > 1e-4:
+        middle = (low + high) / 2
+        tilt = block.rock(trapezoid(middle), 2.0, EUMOS_S).max_tilt_rad
+        low, high = (middle, high) if tilt < block.slenderness_rad / 2 else (low, middle)
+    return round(low, 4)
+
+
+def _free_swing(histories: pd.DataFrame, world: pd.Series) -> tuple[np.ndarray, np.ndarray]:
+    """Time, s, and tilt towards +x, rad, from the end of EUMOS's pulse on."""
+    begin_s = world.sim_time_s - world.n_steps * 0.002
+    frames = histories[histories.time_s > begin_s + EUMOS_S]
+    return frames.time_s.to_numpy(float), 2 * np.arctan2(frames.quat_y, frames.quat_w).to_numpy(float)
+
+
+def _swings(time_s: np.ndarray, tilt: np.ndarray) -> tuple[list[float], list[float]]:
+    """Largest tilts of swings that are large enough, rad, and the times of the impacts that begin them, s. The first
+    swing may have begun in the pulse."""
+    impacts = np.flatnonzero(np.diff(np.sign(tilt)))
+    peaks = [float(np.abs(part).max()) for part in np.split(tilt, impacts + 1)]
+    count = next((k for k, peak in enumerate(peaks) if peak < SHORTEST_TILT_RAD), len(peaks))
+    return peaks[:count], [float(time_s[k]) for k in impacts[: max(count, 2)]]
+
+
+PULSES_S: Final = (0.06, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8)
+OVER_TAN: Final = (1.1, 1.3, 1.5, 1.8, 2.1, 2.4, 2.8, 3.2, 3.7, 4.3, 5.0, 6.0)
+"""Lengths of pulses, and their peaks over g tan α, at which rocking begins."""
+
+
+def overturning(engine: str) -> Iterator[Row]:
+    """How many of 8 × 12 half-sine pulses overturn a block, or do not, as they do Housner's."""
+    for block in (RockingBlock(0.15, 0.6), RockingBlock(0.3, 0.6)):
+        width, height = 1000 * block.width_m, 1000 * block.height_m
+        levels = [round(math.tan(block.slenderness_rad) * over, 3) for over in OVER_TAN]
+        friction = max(ROUGH, 2 * levels[-1])
+        tables = "".join(
+            f'[profiles.p{k}]\nkind = "half-sine"\nduration_ms = {1e3 * s}\n' for k, s in enumerate(PULSES_S)
+        )
+        names = [f"p{k}" for k in range(len(PULSES_S))]
+        axes = f"[axes]\nprofile = {names}\nlevel = {levels}\nfriction_factor = {friction / BOX_FRICTION}\n"
+        worlds = swept([block_plan("b", width, [height])], engine, axes + tables).worlds
+        verdicts = worlds.set_index(["profile", worlds.level_g.round(3)]).verdict
+        same = 0
+        for (k, pulse_s), level in product(enumerate(PULSES_S), levels):
+            fell = block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).fell
+            same += fell == (verdicts[f"p{k}", level] != "stable")
+        quantity = f"block {width:g} × {height:g} mm: pulses with the same end, of 96"
+        yield Row(quantity, "Housner 1963, integrated", 96, same, engine)
+
+
+TILT_RATES: Final = {"tilt": 5.0, "tilt-quasi-static": 0.5}
+"""Profile → its rate, degrees/s."""
+
+
+TILTED_BLOCKS: Final = (RockingBlock(0.15, 0.9), RockingBlock(0.2, 0.6), RockingBlock(0.2, 0.4))
+
+
+def tilting(
+    engine: str,
+    frictions: Sequence[float] = (0.3, 0.5, 0.7),
+    blocks: Sequence[RockingBlock] = TILTED_BLOCKS,
+) -> Iterator[Row]:
+    """At which angles boxes on a carrier that is tilted fail, and by how much that is late by closed forms."""
+    for profile, rate in TILT_RATES.items():
+        for friction in frictions:
+            angle = math.degrees(math.atan(friction))
+            failed = _fail_angle_deg(block_plan("b", 500.0, [100.0]), profile, friction, engine)
+            source = "atan(friction)"
+            yield Row(f"{profile}: box of friction {friction:g} slides, °", source, angle, failed, engine)
+            late = slide_late_deg(math.radians(angle), rate)
+            yield Row(f"{profile}: the same, late by, °", "uniform jerk", late, failed - angle, engine)
+        for block in blocks:
+            width, height = 1000 * block.width_m, 1000 * block.height_m
+            angle = math.degrees(block.slenderness_rad)
+            failed = _fail_angle_deg(block_plan("b", width, [height]), profile, ROUGH, engine)
+            name = f"{profile}: block {width:g} × {height:g} mm topples"
+            yield Row(f"{name}, °", "atan(width / height)", angle, failed, engine)
+            late = block.late_deg(rate, THRESHOLD_M)
+            yield Row(f"{profile}: the same, late by, °", "inverted pendulum", late, failed - angle, engine)
+
+
+def slide_late_deg(angle_rad: float, rate_deg_s: float) -> float:
+    """By how much a tilt has gone on until a box has slid by the threshold: its acceleration grows by g ω / cos θ each
+    second, so it has slid g ω t³ / (6 cos θ)."""
+    seconds = (6 * THRESHOLD_M * math.cos(angle_rad) / (GRAVITY * math.radians(rate_deg_s))) ** (1 / 3)
+    return rate_deg_s * seconds
+
+
+def _fail_angle_deg(plan: petmjx.Plan, profile: str, friction: float, engine: str) -> float:
+    axes = f'[axes]\nprofile = "{profile}"\nfriction_factor = {friction / BOX_FRICTION}\n'
+    return float(swept([plan], engine, axes).worlds.fail_angle_deg.iloc[0])
+
+
+STACKS: Final = (2, 3, 4, 5)
+FRICTIONS: Final = (0.3, 0.5, 0.7, 0.9, 1.2)
+
+
+def eumos_levels(engine: str, stacks: Sequence[int] = STACKS, frictions: Sequence[float] = FRICTIONS) -> Iterator[Row]:
+    """The largest level of EUMOS's test that stacks of boxes of 300 × 300 × 250 mm survive, to 0.01 g.
+
+    A stack rocks as one block, since its boxes press on each other's whole faces.
+    """
+    plans = [block_plan(f"{n}", SIDE_MM, [250.0] * n) for n in stacks]
+    factors = [friction / BOX_FRICTION for friction in frictions]
+    axes = f'[axes]\nprofile = "eumos-40509"\ndirection = "+x"\nfriction_factor = {factors}\n'
+    search = "[search]\nlower = 0.2\nupper = 1.4\ntolerance = 0.01\n"
+    for answer in swept(plans, engine, axes + search).summary.to_dict("records"):
+        n, friction = int(answer["plan_id"]), round(answer["friction_factor"] * BOX_FRICTION, 3)
+        expected = largest_level_g(RockingBlock(SIDE_MM / 1000, 0.25 * n), friction)
+        quantity = f"stack of {n}, friction {friction:g}: largest level of EUMOS's test, g"
+        yield Row(quantity, "Coulomb, or Housner 1963, integrated", expected, answer["largest_level_g"], engine)
+
+
+if __name__ == "__main__":
+    print(pd.DataFrame(rows()).to_string(index=False))

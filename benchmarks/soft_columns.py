@@ -1,0 +1,232 @@
+"""Columns of boxes that give, against the bed of springs: which stand, and how far they lean.
+
+The bed's answer is worked out here, from nothing of petmjx: a chain of rigid boxes with a bed of springs (Winkler 1867)
+between each two, in which a face that lifts off does not pull. Heights are to the second order of the leans. The energy
+
+    E = Σᵢ mᵢ·g·zᵢ + ½ Σⱼ κⱼ ∫ max(δⱼ + (θⱼ − θⱼ₋₁)·u, 0)² du
+
+of depths δ and leans θ, with κ the beds' stiffness per area, has a minimum where the column stands. As gravity grows it
+comes to an end at a multiple of gravity: where that is below 1, the column buckles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+import petmjx
+
+GRAVITY: Final = 9.81
+GRID: Final = 40
+"""Springs along each side of a face, in the reference."""
+MOST_MULTIPLE: Final = 4.0
+MULTIPLE_STEP: Final = 0.2
+CLEAR: Final = 0.05
+"""Nearer to buckling, or to the limit of shift, nothing is asked."""
+RIGID_N_MM: Final = 1e5
+"""Of boxes without a stiffness, so that they can lie on one another."""
+CARRIER_HALF_MM: Final = np.array([600.0, 400.0])
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Column:
+    """Boxes on top of each other on a Euro pallet, from the lowest up.
+
+    Attributes:
+        size_mm: (n, 3).
+        middle_mm: (n, 2) of each, in x and y.
+        mass_kg: (n,).
+        stiffness_n_mm: (n,); inf: rigid.
+    """
+
+    size_mm: Array
+    middle_mm: Array
+    mass_kg: Array
+    stiffness_n_mm: Array
+
+    def plan(self, name: str) -> petmjx.Plan:
+        """The column as petmjx takes it."""
+        bottom = np.concatenate([[0.0], np.cumsum(self.size_mm[:-1, 2])])
+        low = self.middle_mm - self.size_mm[:, :2] / 2
+        rows = []
+        for size, (x, y), z, mass, stiffness in zip(
+            self.size_mm.tolist(), low.tolist(), bottom.tolist(), self.mass_kg, self.stiffness_n_mm, strict=True
+        ):
+            row = {"length_mm": size[0], "width_mm": size[1], "height_mm": size[2], "weight_kg": float(mass)}
+            row |= {"x_mm": x, "y_mm": y, "z_mm": z}
+            rows.append(row | ({"stiffness_n_mm": float(stiffness)} if np.isfinite(stiffness) else {}))
+        return petmjx.Plan.from_boxes(name, rows)
+
+    def with_stiffness(self, factor: float) -> Column:
+        """The same with beds so many times as stiff."""
+        return Column(self.size_mm, self.middle_mm, self.mass_kg, self.stiffness_n_mm * factor)
+
+
+class Answer(NamedTuple):
+    """What the bed says of a column.
+
+    Attributes:
+        multiple: of gravity, up to which it stands; it buckles below 1.
+        lean_rad: (n, 2) of each box towards x and y; NaN where it buckles.
+        shift_mm: (n, 2) of the middles.
+    """
+
+    multiple: float
+    lean_rad: Array
+    shift_mm: Array
+
+
+class _Chain:
+    """The energy of the lowest boxes of a column. Unknown are the depth and both leans of each box, in SI units."""
+
+    def __init__(self, column: Column, count: int, moved_m: Array) -> None:
+        half = column.size_mm[:count] / 2e3
+        middle = column.middle_mm[:count] / 1e3
+        stiffness = np.minimum(column.stiffness_n_mm[:count], RIGID_N_MM) * 1e3
+        give = np.append(0.0, 2 * half[:, 0] * half[:, 1] / stiffness)
+        low = np.vstack([np.array([600.0, 400.0]) / 1e3 - CARRIER_HALF_MM / 1e3, middle - half[:, :2]])
+        high = np.vstack([np.array([600.0, 400.0]) / 1e3 + CARRIER_HALF_MM / 1e3, middle + half[:, :2]])
+        # how the box below had moved when a box was set down
+        low[1:] -= moved_m[:count]
+        high[1:] -= moved_m[:count]
+        low, high = np.maximum(low[1:], low[:-1]), np.minimum(high[1:], high[:-1])
+        del middle
+        self.count, self.mass, self.height = count, column.mass_kg[:count], 2 * half[:, 2]
+        self.stiffness = 1 / (give[1:] + give[:-1])
+        self.hinge = (low + high) / 2
+        centers = column.middle_mm[:count] / 1e3 - moved_m[:count]
+        self.to_center = centers - self.hinge
+        self.to_next = np.vstack([self.hinge[1:] - self.hinge[:-1], np.zeros(2)])
+        side = (np.arange(GRID) + 0.5) / GRID - 0.5
+        across = high - low
+        grid = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.springs = across[:, None] * grid[None]
+        self.area = across.prod(axis=1) / GRID**2
+        self.load = np.cumsum(self.mass[::-1])[::-1] * GRAVITY
+        self.above = np.append(self.load[1:], 0.0)
+
+    def slopes(self, x: Array, multiple: float) -> tuple[Array, Array]:
+        """Gradient and Hessian of the energy."""
+        n = self.count
+        depth, lean = x[:n], x[n:].reshape(n, 2)
+        gradient, hessian = np.zeros(3 * n), np.zeros((3 * n, 3 * n))
+        gradient[:n] = -multiple * self.load
+        weight = self.mass * GRAVITY
+        levers = weight[:, None] * self.to_center + self.above[:, None] * self.to_next
+        heights = weight * self.height / 2 + self.above * self.height
+        gradient[n:] = -multiple * (levers + heights[:, None] * lean).ravel()
+        hessian[np.arange(n, 3 * n), np.arange(n, 3 * n)] = -multiple * np.repeat(heights, 2)
+        turned = np.diff(np.vstack([np.zeros(2), lean]), axis=0)
+        for j in range(n):
+            d = depth[j] + self.springs[j] @ turned[j]
+            on = d > 0
+            k = self.stiffness[j] * self.area[j]
+            u = self.springs[j][on]
+            rows = np.column_stack([np.ones(len(u)), u])
+            force, stiff = k * rows.T @ d[on], k * rows.T @ rows
+            take = np.zeros((3, 3 * n))
+            take[0, j] = 1.0
+            for axis in range(2):
+                take[1 + axis, n + 2 * j + axis] = 1.0
+                if j:
+                    take[1 + axis, n + 2 * (j - 1) + axis] = -1.0
+            gradient += take.T @ force
+            hessian += take.T @ stiff @ take
+        return gradient, hessian
+
+    def rest(self, x: Array, multiple: float) -> Array | None:
+        """Where the column stands, near x; None: nowhere."""
+        for _ in range(60):
+            gradient, hessian = self.slopes(x, multiple)
+            try:
+                np.linalg.cholesky(hessian)
+            except np.linalg.LinAlgError:
+                return None
+            step = np.linalg.solve(hessian, -gradient)
+            x = x + step * min(1.0, 0.02 / max(np.abs(step[self.count :]).max(), 1e-12))
+            if np.abs(step).max() < 1e-10:
+                return x
+        return None
+
+    def start(self) -> Array:
+        """Depths of level boxes."""
+        total = self.stiffness * self.area * GRID**2
+        return np.concatenate([self.load / total, np.zeros(2 * self.count)])
+
+    def moved_m(self, x: Array) -> Array:
+        """(n, 2) by how much the tops of boxes have moved."""
+        return np.cumsum(self.height[:, None] * x[self.count :].reshape(-1, 2), axis=0)
+
+
+def bed_answer(column: Column, one_by_one: bool = True) -> Answer:
+    """What the bed says of a column.
+
+    Args:
+        one_by_one: boxes are set down at their planned places once those below have come to rest.
+    """
+    n = len(column.mass_kg)
+    moved, nowhere = np.zeros((n, 2)), np.full((n, 2), np.nan)
+    least = MOST_MULTIPLE
+    lean = nowhere
+    for count in range(1 if one_by_one else n, n + 1):
+        chain = _Chain(column, count, moved)
+        multiple = _most(chain)
+        least = min(least, multiple)
+        x = _at(chain, 1.0)
+        if x is None:
+            return Answer(least, nowhere, nowhere)
+        if count < n:
+            moved[count] = chain.moved_m(x)[-1]
+    lean = x[n:].reshape(n, 2)
+    tops = chain.moved_m(x)
+    shift = (tops - chain.height[:, None] / 2 * lean) * 1e3
+    # a box is set down at its planned place, wherever the top below is
+    return Answer(least, lean, shift - moved * 1e3)
+
+
+def _at(chain: _Chain, multiple: float) -> Array | None:
+    x: Array | None = chain.start() * 0.1
+    for part in np.linspace(0.1, 1.0, 10):
+        assert x is not None
+        x = chain.rest(x, part * multiple)
+        if x is None:
+            return None
+    return x
+
+
+def _most(chain: _Chain) -> float:
+    """The multiple of gravity up to which a column stands."""
+    x, reached = chain.start() * MULTIPLE_STEP, 0.0
+    step = MULTIPLE_STEP
+    while reached < MOST_MULTIPLE and step > 1e-4:
+        following = chain.rest(x, reached + step)
+        if following is None:
+            step /= 2
+        else:
+            x, reached = following, reached + step
+    return reached
+
+
+def drawn(count: int, seed: int) -> list[Column]:
+    """Columns of 1 to 5 boxes of 30 to 200 N/mm, each up to 30 mm aside, under a rigid load near the one that buckles
+    them."""
+    rng = np.random.default_rng(seed)
+    found = []
+    while len(found) < count:
+        n = int(rng.integers(1, 6))
+        size = np.tile(np.append(rng.uniform(200.0, 400.0, 2), 0.0), (n + 1, 1)).round()
+        size[:, 2] = rng.uniform(120.0, 300.0, n + 1).round()
+        middle = np.array([600.0, 400.0]) + rng.uniform(-1, 1, (n + 1, 2)) * rng.choice([5.0, 15.0, 30.0])
+        mass = np.append(rng.uniform(2.0, 12.0, n), 10.0).round(1)
+        column = Column(size, middle.round(), mass, np.append(rng.uniform(30.0, 200.0, n), np.inf).round(1))
+        aim = rng.uniform(0.6, 2.0)
+        for _ in range(4):
+            multiple = bed_answer(column).multiple
+            mass[-1] = np.clip((mass.sum() * multiple / aim) - mass[:-1].sum(), 2.0, 150.0).round(1)
+        found.append(column)
+    return found

@@ -1,0 +1,110 @@
+"""Blocks that rock, slide and are tilted, against a rigid block of its own (benchmarks/rocking.py): shift at rest."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Any
+
+import pytest
+
+import petmjx
+from benchmarks.rocking import (
+    BOX_FRICTION,
+    EUMOS_S,
+    ROUGH,
+    SETTLES_S,
+    RockingBlock,
+    block_plan,
+    eumos_levels,
+    largest_level_g,
+    swept,
+    tilting,
+    trapezoid,
+)
+from petmjx.verdict import Flag
+
+pytestmark = pytest.mark.slow
+needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="warp-lang is not installed (extra: warp)")
+
+LEVEL_G = 0.01
+"""Levels are searched in these steps; a test at a level tells nothing finer."""
+LATE_DEG = 0.06
+"""Of how late a tilt is: a look, 0.05° at 5°/s, and what contacts give way."""
+
+TOWER = RockingBlock(0.3, 1.0)
+ROCKS_G = (0.34, 0.38, 0.42)
+FALLS_G = (0.44, 0.5)
+"""By the equations of motion a block of 300 × 1000 mm falls from 0.43 g on, and rocks from 0.3 g on."""
+
+
+def test_the_block_itself_keeps_to_what_is_known_of_it() -> None:
+    """Its natural numbers by hand; a small free swing against Housner's quarter period, acosh(1 / (1 − θ₀/α)) / p."""
+    assert TOWER.slenderness_rad == pytest.approx(0.29146, abs=1e-5)
+    assert TOWER.rate_squared == pytest.approx(3 * 9.81 / (4 * 0.52202), rel=1e-4)
+    thin = RockingBlock(0.1, 2.0)  # for which α − θ is as good as its sine
+    swing = thin.rock(lambda _: 0.0, 3.0, 0.0, start=(thin.slenderness_rad / 2, 0.0))
+    assert swing.impacts_s[0] == pytest.approx(1.31696 / thin.rate_squared**0.5, rel=0.002)
+    assert not any(TOWER.rock(trapezoid(level), SETTLES_S, EUMOS_S).fell for level in ROCKS_G)
+    assert all(TOWER.rock(trapezoid(level), SETTLES_S, EUMOS_S).fell for level in FALLS_G)
+    assert largest_level_g(RockingBlock(0.5, 0.2), 0.5) == 0.53  # by hand: (0.53 − 0.5) g for 0.3 s, and braked
+
+
+ENGINES = "mujoco", pytest.param("mjx-warp-cpu", marks=needs_warp)
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_tower_that_rocks_and_comes_back_stands(engine: str) -> None:
+    levels = [*ROCKS_G, *FALLS_G]
+    axes = f'[axes]\nprofile = "eumos-40509"\nlevel = {levels}\nfriction_factor = {ROUGH / BOX_FRICTION}\n'
+    worlds = swept([block_plan("tower", 300.0, [250.0] * 4)], engine, axes).worlds.sort_values("level_g")
+    assert worlds.verdict.tolist() == ["stable"] * len(ROCKS_G) + ["unstable"] * len(FALLS_G)  # so they are monotone
+    stood = worlds[worlds.verdict == "stable"]
+    assert not any(flags & Flag.MOVING for flags in stood["flags"])
+    assert (stood.eumos_elastic_share.iloc[1:] > 0.05).all()  # of 1 m: far beyond the threshold of shift, 0.02 m
+    assert (stood.eumos_permanent_share < 1e-4).all()
+    assert (stood.max_shift_m == 0.0).all()
+    assert (stood["mode"] == "").all()
+
+
+def test_the_largest_levels_of_eumos_s_test_are_those_of_a_rigid_block() -> None:
+    """A stack that slides from 0.34 g on, and one that rocks instead, and falls from 0.36 g on."""
+    for row in eumos_levels("mujoco", stacks=(3, 5), frictions=(0.3,)):
+        assert row.value == pytest.approx(row.expected, abs=1.001 * LEVEL_G), row
+
+
+def test_tilts_are_late_by_what_closed_forms_say() -> None:
+    late = [
+        row for row in tilting("mujoco", frictions=(0.2,), blocks=(RockingBlock(0.15, 0.9),)) if "late" in row.quantity
+    ]
+    assert len(late) == 4
+    for row in late:
+        assert row.value == pytest.approx(row.expected, abs=LATE_DEG), row
+        assert row.value < (0.6 if "quasi-static" in row.quantity else 2.7)
+
+
+SLENDER = {"alone": [900.0], "with a box on top": [900.0, 300.0]}
+
+
+@pytest.mark.parametrize("heights_mm", SLENDER.values(), ids=SLENDER.keys())
+def test_what_tines_let_rock_is_judged_at_rest(heights_mm: list[float]) -> None:
+    """A box that rocks by more than the threshold of shift comes to rest at its place; the next one waits for that."""
+
+    def scored(**options: Any) -> Any:
+        plan, tines = block_plan("slender", 150.0, heights_mm), {"name": "tines", "tines_mm": 10}
+        run = petmjx.score([plan], engine="mujoco", threads=1, carrier="euro-pallet", placing=tines, **options)
+        return run.worlds.iloc[0]
+
+    world = scored()
+    assert (world.verdict, world["flags"], world.max_shift_m) == ("stable", 0, 0.0)
+    impatient = scored(longest_wait_s=0.8)
+    assert impatient["flags"] & Flag.MOVING  # whatever its verdict
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_pallets_say_that_a_box_still_rocks(engine: str) -> None:
+    for longest_wait_s, stands in ((0.4, False), (10.0, True)):
+        tines = {"name": "tines", "tines_mm": 10}
+        pallets = petmjx.Pallets(1, engine=engine, threads=1, placing=tines, longest_wait_s=longest_wait_s)
+        told = pallets.place(size_mm=[[150, 300, 900]], corner_mm=[[500, 250, 0]], mass_kg=[10.0], pallet=[0])
+        assert (told.stable[0], told.moving[0], told.ended[0]) == (stands, not stands, False)
+        pallets.close()
