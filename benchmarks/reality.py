@@ -59,6 +59,15 @@ class Row:
     note: str = ""
     holds: bool | None = None
 
+    @classmethod
+    def of(cls, row: Any) -> Row:
+        """A row, also one of numbers alone: their ``quantity`` with its unit, ``source``, ``expected``, ``value`` and
+        ``engine``."""
+        if isinstance(row, cls):
+            return row
+        miss = row.value - row.expected
+        return cls(row.quantity, row.source, f"{row.expected:.4g}", f"{row.value:.4g}", f"{miss:+.2g}", row.engine)
+
 
 def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None = None) -> Iterator[dict[str, Any]]:
     """A result for each part and engine, with its rows.
@@ -78,9 +87,8 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
                 # what the data tell of friction and of confidence is asked of one engine
                 told, rows = _tosses(data, limit, engine, whole=number == 0)
             else:
-                module = importlib.import_module(PARTS[part])
-                find: Callable[[str], Iterator[Row]] = module.rows
-                rows = list(find(engine))
+                find: Callable[[str], Iterator[Any]] = importlib.import_module(PARTS[part]).rows
+                rows = [Row.of(row) for row in find(engine)]
             yield {
                 "case": f"reality-{part.replace(' ', '-')}",
                 "group": "reality",
@@ -118,8 +126,11 @@ def percent(share: float, digits: int = 1) -> str:
 
 
 def present(part: str) -> bool:
-    """Whether a part's module is there."""
-    return part == TOSSES or importlib.util.find_spec(PARTS[part]) is not None
+    """Whether a part has rows."""
+    if part == TOSSES:
+        return True
+    there = importlib.util.find_spec(PARTS[part]) is not None
+    return there and hasattr(importlib.import_module(PARTS[part]), "rows")
 
 
 _CUBE: Final = "ContactNets cube (DAIRLab, CoRL 2020)"

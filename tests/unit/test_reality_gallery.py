@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,6 +142,18 @@ def test_rows_that_fail_say_so() -> None:
         "| c | 1 mm | 1 mm | 0 mm | all |  | source |",
     ]
     assert titles.count("|") == lines[0].count("|")
+
+
+def test_rows_of_numbers_alone_tell_their_difference() -> None:
+    numbers = SimpleNamespace(quantity="angle, °", source="Housner", expected=12.5, value=12.25, engine="mujoco")
+    row = reality.Row.of(numbers)
+    assert row == reality.Row("angle, °", "Housner", "12.5", "12.25", "-0.25", "mujoco")
+    assert reality.Row.of(row) is row
+
+
+@pytest.mark.parametrize("part", [part for part in reality.PARTS if reality.present(part)])
+def test_parts_are_there(part: str) -> None:
+    assert callable(importlib.import_module(reality.PARTS[part]).rows)
 
 
 def test_where_to_get_the_tosses_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

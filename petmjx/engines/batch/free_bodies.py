@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import functools
+from typing import Any, get_type_hints
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from petmjx.basics.units import FloatArray
 from petmjx.engines.batch.free_states import let_go
@@ -51,7 +51,8 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
 
 def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
     """Worlds whose carrier has no shapes: MJX would look at each of them in each step, near or not."""
-    of_shapes = ("shape_body", "shape_half", "shape_pos", "friction", "shape_surface", "shape_give")
+    axes = {name: getattr(kind, "dim_str", "").split() for name, kind in get_type_hints(Worlds).items()}
+    of_shapes = [name for name, axes_of in axes.items() if axes_of[1:2] == ["shape"]]
     return worlds._replace(**{name: getattr(worlds, name)[:, boards:] for name in of_shapes})
 
 
@@ -62,14 +63,7 @@ class _NoRules(Rules):
         """No box waits in the air."""
         return state
 
-    def after_step(
-        self,
-        state: State,
-        worlds: Worlds,
-        seen_qpos: Float[Array, "world box 7"],
-        qacc: Float[Array, "world box 6"],
-        top_force: Float[Array, "world box"],
-    ) -> State:
+    def after_step(self, state: State, *args: Any, **named: Any) -> State:
         """Nothing."""
         return state
 

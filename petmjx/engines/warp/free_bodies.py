@@ -128,7 +128,7 @@ def _fleet(blocks: Callable[[Launch], int], width: int, k: int, boards: int, wor
     shapes = growth * (width + MORE_BOXES) + boards - 1
     fleet = Fleet(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = fleet_for_few(fleet, worlds) if k <= FEW_BOXES.most_boxes else None
-    return fleet if few is None else replace(few, n_boxes=width, least=0)
+    return fleet if few is None else replace(few, least=0)  # to the end, however few are left
 
 
 def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:
