@@ -18,11 +18,13 @@ COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 
 @dataclass
 class WorldCounts:
-    """Worlds by verdict and reason, how many needed more than one attempt, and how many stable ones still moved."""
+    """Worlds by verdict and reason, how many needed more than one attempt, and how many stable ones still moved, or
+    are not as planned."""
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
     moving: int = 0
+    leans: int = 0
 
     def add(
         self, verdicts: Sequence[str], reasons: Iterable[str], attempts: Iterable[int], flags: Iterable[int]
@@ -31,8 +33,9 @@ class WorldCounts:
         for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
             self.verdicts[Verdict(verdict), Reason(reason)] += count
         self.retried += sum(attempt > 1 for attempt in attempts)
-        stable = (verdict == Verdict.STABLE for verdict in verdicts)
-        self.moving += sum(stands and bool(flag & Flag.MOVING) for stands, flag in zip(stable, flags, strict=True))
+        standing = [flag for verdict, flag in zip(verdicts, flags, strict=True) if verdict == Verdict.STABLE]
+        self.moving += sum(bool(flag & Flag.MOVING) for flag in standing)
+        self.leans += sum(bool(flag & Flag.LEANS) for flag in standing)
 
     def add_worlds(self, worlds: pa.Table) -> None:
         """Count the rows of a table ``worlds`` (its columns ``COUNTED``): a million in a tenth of a second."""
@@ -40,8 +43,14 @@ class WorldCounts:
         for row in groups.to_pylist():
             self.verdicts[Verdict(row["verdict"]), Reason(row["reason"])] += row["count_all"]
         self.retried += pc.sum(pc.greater(worlds["attempt"], 1)).as_py() or 0
-        moves = pc.not_equal(pc.bit_wise_and(worlds["flags"], pa.scalar(int(Flag.MOVING), pa.int32())), 0)
-        self.moving += pc.sum(pc.and_(pc.equal(worlds["verdict"], Verdict.STABLE.value), moves)).as_py() or 0
+        standing = worlds.filter(pc.equal(worlds["verdict"], Verdict.STABLE.value))["flags"]
+
+        def having(flag: Flag) -> int:
+            bits = pc.bit_wise_and(standing, pa.scalar(int(flag), pa.int32()))
+            return pc.sum(pc.not_equal(bits, 0)).as_py() or 0
+
+        self.moving += having(Flag.MOVING)
+        self.leans += having(Flag.LEANS)
 
     def as_json(self) -> dict[str, Any]:
         """Worlds by verdict, and those that are not stable by reason."""
@@ -56,5 +65,6 @@ class WorldCounts:
             **by_verdict,
             "by_reason": by_reason,
             "moving": self.moving,
+            "leans": self.leans,
             "retried": self.retried,
         }

@@ -33,6 +33,7 @@ def headline(story: Story) -> str:
     text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
     if outcome.verdict is Verdict.STABLE:
         text += ", still moving" if outcome.flags & Flag.MOVING else ""
+        text += ", leans" if outcome.flags & Flag.LEANS else ""
         return text + ("" if math.isnan(outcome.margin) else f", margin {outcome.margin:.2f}")
     if outcome.culprit < 0:
         return text
