@@ -17,7 +17,7 @@ from petmjx.show.orders import order_lines
 from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.sweeps.confidence import contradicted
 from petmjx.sweeps.search import MODES
-from petmjx.verdict import Verdict
+from petmjx.verdict import Flag, Verdict
 
 SHOWN_PLANS: Final = 10
 """Most plans that a line names."""
@@ -207,12 +207,15 @@ def _least_edge(row: Mapping[Any, Any]) -> tuple[str, str]:
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
-    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics.
+    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics. If a world is
+    on a knife's edge, the smallest distances of loads from edges, too, and whose they are.
 
     Args:
         worlds, boxes: tables of the run; without boxes the first one's article is not known.
         orders: its table ``plans``, if that says how many boxes are left out; they are one more column.
     """
+    on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
+    edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         TableColumn("boxes", spare=3),
@@ -224,8 +227,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
         TableColumn("at\ns", spare=4),
         TableColumn("shift\nmm"),
         TableColumn("tilt\n°"),
-        TableColumn("edge\nmm", spare=6),
-        TableColumn("of\nbox", spare=6),
+        *edges,
         TableColumn("rest\nforce N", spare=5),
     )
     left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
@@ -247,7 +249,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
             number(row["first_sign_s"], ".2f"),
             number(row["max_shift_m"], ".1f", factor=1000.0),
             number(row["max_tilt_deg"], ".1f"),
-            *_least_edge(row),
+            *(_least_edge(row) if on_edge else ()),
             number(row["rest_top_force_n"], "z.1f"),
         )
     return table

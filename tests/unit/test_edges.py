@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from io import StringIO
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene
 from test_stand_in import Scripted, never, scored
@@ -16,6 +18,7 @@ import petmjx
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.looked_at import looked_at, note_edges
 from petmjx.options.config import Simulation
+from petmjx.show.tables import worlds_table
 from petmjx.story.events import headline
 from petmjx.story.words import notes_in_words
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
@@ -213,3 +216,16 @@ def test_what_an_engine_needed_twice_is_not_in_results() -> None:
     outcome = make_outcome(2, flags=Flag.RERUN_AFTER_OVERFLOW | Flag.EARLY_STOP)
     (noted,) = looked_at([outcome], [Job(scene)], Simulation())
     assert noted.flags & ~Flag.KNIFE_EDGE == Flag.EARLY_STOP
+
+
+def test_the_table_names_the_box_on_the_edge() -> None:
+    """Only where a world is on a knife's edge; the others have their edges, too."""
+    plans = [make_plan("edge", (*EDGE, *PULL)), make_plan("flat", LID[:2])]
+    results = petmjx.score(plans, engine="mujoco")
+    console = Console(width=140, record=True, file=StringIO())
+    console.print(worlds_table(results.worlds, results.boxes))
+    header, *rows = [" ".join(line.split()) for line in console.export_text().splitlines() if line.strip()][1:]
+    assert "mm box force N" in header
+    assert [" ".join(row.split()[-3:-1]) for row in rows] == ["0.2 1", "49.9 0"]
+    console.print(worlds_table(results.worlds[1:], results.boxes))
+    assert "mm box" not in console.export_text()
