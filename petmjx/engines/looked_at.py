@@ -61,7 +61,10 @@ def looked_at(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation)
         outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, sim.thresholds)
         if outcome.verdict is Verdict.STABLE and job.drive is None and leaning_boxes(outcome).size:
             outcome.flags |= Flag.LEANS
-    note_edges(noted, jobs, in_order=sim.check is not Check.STATIC)
+    if sim.check is Check.STATIC:
+        note_edges(noted, jobs, in_order=False)
+    else:
+        note_edges(noted, jobs)
     return noted
 
 

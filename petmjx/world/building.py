@@ -75,7 +75,7 @@ def building_edges(
         in_order = [_in_order(one) for one in bearings]
         bearing = together(in_order)
     built = built_of(bearing, placed)
-    beyond, depends = built.edge_m < 0, _depends(bearing, built)
+    beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
     scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
     surely, perhaps = (np.bincount(scene[beyond & which], minlength=len(bearings)) > 0 for which in (~depends, depends))
     edge = np.where(beyond & depends & surely[scene], np.nan, built.edge_m)
@@ -249,22 +249,30 @@ def _spans(count: IntArray, chosen: IntArray) -> IntArray:
 def _looked_closely(bearing: Bearing, built: Built) -> LeastBuilt:
     """The least edge of one scene, where all loads that seem to be beyond edges depend on how other boxes share
     theirs: a linear programme says of the furthest ones whether they are."""
-    edge, n = built.edge_m.copy(), len(bearing.boxes.mass)
+    edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():
             break
         step = int(built.step[np.nanargmin(edge)])
-        now = np.flatnonzero(built.step <= step)
-        last = now[np.flatnonzero(np.diff(built.box[now], append=n))]  # each box's load after that placement
-        load, seen = np.zeros((n, 3)), np.full(n, np.nan)
-        load[built.box[last]], seen[built.box[last]] = built.load[last], built.edge_m[last]
-        _, seen = rebalanced(bearing, load, seen, np.arange(n) <= step)
+        last, seen = balanced_after(bearing, built, step)
         if (seen < 0).any():
             box = int(np.nanargmin(seen))
             return LeastBuilt(float(seen[box]), box, step, float(np.nanmin(np.abs(edge))))
         edge[last] = np.where(edge[last] < 0, seen[built.box[last]], edge[last])
     edge[edge < 0] = np.nan
     return _least(built._replace(edge_m=edge))
+
+
+def balanced_after(bearing: Bearing, built: Built, step: int) -> tuple[IntArray, FloatArray]:
+    """The pairs of one scene that have each box's load after a placement, and (n,) edges of these loads, as well inside
+    as forces that balance allow."""
+    n = len(bearing.boxes.mass)
+    now = np.flatnonzero(built.step <= step)
+    last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
+    load, edge = np.zeros((n, 3)), np.full(n, np.nan)
+    load[built.box[last]], edge[built.box[last]] = built.load[last], built.edge_m[last]
+    _, seen = rebalanced(bearing, load, edge, np.arange(n) <= step)
+    return last, seen
 
 
 def _least(built: Built) -> LeastBuilt:
@@ -276,7 +284,7 @@ def _least(built: Built) -> LeastBuilt:
     return LeastBuilt(float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), nearest)
 
 
-def _depends(bearing: Bearing, built: Built) -> NDArray[np.bool_]:
+def depends_on_sharing(bearing: Bearing, built: Built) -> NDArray[np.bool_]:
     """(p,) which loads depend on how a box with several supports shares its own."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
