@@ -51,6 +51,8 @@ class Flag(IntFlag):
     EXPLOSION = 8
     EARLY_STOP = 16
     RERUN_AFTER_OVERFLOW = 32
+    """An engine simulated it again with larger buffers. It depends on the worlds beside it, so results never have it
+    (petmjx.engines.looked_at)."""
     OUT_OF_MEMORY = 64
     OTHER_OVERFLOW = 128
     FORKED = 256
@@ -65,9 +67,11 @@ class Flag(IntFlag):
     """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
     depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
-    """A load acts within half a millimetre of the edge of what bears it (petmjx.engines.looked_at)."""
+    """A load of any box acts within half a millimetre of the edge of what bears it (petmjx.engines.looked_at)."""
     TIMESTEP = 16384
     """At half the timestep the verdict is another one (``Simulation.check_timestep``)."""
+    LEANS = 32768
+    """It is stable, but not as planned: a box leans, or lies lower (petmjx.engines.looked_at)."""
 
 
 @dataclass(eq=False)
@@ -96,8 +100,14 @@ class Outcome:
     margin: float = math.nan
     """See :func:`margin_of`; filled in for all engines (petmjx.engines.looked_at)."""
     plan_edge_m: float = math.nan
+    plan_edge_box: int = -1
     rest_edge_m: float = math.nan
-    """Least distances of loads from edges, m (petmjx.engines.looked_at); filled in there, too."""
+    rest_edge_box: int = -1
+    build_edge_m: float = math.nan
+    build_edge_box: int = -1
+    build_edge_step: int = -1
+    """Least distances of loads from edges, m, whose they are, and after which box is placed; -1 for none. Filled in by
+    petmjx.engines.looked_at, too, as those of boxes are."""
     message: str = ""
     """Why there is no result, in one line, if ``reason`` is ``failed``."""
     history: History | None = None

@@ -28,6 +28,7 @@ from petmjx.options.physics import Physics
 from petmjx.verdict import Outcome
 from petmjx.world.bearing import Bearing, bearings_of, find_bearings, together
 from petmjx.world.contact import depth_m, is_stiff
+from petmjx.world.edges import loads_and_edges
 from petmjx.world.job import Job
 
 CONTACTS_PER_SIDE: Final = 2
@@ -48,7 +49,11 @@ SURE: Final = 1.0
 soft ones count only where they alone tip a load over."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""Nearer to an edge nothing can be said: half a millimetre of the plan, less what boxes are smaller by."""
+"""So far beyond an edge a load surely is: half a millimetre of the plan, less what boxes are smaller by."""
+
+NEAR_M: Final = 0.001
+"""A load that is nearer to the edge, on the inside, may have tipped over in soft contacts, whatever the loss: soft
+contacts let boxes rock by some tenths of a millimetre when the next one comes."""
 
 BOUND_SHARE: Final = 0.25
 """A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of that of shift: 5 mm
@@ -113,23 +118,30 @@ def leaning(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -
     """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
     the plan may have moved beyond it. There is one at least."""
     placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
-    bearing = together(_bearings(jobs, sim.thresholds.shift_m))
-    load = bearing.loads(placed)
-    edge = bearing.edges_m(load)
+    bearings = _bearings(jobs, sim.thresholds.shift_m)
+    bearing = together(bearings)
+    load, _, edge = loads_and_edges(bearings, bearing, placed)
     found, under = leaning_of(bearing, load, edge, sim.physics), _supports(bearing)
     limits, first = sim.thresholds, bearing.boxes.first.tolist()
     most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
 
-    def leans(outcome: Outcome, first: int, end: int) -> bool:
+    def leans(outcome: Outcome, has_errors: bool, first: int, end: int) -> bool:
         far = found.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
         if far or np.degrees(found.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
             return True
         pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
         edges, losses = edge[pile], found.loss_m[pile]
-        safety = SURE if (edges < -KNIFE_EDGE_M).any() else most_safety
-        return bool(((edges > KNIFE_EDGE_M) & (edges <= safety * losses)).any())
+        beyond = bool((edges < -KNIFE_EDGE_M).any())
+        reach = (SURE if beyond else most_safety) * losses
+        least = KNIFE_EDGE_M
+        if not (beyond or has_errors):  # of errors each world has others
+            reach, least = np.maximum(reach, NEAR_M), 0.0
+        return bool(((edges > least) & (edges <= reach)).any())
 
-    return [leans(outcome, k, k + n) for outcome, k, n in zip(outcomes, first, placed, strict=False)]
+    return [
+        leans(outcome, job.has_errors, k, k + n)
+        for outcome, job, k, n in zip(outcomes, jobs, first, placed, strict=False)
+    ]
 
 
 def _bearings(jobs: Sequence[Job], most_gap_m: float) -> list[Bearing]:

@@ -1,5 +1,6 @@
-"""What is looked at in the outcomes of an engine, whichever it is: soft contacts, the margin, and how near loads act to
-the edges of what bears them, which says whether a verdict stands on a knife's edge.
+"""What is looked at in the outcomes of an engine, whichever it is: soft contacts, the margin, boxes that came to rest
+otherwise than planned, and how near loads act to the edges of what bears them, which says whether a verdict stands on a
+knife's edge.
 
 Where an engine runs in workers they do it, each with its own outcomes: of small worlds it is almost half of what the
 process of the run would have to do.
@@ -8,20 +9,43 @@ process of the run would have to do.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
+import numpy as np
+
+from petmjx.basics.units import FloatArray
 from petmjx.engines.sinking import note_softness
-from petmjx.options.config import Simulation
+from petmjx.metrics.motion_np import tilt_deg
+from petmjx.options.config import Check, Simulation
 from petmjx.verdict import Flag, Outcome, Verdict, margin_of
-from petmjx.world.bearing import plan_edges_m, rest_edges_m
+from petmjx.world.bearing import bearings_of, together
+from petmjx.world.building import LeastBuilt, building_edges
+from petmjx.world.edges import Edges, edges_of, rest_edges
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 
 KNIFE_EDGE_M: Final = 0.0005
 """Plans have whole millimetres, and boxes are smaller than planned by a tenth of one. All verdicts that other
 simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
 
+NEAR_M: Final = 0.001
+"""Nearer than this to an edge a load sets the flag, too, if the verdict is not what statics says of it: a world stands
+with the load beyond the edge, or falls with it inside. (Small ones that fall are tried in stiffer contacts as well:
+petmjx.engines.leaning.)"""
+
+LEANS_DEG: Final = 2.0
+"""A box of a stable world that is tilted by more at rest leans. A box of half a metre is then 17 mm lower on one side;
+soft contacts alone let no box lean by a tenth of it that has no flag for it."""
+
+LOWER_M: Final = 0.005
+"""A box that lies lower than planned by more than this does so, too: as much as soft contacts may give way
+(``petmjx.engines.leaning.BOUND_SHARE``)."""
+
 MOST_TOGETHER: Final = 64
 """At most so many outcomes are looked at together; one by one, this took longer than the simulation on a GPU."""
+
+_NOT_BUILT: Final = LeastBuilt(np.nan, -1, -1, np.nan)
 
 
 def looked_at(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
@@ -31,28 +55,85 @@ def looked_at(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation)
         jobs: as the engine had them, one for each outcome.
         sim: that the engine had.
     """
-    found = note_softness(outcomes, jobs, sim)
-    for outcome in found:
+    noted = note_softness(outcomes, jobs, sim)
+    for outcome, job in zip(noted, jobs, strict=True):
+        outcome.flags &= ~Flag.RERUN_AFTER_OVERFLOW
         outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, sim.thresholds)
-    note_edges(found, jobs)
-    return found
+        if outcome.verdict is Verdict.STABLE and job.drive is None and leaning_boxes(outcome).size:
+            outcome.flags |= Flag.LEANS
+    if sim.check is Check.STATIC:
+        note_edges(noted, jobs, in_order=False)
+    else:
+        note_edges(noted, jobs)
+    return noted
 
 
-def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job]) -> None:
-    """Fill in the least distances, by the plan and at rest, and the flag of a knife's edge.
+def leaning_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """The boxes of a world at rest that lean by more than ``LEANS_DEG``, or lie more than ``LOWER_M`` lower than
+    planned. Where contacts gave way so far that the world has a flag for it, lower boxes do not count."""
+    placed = slice(outcome.n_placed)
+    leans = tilt_deg(outcome.boxes.quat[placed]) > LEANS_DEG
+    if not outcome.flags & Flag.SINKING:
+        leans |= outcome.boxes.shift_m[placed, 2] < -LOWER_M
+    return np.flatnonzero(leans)
 
-    At rest: of worlds that stand and were not shaken, whose carrier is where it was.
+
+def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bool = True) -> None:
+    """Fill in the least distances, by the plan, at rest and while the plan is built, those of boxes, and the flag of a
+    knife's edge, which any box may set.
+
+    At rest: of worlds that stand and were not shaken, whose carrier is where it was. While it is built: of plans whose
+    boxes are placed ``in_order``, without errors.
     """
     scenes = [job.scene for job in jobs]
     valid = [k for k, outcome in enumerate(outcomes) if outcome.verdict is not Verdict.INVALID]
-    planned = list(dict.fromkeys((scenes[k], outcomes[k].n_placed) for k in valid))  # drives share a scene
-    edge_m = dict(zip(planned, plan_edges_m(*zip(*planned, strict=True)), strict=True)) if planned else {}
-    for k in valid:
-        outcomes[k].plan_edge_m = edge_m[scenes[k], outcomes[k].n_placed]
+    # drives share a scene
+    planned = dict.fromkeys((scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid)
+    by_plan = dict(zip(planned, _by_plan(list(planned)), strict=True))
     at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]
-    rest_m = rest_edges_m([scenes[k] for k in at_rest], [outcomes[k].boxes.pos for k in at_rest])
-    for k, least_m in zip(at_rest, rest_m, strict=True):
-        outcomes[k].rest_edge_m = least_m
+    resting = rest_edges([scenes[k] for k in at_rest], [outcomes[k].boxes.pos for k in at_rest])
+    of_rest = dict(zip(at_rest, resting, strict=True))
     for k in valid:
-        if min(abs(outcomes[k].plan_edge_m), abs(outcomes[k].rest_edge_m)) <= KNIFE_EDGE_M:
-            outcomes[k].flags |= Flag.KNIFE_EDGE
+        outcome = outcomes[k]
+        plan, built = by_plan[scenes[k], outcome.n_placed, in_order and not jobs[k].has_errors]
+        edges_m = {"plan_edge_m": plan.least}
+        outcome.plan_edge_m, outcome.plan_edge_box = _least(plan.least)
+        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step, nearest_m = built
+        near = [nearest_m, *map(_nearest_m, plan)]
+        edge_m = np.array([outcome.build_edge_m, *plan.by_weight, *plan.by_load])
+        if k in of_rest:
+            edges_m["rest_edge_m"] = of_rest[k].least
+            outcome.rest_edge_m, outcome.rest_edge_box = _least(of_rest[k].least)
+            near += map(_nearest_m, of_rest[k])
+        outcome.boxes = replace(outcome.boxes, **edges_m)
+        contradicts = (edge_m < 0) if outcome.verdict is Verdict.STABLE else (edge_m >= 0)
+        if np.fmin.reduce(near) <= KNIFE_EDGE_M or (contradicts & (np.abs(edge_m) <= NEAR_M)).any():
+            outcome.flags |= Flag.KNIFE_EDGE
+
+
+def _by_plan(planned: Sequence[tuple[Scene, int, bool]]) -> list[tuple[Edges, LeastBuilt]]:
+    """Edges of scenes with so many boxes placed, and the least ones while those are built of which it is asked."""
+    if not planned:
+        return []
+    scenes, placed, asked = zip(*planned, strict=True)
+    bearings = bearings_of(scenes)
+    joined = together(bearings)
+    edges = edges_of(bearings, placed, joined)
+    some = [k for k, is_asked in enumerate(asked) if is_asked]
+    counts = [scenes[k].n_boxes for k in some]
+    built = building_edges([bearings[k] for k in some], counts, joined if len(some) == len(planned) else None)
+    of_some = dict(zip(some, built, strict=True))
+    return [(edge, of_some.get(k, _NOT_BUILT)) for k, edge in enumerate(edges)]
+
+
+def _least(edge_m: FloatArray) -> tuple[float, int]:
+    """The least of the distances and whose it is; NaN and -1 if there is none."""
+    if np.isnan(edge_m).all():
+        return np.nan, -1
+    box = int(np.nanargmin(edge_m))
+    return float(edge_m[box]), box
+
+
+def _nearest_m(edge_m: FloatArray) -> float:
+    """The least distance from an edge on either side; NaN if there is none."""
+    return float(np.fmin.reduce(np.abs(edge_m), initial=np.nan))

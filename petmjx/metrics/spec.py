@@ -123,7 +123,8 @@ class BoxMetric:
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome``, both with this name."""
+    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome``, both with this name. A whole
+    number counts boxes or steps from 0; -1 in the outcome is null in the table."""
 
     name: str
     unit: str
@@ -131,6 +132,11 @@ class WorldMetric:
     when: When
     dtype: type[np.generic] = np.float64
     compared: bool = True
+
+    @property
+    def numbers(self) -> bool:
+        """Whether it is the number of a box or a step."""
+        return self.dtype is np.int32
 
     def world_columns(self) -> list[Column]:
         """Its column of ``worlds``."""
@@ -145,6 +151,11 @@ def _largest(
     return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
 
 
+def _number(name: str, meaning: str, when: When) -> WorldMetric:
+    """The number of a box or a step."""
+    return WorldMetric(name, DIMENSIONLESS, meaning, when, np.int32, compared=False)
+
+
 METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric(
         "margin", DIMENSIONLESS,
@@ -156,10 +167,19 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "smallest distance of a box's load from the edge of what bears it, in the plan; < 0 beyond it; null if invalid",
         When.PLAN, compared=False,
     ),
+    _number("plan_edge_box", "whose load that is (packing order from 0)", When.PLAN),
     WorldMetric(
         "rest_edge_m", "m", "the same where the boxes came to rest; null unless the world is stable and was not shaken",
         When.END, compared=False,
     ),
+    _number("rest_edge_box", "whose load that is", When.END),
+    WorldMetric(
+        "build_edge_m", "m",
+        "the same over all steps in which the plan is built; null if all boxes are placed at once, or with errors",
+        When.PLAN, compared=False,
+    ),
+    _number("build_edge_box", "whose load that is", When.PLAN),
+    _number("build_edge_step", "the box whose placement leads to it (packing order from 0)", When.PLAN),
     WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", When.LOOKS),
     BoxMetric(
         "shift_m", "m",
@@ -219,6 +239,16 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         When.END, "unit quaternion; compared by the angle between two runs' orientations", compared=False,
     ),
     BoxMetric(
+        "plan_edge_m", "m",
+        {"plan_edge_m": "how far inside the nearest edge of what bears it its load acts, in the plan; < 0 beyond it"},
+        When.PLAN, "the smaller distance of its own weight and of its load; its load's where that alone is inside",
+        compared=False,
+    ),
+    BoxMetric(
+        "rest_edge_m", "m", {"rest_edge_m": "the same where the boxes came to rest"}, When.END,
+        "the same, with all boxes at their last places", compared=False,
+    ),
+    BoxMetric(
         "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
         When.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
     ),
@@ -246,6 +276,8 @@ class BoxMetrics:
     max_sway_m: FloatArray
     pos: FloatArray
     quat: FloatArray
+    plan_edge_m: FloatArray
+    rest_edge_m: FloatArray
 
     @classmethod
     def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:

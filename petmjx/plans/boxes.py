@@ -44,6 +44,8 @@ def fields_from_boxes(
         raise InputError(fault)
     where = f"plan {shown(plan_id)}"
     columns = {**_columns_of(boxes, where), **_columns_of_arrays(arrays, where), **more}
+    if arrays["size_mm"] is not None and "orientation" in columns:
+        columns |= _of_items(columns)
     lengths = {name: _length(values, f"{where}: {name}") for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         found = ", ".join(f"{name} {number}" for name, number in lengths.items())
@@ -99,6 +101,16 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
             raise InputError(f"{where}: {argument} must have the shape {expected}, got {values.shape}")
         columns |= dict(zip(names, values.reshape(len(values), len(names)).T, strict=True))
     return columns
+
+
+def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """The items' own lengths and widths, which tables have, from extents as the boxes stand. Orientations that are none
+    are refused later."""
+    turned = np.zeros(len(columns["length_mm"]), bool)
+    for box, value in enumerate(list(columns["orientation"])[: len(turned)] if np.ndim(columns["orientation"]) else ()):
+        turned[box] = isinstance(value, int | float | np.number) and value == 1
+    length, width = columns["length_mm"], columns["width_mm"]
+    return {"length_mm": np.where(turned, width, length), "width_mm": np.where(turned, length, width)}
 
 
 def _length(values: Any, what: str) -> int:

@@ -22,7 +22,7 @@ from petmjx.basics.units import LENGTHS_MM, MASSES_KG, FloatArray
 from petmjx.plans.given import ANCHORS
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, PlanWarnings, check_layout, gaps_mm
+from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, PlanWarnings, check_layout, gaps_mm, overlaps_mm
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
@@ -60,12 +60,26 @@ class Convention:
             middle of the carrier, mm.
         read: corners and sizes as petmjx has them. None: they are not what differs.
         least_odd: floating boxes and overlaps that a plan has at least, if its lowest box does not float.
+        of_turned: ``read`` is about boxes that an orientation says are turned; the others are as petmjx has them.
+        least_share: share of the boxes above the carrier that float or overlap at least, by more than ``_SMALL_MM`` one
+            of them.
     """
 
     looks: str
     advice: str
     read: Callable[[FloatArray, FloatArray], _Layout] | None = None
     least_odd: int = 2
+    of_turned: bool = False
+    least_share: float = 0.0
+
+    def layout_of(self, plan: Plan) -> _Layout:
+        """The plan's corners and sizes in this reading."""
+        assert self.read is not None
+        corner, size = self.read(plan.corner_mm, plan.size_mm)
+        if not self.of_turned:
+            return corner, size
+        turned = plan.turned[:, None]
+        return np.where(turned, corner, plan.corner_mm), np.where(turned, size, plan.size_mm)
 
 
 def _scaled(unit: str, sizes: bool) -> Convention:
@@ -86,8 +100,20 @@ def _anchored(anchor: str, looks: str) -> Convention:
 
 CENTRES: Final = _anchored("centre", "coordinates look like those of centres, not of corners")
 _YZ: Final = ("y and z look swapped", "give heights as z")
+_MOST: Final = 0.5
+"""If y and z are swapped, at least this share of the boxes above the carrier float or overlap. Where rows are flush in
+y nothing floats or overlaps after they are swapped, so a few boxes of a right plan that do say nothing."""
+_SMALL_MM: Final = 20.0
+"""Gaps and overlaps up to this are of sheets, rounded heights or careless packers, and of no convention."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
+    Convention(
+        "lengths and widths of boxes that an orientation says are turned look swapped",
+        "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
+        lambda corner, size: (corner, size[:, [1, 0, 2]]),
+        least_odd=1,
+        of_turned=True,
+    ),
     CENTRES,
     _anchored("base-centre", "x and y look like those of centres, not of corners"),
     _anchored("far-corner", "coordinates look like those of the corners with the largest x, y and z"),
@@ -102,8 +128,8 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
         lambda corner, size: (corner[::-1], size[::-1]),
         least_odd=1,
     ),
-    Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size)),
-    Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_odd=3),
+    Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size), least_share=_MOST),
+    Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_odd=3, least_share=_MOST),
     Convention(
         "length and width look swapped",
         "give extents along x and y as the boxes stand, or with the orientation",
@@ -254,10 +280,13 @@ def warn(lines: Iterable[str]) -> None:
 
 def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
     """Whether a tenth of what is odd, or less, is left when a plan is read in another way."""
-    assert way.read is not None
     if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
         return False
-    corner, size = way.read(plan.corner_mm, plan.size_mm)
+    if way.of_turned and not plan.turned.any():
+        return False
+    if way.least_share and not _is_mostly_odd(plan, way.least_share):
+        return False
+    corner, size = way.layout_of(plan)
     if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # read rightly, something stands on the carrier
         return False
     bounds = (corner + size).max(axis=0) - corner.min(axis=0)
@@ -267,10 +296,19 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
     return left.n_floating + left.n_overlapping_pairs <= n_odd // 10
 
 
+def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
+    """Whether so many of the boxes above the carrier float or overlap, and not all by little."""
+    gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
+    above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
+    odd = np.maximum(gap, overlap)
+    share = np.count_nonzero(above & (odd > DEFAULT_TOLERANCE_MM)) / max(np.count_nonzero(above), 1)
+    return bool(share >= least_share and odd.max() > _SMALL_MM)
+
+
 def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:
     """Whether all boxes are on the carrier if its middle is the origin."""
-    read = way.read if way is not None else None
-    corner, size = (plan.corner_mm, plan.size_mm) if read is None else read(plan.corner_mm, plan.size_mm)
+    none = way is None or way.read is None
+    corner, size = (plan.corner_mm, plan.size_mm) if none else way.layout_of(plan)
     half = np.array(extent_mm) / 2 + DEFAULT_TOLERANCE_MM
     on_it = (corner[:, :2] >= -half).all() and ((corner + size)[:, :2] <= half).all()
     return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())

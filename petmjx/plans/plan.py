@@ -138,8 +138,8 @@ class Plan:
                 ``product_group``, ``orientation``, ``order_sequence``, ``approach_deg``, ``material``,
                 ``com_length_mm``, ``com_width_mm``, ``com_height_mm``, ``stiffness_n_mm``, ``strength_n`` and ``kind``.
                 ``sequence`` gives another packing order.
-            size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm; with ``orientation`` the item's own
-                length, width and height.
+            size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm, as ``Plan.size_mm`` has them; an
+                ``orientation`` beside it says how they were turned, and turns nothing.
             corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
             mass_kg: (n,) kg.
             units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) in all these, such as "cm,g".

@@ -113,6 +113,15 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
     return _gaps(low, high, side_by_side, tolerance, in_order)
 
 
+def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
+    """(n,) how deep each box reaches into another one: along the axis along which they share least, mm; 0 for none."""
+    low, high = corner_mm.T, (corner_mm + size_mm).T
+    depth = np.minimum.reduce([shared(low[axis], high[axis]) for axis in range(3)])
+    np.fill_diagonal(depth, 0.0)
+    deepest: FloatArray = np.maximum(depth.max(axis=0, initial=0.0), 0.0)
+    return deepest
+
+
 def _outside(
     low: FloatArray, high: FloatArray, carrier_extent_mm: tuple[float, float] | None, tolerance_mm: float
 ) -> NDArray[np.bool_]:

@@ -19,12 +19,14 @@ COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 @dataclass
 class WorldCounts:
     """Worlds by verdict and reason, and how many needed more than one attempt. Worlds that still moved at their ends,
-    whose verdict may change with time: ``moving`` counts stable ones, ``moving_by_shift`` those unstable by shift."""
+    whose verdict may change with time: ``moving`` counts stable ones, ``moving_by_shift`` those unstable by shift.
+    ``leans``: stable ones that are not as planned."""
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
     moving: int = 0
     moving_by_shift: int = 0
+    leans: int = 0
 
     def add(
         self, verdicts: Sequence[str], reasons: Iterable[str], attempts: Iterable[int], flags: Iterable[int]
@@ -34,9 +36,11 @@ class WorldCounts:
         for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
             self.verdicts[Verdict(verdict), Reason(reason)] += count
         self.retried += sum(attempt > 1 for attempt in attempts)
-        moves = [bool(flag & Flag.MOVING) for flag in flags]
-        self.moving += sum(m and verdict == Verdict.STABLE for m, verdict in zip(moves, verdicts, strict=True))
-        self.moving_by_shift += sum(m and reason == Reason.SHIFT for m, reason in zip(moves, reasons, strict=True))
+        for verdict, reason, flag in zip(verdicts, reasons, flags, strict=True):
+            moves = bool(flag & Flag.MOVING)
+            self.moving += moves and verdict == Verdict.STABLE
+            self.moving_by_shift += moves and reason == Reason.SHIFT
+            self.leans += bool(flag & Flag.LEANS) and verdict == Verdict.STABLE
 
     def add_worlds(self, worlds: pa.Table) -> None:
         """Count the rows of a table ``worlds`` (its columns ``COUNTED``): a million in a tenth of a second."""
@@ -44,9 +48,14 @@ class WorldCounts:
         for row in groups.to_pylist():
             self.verdicts[Verdict(row["verdict"]), Reason(row["reason"])] += row["count_all"]
         self.retried += pc.sum(pc.greater(worlds["attempt"], 1)).as_py() or 0
-        moves = pc.not_equal(pc.bit_wise_and(worlds["flags"], pa.scalar(int(Flag.MOVING), pa.int32())), 0)
-        self.moving += pc.sum(pc.and_(pc.equal(worlds["verdict"], Verdict.STABLE.value), moves)).as_py() or 0
-        self.moving_by_shift += pc.sum(pc.and_(pc.equal(worlds["reason"], Reason.SHIFT.value), moves)).as_py() or 0
+
+        def having(flag: Flag, column: str, value: str) -> int:
+            bits = pc.bit_wise_and(worlds["flags"], pa.scalar(int(flag), pa.int32()))
+            return pc.sum(pc.and_(pc.equal(worlds[column], value), pc.not_equal(bits, 0))).as_py() or 0
+
+        self.moving += having(Flag.MOVING, "verdict", Verdict.STABLE.value)
+        self.moving_by_shift += having(Flag.MOVING, "reason", Reason.SHIFT.value)
+        self.leans += having(Flag.LEANS, "verdict", Verdict.STABLE.value)
 
     def as_json(self) -> dict[str, Any]:
         """Worlds by verdict, and those that are not stable by reason."""
@@ -62,5 +71,6 @@ class WorldCounts:
             "by_reason": by_reason,
             "moving": self.moving,
             "moving_by_shift": self.moving_by_shift,
+            "leans": self.leans,
             "retried": self.retried,
         }

@@ -29,7 +29,11 @@ from petmjx.verdict import Flag, Verdict
 SCHEMA_VERSION: Final = 2
 """Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""
 
-_FLAG_BITS = ", ".join(f"{flag.value} {(flag.name or '').lower().replace('_', '-')}" for flag in Flag)
+_FLAG_BITS = ", ".join(
+    f"{flag.value} {(flag.name or '').lower().replace('_', '-')}"
+    for flag in Flag
+    if flag is not Flag.RERUN_AFTER_OVERFLOW
+)
 
 
 def _column(name: str, kind: pa.DataType, unit: str, text: str) -> pa.Field:

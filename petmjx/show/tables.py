@@ -17,7 +17,7 @@ from petmjx.show.orders import order_lines
 from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.sweeps.confidence import contradicted
 from petmjx.sweeps.search import MODES
-from petmjx.verdict import Reason, Verdict
+from petmjx.verdict import Flag, Reason, Verdict
 
 SHOWN_PLANS: Final = 10
 """Most plans that a line names."""
@@ -113,6 +113,8 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
                 _add(table, "    still moving", moving, worlds, "yellow")
         if verdict is Verdict.STABLE and (moving := int(counts.get("moving", 0))):
             _add(table, "  still moving", moving, worlds, "yellow")
+        if verdict is Verdict.STABLE and (leans := int(counts.get("leans", 0))):
+            _add(table, "  leans", leans, worlds, "yellow")
     expected = info.get("expected_worlds")
     if expected is not None and expected > worlds:
         table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
@@ -195,13 +197,29 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
         table.add_row(f"{what}/s", three_digits(done / seconds), f"{seconds:,.1f} s")
 
 
+def _least_edge(row: Mapping[Any, Any]) -> tuple[str, str]:
+    """The smallest distance of a load from an edge, by the plan, at rest or while it is built, mm, and whose it is."""
+    edges = [
+        (row[f"{when}_edge_m"], row.get(f"{when}_edge_box"))
+        for when in ("plan", "build", "rest")
+        if not pd.isna(row.get(f"{when}_edge_m"))
+    ]
+    if not edges:
+        return "", ""
+    edge_m, box = min(edges, key=lambda edge: edge[0])
+    return number(edge_m, ".1f", factor=1000.0), number(box, ".0f")
+
+
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
-    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics.
+    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics. If a world is
+    on a knife's edge, the smallest distances of loads from edges, too, and whose they are.
 
     Args:
         worlds, boxes: tables of the run; without boxes the first one's article is not known.
         orders: its table ``plans``, if that says how many boxes are left out; they are one more column.
     """
+    on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
+    edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         TableColumn("boxes", spare=3),
@@ -213,6 +231,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
         TableColumn("at\ns", spare=4),
         TableColumn("shift\nmm"),
         TableColumn("tilt\n°"),
+        *edges,
         TableColumn("rest\nforce N", spare=5),
     )
     left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
@@ -234,6 +253,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
             number(row["first_sign_s"], ".2f"),
             number(row["max_shift_m"], ".1f", factor=1000.0),
             number(row["max_tilt_deg"], ".1f"),
+            *(_least_edge(row) if on_edge else ()),
             number(row["rest_top_force_n"], "z.1f"),
         )
     return table

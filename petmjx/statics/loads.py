@@ -14,34 +14,72 @@ Both criteria ask each box at its placement, and all below it again. They differ
   pass nothing further.)
 
 Both are linear in the load. So each box's weight is passed down alone, and the load on a box after any placement is a
-sum over the boxes placed so far.
+sum over the boxes placed so far. An even bedding does not pull, though: where it would, supports push with the least
+energy of their springs (petmjx.world.pushing). And where it has a resultant beyond an edge, a linear programme says
+whether other forces have all inside (petmjx.world.balanced).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
-from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
+from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.history import CARRIER
 from petmjx.statics.contacts import IntArray, PlanContacts
 from petmjx.statics.hulls import Hulls
+from petmjx.world.bearing import Bearing, Boxes
+from petmjx.world.building import Built, balanced_after, built_of, depends_on_sharing
 
 Sharing = Callable[[PlanContacts], FloatArray]
 """From contacts to (c, 3, 3) matrices: load of the upper box (mass, mass × x, mass × y) → that on the lower body, kg
 and kg·mm."""
 
 
-def load_slack(contacts: PlanContacts, hulls: Hulls, sharing: Sharing) -> FloatArray:
+_SAME: Final = 1e-9
+"""Loads that differ by no more, as a share, differ by rounding."""
+
+
+def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
+    """(n,) ``load_slack`` on an even bedding that pushes, if there is no other balance with all resultants inside.
+
+    Where loads after a placement seem to be beyond edges, and depend on how boxes share theirs, forces that balance
+    decide. After the first placement of which there are none, loads are passed on as if nothing had happened.
+    """
+    bearing = bearing_of(contacts)
+    built = built_of(bearing, [contacts.n_boxes])
+    slack = load_slack(contacts, hulls, even_bedding, built if _pulls(contacts, built) else None)
+    edge_mm = built.edge_m * MM_PER_M
+    open_ = (edge_mm < 0) & depends_on_sharing(bearing, built)
+    surely = np.isin(built.step, built.step[(edge_mm < 0) & ~open_])
+    failed = False
+    for step in np.unique(built.step[open_ & ~surely]).tolist():
+        if failed:
+            break
+        last, balanced_m = balanced_after(bearing, built, step)
+        failed = bool((balanced_m < 0).any())
+        changed = built.box[last[built.step[last] == step]]
+        least_m = balanced_m.min(where=~np.isnan(balanced_m), initial=np.inf) if failed else balanced_m[changed].min()
+        slack[step] = MM_PER_M * least_m
+    return slack
+
+
+def load_slack(contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: Built | None = None) -> FloatArray:
     """(n,) how far resultants are inside the edges of the contact hulls after each box's placement, mm.
 
     It is the least of the box's own and of those of all boxes that bear part of it. NaN where one of these lies on
     nothing, or is lifted.
+
+    Args:
+        pushed: the loads if supports only push, where the sharing would pull.
     """
     on_box = _passed_down(contacts, sharing)
     bears = on_box.any(axis=-1)
     load = on_box.cumsum(axis=1)
+    if pushed is not None:
+        load[pushed.box, pushed.step] = pushed.load * (1.0, MM_PER_M, MM_PER_M)
     below, placed = np.nonzero(bears)
     total = load[below, placed]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,7 +104,11 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
     on_box = _passed_down(contacts, sharing)[..., 0]
     bears, boxes = on_box != 0, np.arange(contacts.n_boxes)
     on_box[boxes, boxes] = 0.0  # its own weight is none of what it bears on its top
-    left = 1.0 - STANDARD_GRAVITY * on_box.cumsum(axis=1) / strength_n[:, None]
+    borne = on_box.cumsum(axis=1)
+    built = built_of(bearing_of(contacts), [contacts.n_boxes]) if sharing is even_bedding else None
+    if built is not None and _pulls(contacts, built):
+        borne[built.box, built.step] = built.load[:, 0] - contacts.mass_kg[built.box]
+    left = 1.0 - STANDARD_GRAVITY * borne / strength_n[:, None]
     below, placed = np.nonzero(bears & ~np.isnan(strength_n)[:, None])
     np.minimum.at(slack, placed, left[below, placed])
     return slack
@@ -85,6 +127,31 @@ def _passed_down(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
         if lower != CARRIER:
             on_box[lower] += on_box[contacts.upper[contact]] @ share[contact].T
     return on_box
+
+
+def bearing_of(contacts: PlanContacts) -> Bearing:
+    """The contacts of a plan as those of a scene, in metres."""
+    n = contacts.n_boxes
+    half = contacts.size_mm / 2
+    middle = contacts.corner_mm + half
+    boxes = Boxes(
+        np.array([0, n]),
+        middle / MM_PER_M,
+        half / MM_PER_M,
+        contacts.mass_kg,
+        (contacts.centre_mm - middle) / MM_PER_M,
+        np.full(n, np.inf),
+    )
+    low, high = contacts.low_mm / MM_PER_M, contacts.high_mm / MM_PER_M
+    return Bearing(boxes, contacts.upper, contacts.lower, low, high)
+
+
+def _pulls(contacts: PlanContacts, built: Built) -> bool:
+    """Whether an even bedding would pull after some placement: its loads are others than those of supports that only
+    push."""
+    linear = _passed_down(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
+    pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
+    return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
 
 
 def lever_rule(contacts: PlanContacts) -> FloatArray:

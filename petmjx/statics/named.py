@@ -19,7 +19,7 @@ from petmjx.metrics.spec import DIMENSIONLESS
 from petmjx.statics.asked import Asked
 from petmjx.statics.base import corner_and_area_slack
 from petmjx.statics.load_polygon import load_polygon_slack
-from petmjx.statics.loads import even_bedding, lever_rule, load_slack, strength_slack
+from petmjx.statics.loads import equilibrium_slack, even_bedding, lever_rule, load_slack, strength_slack
 
 SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
 """Shares of the base that are asked for: full support, and those of Bortfeldt & Wäscher's survey and the ADAMS
@@ -135,7 +135,7 @@ CRITERIA: Final = (
         "least distance of the resultant from a hull's edge, inwards",
         _MM,
         "Ramos et al. 2016",
-        lambda asked: load_slack(asked.contacts, asked.hulls, even_bedding),
+        lambda asked: equilibrium_slack(asked.contacts, asked.hulls),
         number="resultant inside the hulls' edges",
     ),
     Criterion(

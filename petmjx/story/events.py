@@ -34,6 +34,7 @@ def headline(story: Story) -> str:
     if outcome.verdict is Verdict.STABLE or outcome.reason is Reason.SHIFT:
         text += ", still moving" if outcome.flags & Flag.MOVING else ""
     if outcome.verdict is Verdict.STABLE:
+        text += ", leans" if outcome.flags & Flag.LEANS else ""
         return text + ("" if math.isnan(outcome.margin) else f", margin {outcome.margin:.2f}")
     if outcome.culprit < 0:
         return text

@@ -10,12 +10,18 @@ import numpy as np
 
 from petmjx.basics.text import shown
 from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
+from petmjx.engines.looked_at import NEAR_M as _NEAR_M
+from petmjx.engines.looked_at import leaning_boxes
 from petmjx.metrics import motion_np
 from petmjx.options.config import Check, Thresholds
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.story.tell import Story
 from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.world.building import steps_beyond
 from petmjx.world.give import sinks_m
+
+MOST_LEANING: Final = 3
+"""Most boxes that a line about leaning names."""
 
 REASONS: Final = {
     Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
@@ -66,15 +72,63 @@ def notes_in_words(story: Story) -> list[str]:
             "Boxes still moved after the longest wait: the verdict may depend on how long the world is simulated."
         )
     if outcome.flags & Flag.KNIFE_EDGE:
-        plan_m, rest_m = abs(outcome.plan_edge_m), abs(outcome.rest_edge_m)  # NaN at rest where nothing stands
-        edge_m, where = (rest_m, "at rest") if rest_m < plan_m else (plan_m, "by the plan")
-        notes.append(
-            f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {where}: "
-            "a tenth of a millimetre may change the verdict."
-        )
+        notes.append(_knife_edge(story))
+    notes += _hangs_over(story)
+    if outcome.flags & Flag.LEANS:
+        notes.append(_leans(story))
     if outcome.flags & Flag.TIMESTEP:
         notes.append("At half the timestep the verdict differs.")
     return notes
+
+
+def _knife_edge(story: Story) -> str:
+    """The load that is nearest to an edge, on either side: which box's, how near, and when."""
+    outcome = story.outcome
+    nearest: list[tuple[float, int, str]] = []
+    for of_boxes, least_m, box, when in (
+        (outcome.boxes.plan_edge_m, outcome.plan_edge_m, outcome.plan_edge_box, "by the plan"),
+        (outcome.boxes.rest_edge_m, outcome.rest_edge_m, outcome.rest_edge_box, "at rest"),
+        (np.array([]), outcome.build_edge_m, outcome.build_edge_box, "while it is built"),
+    ):
+        nearest += [(abs(edge_m), number, when) for number, edge_m in enumerate(of_boxes.tolist())]
+        nearest.append((abs(least_m), box, when))
+    edge_m, box, when = min((edge for edge in nearest if not math.isnan(edge[0])), default=(math.nan, -1, ""))
+    load = f" of box {box} ({shown(story.plan.articles[box])})" if box >= 0 else ""
+    if not edge_m <= _NEAR_M:  # of a box's own weight, or after a placement, that is the nearest of none
+        return "A load acts at the edge of what bears it: a tenth of a millimetre may change the verdict."
+    return (
+        f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {when}: "
+        f"a tenth of a millimetre may change the verdict{' (the load' + load + ')' if load else ''}."
+    )
+
+
+def _hangs_over(story: Story) -> list[str]:
+    """The box that hangs over while a plan is built, and the box that comes too late to hold it."""
+    outcome = story.outcome
+    if not outcome.build_edge_m < 0:
+        return []
+    box = outcome.build_edge_box
+    begins, held = steps_beyond(story.scene, box)
+    if begins < 0:
+        return []
+    what = f"While the plan is built, box {box} hangs over from step {begins} on"
+    if held < 0:
+        return [f"{what}; nothing that is placed later holds it."]
+    return [f"{what}; its counterweight, box {held}, comes too late."]
+
+
+def _leans(story: Story) -> str:
+    """Which boxes lie otherwise than planned."""
+    boxes = story.outcome.boxes
+    tilt, lower_m = motion_np.tilt_deg(boxes.quat), -boxes.shift_m[:, 2]
+    leaning = leaning_boxes(story.outcome).tolist()
+    listed = [
+        f"box {box} ({shown(story.plan.articles[box])}) is tilted by {tilt[box]:.1f}° and lies "
+        f"{_mm(max(lower_m[box], 0.0))} lower than planned"
+        for box in sorted(leaning, key=lambda box: -tilt[box])[:MOST_LEANING]
+    ]
+    more = f", and {len(leaning) - len(listed)} more" if len(leaning) > len(listed) else ""
+    return f"It stands, but leans: {'; '.join(listed)}{more}."
 
 
 def first_box_in_words(story: Story) -> str:

@@ -4,6 +4,7 @@ The load of a box is its own weight and all that rests on it. It acts at a point
 pressure, and the box is in balance if that lies within the convex hull of what bears it. Where a box has several
 supports, statics does not say how they share its load; here as on a bed of equal springs (Winkler 1867, "Die Lehre von
 der Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, which force and moments determine.
+Where springs would pull, supports push with the least energy (petmjx.world.pushing).
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from petmjx.plans.overlap import meets
 from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
 from petmjx.world.alike import groups, stacked
 from petmjx.world.body import Body
-from petmjx.world.hull import Edge, hull_edges
+from petmjx.world.hull import HullTable, hull_table
+from petmjx.world.pushing import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.scene import Scene
 
 IntArray = NDArray[np.intp]
@@ -31,9 +33,6 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Faces that are no further apart touch, as in the warnings about a plan."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
-
-_SLACK_M: Final = 1e-6
-"""Of bounds, for rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +107,9 @@ class Bearing:
         x, y and z, kg·m. 0 for the other boxes."""
         load = self.weights
         load[~self.boxes.among(placed)] = 0.0
-        share = self._shares
-        for contacts in self._levels:
-            upper, lower = self.upper[contacts], self.lower[contacts]
-            passed = np.einsum("cij,cj->ci", share[contacts], load[upper, :3])
+        for level, between in enumerate(self.levels):
+            upper, lower = self.upper[between], self.lower[between]
+            passed = self.forces(load, self.borne_together[level])[between]
             height = load[upper, 3] / np.where(load[upper, 0] > 0, load[upper, 0], 1.0)
             np.add.at(load, lower, np.c_[passed, passed[:, 0] * height])
         return load
@@ -120,74 +118,73 @@ class Bearing:
     def weights(self) -> FloatArray:
         """(n, 4) the boxes' own weights, as ``loads`` has them."""
         boxes = self.boxes
-        own: FloatArray = boxes.mass[:, None] * np.c_[np.ones(len(boxes.mass)), boxes.target + boxes.mass_center]
+        centre = boxes.target + boxes.mass_center
+        own: FloatArray = boxes.mass[:, None] * np.concatenate([np.ones((len(centre), 1)), centre], axis=1)
         return own
 
-    def edges_m(self, load: FloatArray, among: NDArray[np.bool_] | None = None) -> FloatArray:
-        """(n,) how far inside the nearest edge of what bears it each box's load acts, m: negative beyond it, NaN where
-        nothing bears the box, or there is no load.
+    def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
+        """(c, 3) what boxes under loads press on what bears them at each contact: force and first moments along x and
+        y, as ``load`` has them. A box on one support presses on it with its load.
 
         Args:
-            among: (n,) of which boxes with several supports it is asked; the others of these have NaN.
+            load: (n, 3) or more.
+            together: the contacts of boxes with several supports that are looked at; those of the others have no
+                meaning.
         """
+        force = load[self.upper, :3]
+        if not len(together):
+            return force
+        upper, low, high = self.upper[together], self.low[together], self.high[together]
+        force[together] = np.einsum("cij,cj->ci", self.shares[together], load[upper, :3])
+        pulled = np.unique(upper[pulls(force[together], low, high, load[upper, 0])])
+        if len(pulled):
+            contacts = together[np.isin(upper, pulled)]
+            owner = np.searchsorted(pulled, self.upper[contacts])
+            force[contacts] = self.pushed(load[pulled, :3], pulled, owner, self.low[contacts], self.high[contacts])
+        return force
+
+    def pushed(
+        self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
+    ) -> FloatArray:
+        """(k, 3) the forces at contacts, if supports can only push, of boxes that have several.
+
+        Args:
+            load: (p, 3) one load of each of these ``boxes``.
+            owner: (k,) which of the loads presses at each contact; contacts come in this order.
+            low, high: (k, 2) their rectangles.
+        """
+        force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
+        within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
+        for chosen in (within, ~within):
+            if chosen.any():
+                some = chosen[owner]
+                those = load[chosen], (np.cumsum(chosen) - 1)[owner[some]], low[some], high[some]
+                force[some] = pushes(*those) if chosen is within else on_edges(*those, self.hulls, hull[chosen])
+        return force
+
+    def edges_m(self, load: FloatArray) -> FloatArray:
+        """(n,) how far inside the nearest edge of what bears it each box's load acts, m: negative beyond it, NaN where
+        nothing bears the box, or there is no load."""
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
         found = np.full(len(load), np.nan)
-        single = np.flatnonzero(self._n_supports[self.upper] == 1)
+        single = np.flatnonzero(self.n_supports[self.upper] == 1)
         alone = self.upper[single]
         found[alone] = np.minimum(point[alone] - self.low[single], self.high[single] - point[alone]).min(axis=1)
-        several = np.flatnonzero(self._n_supports > 1 if among is None else among & (self._n_supports > 1)).tolist()
-        for box, (x, y) in zip(several, point[several].tolist(), strict=True):
-            edges = self._hull(box)
-            found[box] = min(normal_x * x + normal_y * y - offset for normal_x, normal_y, offset in edges)
+        several = np.flatnonzero(self.n_supports > 1)
+        found[several] = self.hulls.inside_m(np.arange(len(several)), point[several])
         return found
 
-    def _hull(self, box: int) -> list[Edge]:
-        """The hull of a box's supports."""
-        if box not in self._hulls:
-            begin, end = self._ends[box : box + 2].tolist()
-            self._hulls[box] = hull_edges(self.low[begin:end].tolist(), self.high[begin:end].tolist())
-        return self._hulls[box]
+    @cached_property
+    def hulls(self) -> HullTable:
+        """Of the supports of boxes that have several, in order."""
+        several = self.n_supports[self.upper] > 1
+        return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
 
     @cached_property
-    def _hulls(self) -> dict[int, list[Edge]]:
-        """Those that were asked for."""
-        return {}
-
-    @cached_property
-    def _ends(self) -> IntArray:
-        """(n + 1,) where each box's contacts begin."""
-        return np.concatenate([[0], np.cumsum(self._n_supports)])
-
-    def may_be_least(self, loads: Sequence[FloatArray], among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n,) boxes of which a load may be the nearest to an edge in their scene, ``among`` these.
-
-        The hull of a box's supports lies within the rectangle around them. And it holds each of them, and, where all of
-        them share a strip along x or y, what is between their outer ends along that strip: so far inside as a load is
-        there, it is at least.
-        """
-        begins = np.flatnonzero(np.diff(self.upper, prepend=-1))
-        box = self.upper[begins]
-        least = np.full(len(among), np.nan)
-        most = np.full(len(among), np.nan)
-        if len(box):
-            low, high = np.minimum.reduceat(self.low, begins), np.maximum.reduceat(self.high, begins)
-            strip_low, strip_high = np.maximum.reduceat(self.low, begins), np.minimum.reduceat(self.high, begins)
-            for load in loads:
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    point = load[:, 1:3] / load[:, :1]
-                own, each = point[box], point[self.upper]
-                around = np.minimum(own - low, high - own)
-                strip = np.minimum(own - strip_low, strip_high - own)
-                one = np.maximum.reduceat(np.minimum(each - self.low, self.high - each).min(axis=1), begins)
-                inside = np.maximum(one, np.minimum(around[:, 0], strip[:, 1]))
-                inside = np.maximum(inside, np.minimum(around[:, 1], strip[:, 0]))
-                inside = np.where(inside > 0, inside, -np.inf)
-                least[box], most[box] = np.fmin(least[box], inside), np.fmin(most[box], around.min(axis=1))
-        scene = np.repeat(np.arange(len(self.boxes.first) - 1), np.diff(self.boxes.first))
-        bound = np.full(len(self.boxes.first) - 1, np.inf)
-        np.fmin.at(bound, scene[among], most[among])
-        return among & (least <= bound[scene] + _SLACK_M)
+    def number_of_hull(self) -> IntArray:
+        """(n,) which of ``hulls`` is a box's, if it has several supports."""
+        return np.cumsum(self.n_supports > 1) - 1
 
     @cached_property
     def widths_m(self) -> FloatArray:
@@ -199,27 +196,49 @@ class Bearing:
         return np.where(np.isfinite(width), width, np.nan)
 
     @cached_property
-    def _n_supports(self) -> IntArray:
+    def n_supports(self) -> IntArray:
+        """(n,) how many rectangles bear each box."""
         return np.bincount(self.upper, minlength=len(self.boxes.mass))
 
     @cached_property
-    def _levels(self) -> list[IntArray]:
-        """The contacts between boxes, in groups: once all before are done, nothing is added to the upper boxes."""
+    def ends(self) -> IntArray:
+        """(n + 1,) where each box's contacts begin; the last one is their number."""
+        return np.concatenate([[0], np.cumsum(self.n_supports)])
+
+    @cached_property
+    def level(self) -> IntArray:
+        """(n,) the most contacts from a box up to one that bears none."""
         between = np.flatnonzero(self.lower != CARRIER)
-        downwards = np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")
-        between = between[downwards]
         upper, lower = self.upper[between], self.lower[between]
         level = np.zeros(len(self.boxes.mass), int)
         while (level[lower] <= level[upper]).any():
             np.maximum.at(level, lower, level[upper] + 1)
-        order = np.argsort(level[upper], kind="stable")
-        return np.split(between[order], np.flatnonzero(np.diff(level[upper][order])) + 1) if len(order) else []
+        return level
 
     @cached_property
-    def _shares(self) -> FloatArray:
+    def levels(self) -> list[IntArray]:
+        """The contacts between boxes, in groups: once all before are done, nothing is added to the upper boxes."""
+        between = np.flatnonzero(self.lower != CARRIER)
+        between = between[np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")]
+        level = self.level[self.upper[between]]
+        order = np.argsort(level, kind="stable")
+        return np.split(between[order], np.flatnonzero(np.diff(level[order])) + 1) if len(order) else []
+
+    @cached_property
+    def borne_together(self) -> list[IntArray]:
+        """For each group of ``levels`` the contacts of its boxes that have several supports, the carrier's too."""
+        groups = []
+        for between in self.levels:
+            chosen = np.zeros(len(self.boxes.mass), bool)
+            chosen[self.upper[between]] = True
+            groups.append(np.flatnonzero((chosen & (self.n_supports > 1))[self.upper]))
+        return groups
+
+    @cached_property
+    def shares(self) -> FloatArray:
         """(c, 3, 3): load of the upper box (mass and moments) → the part that reaches the lower one at this contact."""
         share = np.tile(np.eye(3), (len(self.upper), 1, 1))
-        several = self._n_supports[self.upper] > 1
+        several = self.n_supports[self.upper] > 1
         if not several.any():
             return share
         boxes, upper = self.boxes, self.upper[several]
@@ -236,7 +255,10 @@ class Bearing:
         to_global[:, 0, 0] = 1.0
         to_global[:, 1:, 0] = origin
         to_global[:, [1, 2], [1, 2]] = scale
-        share[several] = to_global @ (moments @ np.linalg.inv(whole[upper])) @ np.linalg.inv(to_global)
+        inverse = np.zeros_like(whole)
+        together = self.n_supports > 1
+        inverse[together] = np.linalg.inv(whole[together])
+        share[several] = to_global @ (moments @ inverse[upper]) @ np.linalg.inv(to_global)
         return share
 
 
@@ -369,29 +391,3 @@ def together(bearings: Sequence[Bearing]) -> Bearing:
         np.concatenate([bearing.low for bearing in bearings]),
         np.concatenate([bearing.high for bearing in bearings]),
     )
-
-
-def plan_edges_m(scenes: Sequence[Scene], placed: Sequence[int]) -> list[float]:
-    """How far inside the nearest edge of what bears it a load acts, the least of all boxes of a scene, m: by the plan.
-
-    Looked at are each box's own weight, which is all when it is placed, and its load once so many are ``placed``.
-    Negative: beyond the edge, so that the box falls. NaN: no box lies on anything.
-    """
-    return _least_m(bearings_of(scenes), placed)
-
-
-def rest_edges_m(scenes: Sequence[Scene], pos: Sequence[FloatArray]) -> list[float]:
-    """The same where the boxes of pallets that stand have come to rest: (n, 3) centres of each scene, m."""
-    return _least_m(find_bearings(scenes, pos), [scene.n_boxes for scene in scenes])
-
-
-def _least_m(bearings: Sequence[Bearing], placed: Sequence[int]) -> list[float]:
-    if not bearings:
-        return []
-    bearing = together(bearings)
-    among, loads = bearing.boxes.among(placed), (bearing.weights, bearing.loads(placed))
-    nearest = bearing.may_be_least(loads, among)
-    edges = np.fmin(*(bearing.edges_m(load, nearest) for load in loads))
-    edges[~among] = np.nan
-    least: list[float] = np.fmin.reduceat(edges, bearing.boxes.first[:-1]).tolist()
-    return least

@@ -13,8 +13,9 @@ from petmjx.engines.cpu.live import LiveWorld
 from petmjx.history import CARRIER
 from petmjx.options.config import Simulation
 from petmjx.options.physics import PHYSICS
-from petmjx.world.bearing import bearing_of, bearings_of, find_bearing, find_bearings, plan_edges_m, together
-from petmjx.world.hull import hull_edges
+from petmjx.world.bearing import bearing_of, bearings_of, find_bearing, find_bearings, together
+from petmjx.world.edges import plan_edges
+from petmjx.world.hull import hull_edges, hull_table
 from petmjx.world.release import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene, build_scene
 
@@ -129,14 +130,15 @@ def test_a_load_acts_at_the_centre_of_mass() -> None:
 
 
 def test_scenes_together_have_the_numbers_of_each_alone() -> None:
-    """Random heaps of 1 to 12 boxes, to the last bit; and of those that are not placed nothing is looked at."""
+    """Random heaps of 1 to 12 boxes, to the last bit; boxes that are not placed have no edges."""
     rng = np.random.default_rng(4)
     scenes = [scene_of(*random_heap(rng, n)) for n in (1, 12, 5, 8)]
     placed = [1, 7, 5, 0]
-    alone = [plan_edges_m([scene], [count])[0] for scene, count in zip(scenes, placed, strict=True)]
-    np.testing.assert_array_equal(plan_edges_m(scenes, placed), alone)
-    assert np.isnan(alone[-1])
-    assert np.isfinite(alone[:-1]).all()
+    alone = [plan_edges([scene], [count])[0] for scene, count in zip(scenes, placed, strict=True)]
+    for joined, single, count in zip(plan_edges(scenes, placed), alone, placed, strict=True):
+        np.testing.assert_array_equal(joined.least, single.least)
+        assert np.isnan(joined.least[count:]).all()
+        assert np.isfinite(joined.least[:count]).any() == (count > 0)
     loads = together([bearing_of(scene) for scene in scenes]).loads(placed)
     apart = [bearing_of(scene).loads(count) for scene, count in zip(scenes, placed, strict=True)]
     np.testing.assert_array_equal(loads, np.concatenate(apart))
@@ -160,22 +162,6 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
         np.testing.assert_array_equal(again[1].low, bearing_of(scenes[3]).low)
 
 
-def test_only_hulls_that_may_hold_the_least_distance_are_made() -> None:
-    """Of 200 random heaps no least distance is missed, and most hulls of several supports are not needed."""
-    rng = np.random.default_rng(7)
-    scenes = [scene_of(*random_heap(rng, 12)) for _ in range(200)]
-    bearing = together(bearings_of(scenes))
-    among = bearing.boxes.among([12] * 200)
-    loads = bearing.weights, bearing.loads([12] * 200)
-    all_edges = np.fmin(*(bearing.edges_m(load) for load in loads))
-    least = np.fmin.reduceat(all_edges, bearing.boxes.first[:-1])
-    np.testing.assert_array_equal(plan_edges_m(scenes, [12] * 200), least)
-    several = np.bincount(bearing.upper, minlength=len(among)) > 1
-    asked = bearing.may_be_least(loads, among) & several
-    assert several.sum() > 100
-    assert asked.sum() < 0.6 * several.sum()
-
-
 def random_heap(rng: np.random.Generator, n: int) -> list[Box]:
     """Layers of boxes at random places, which rest on several others or none."""
     corners = [(float(x), float(y), 200.0 * (k // 4)) for k, (x, y) in enumerate(rng.integers(0, 500, (n, 2)))]
@@ -195,3 +181,19 @@ def test_a_hull_s_edges_are_the_lines_with_all_corners_on_one_side() -> None:
         assert (inside >= -1e-12).all()
         assert ((np.abs(inside) < 1e-12).sum(axis=0) >= 2).all()
         assert len(edges) >= 4
+
+
+def test_many_hulls_have_the_edges_of_each_alone() -> None:
+    """500 sets of one to six random rectangles: points are as far inside as by their edges one by one."""
+    rng = np.random.default_rng(6)
+    count = rng.integers(1, 7, 500)
+    low = rng.integers(0, 8, (count.sum(), 2)) / 10
+    high = low + rng.integers(1, 5, low.shape) / 10
+    point = rng.uniform(-0.2, 1.4, (500, 2))
+    ends = np.cumsum(count)
+    expected = [
+        min(x * normal_x + y * normal_y - offset for normal_x, normal_y, offset in hull_edges(low[i:k], high[i:k]))
+        for i, k, (x, y) in zip((ends - count).tolist(), ends.tolist(), point.tolist(), strict=True)
+    ]
+    inside = hull_table(low, high, count).inside_m(np.arange(500), point)
+    np.testing.assert_allclose(inside, expected, rtol=0, atol=1e-15)

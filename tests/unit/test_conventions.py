@@ -234,3 +234,57 @@ def test_the_command_line_tells_and_takes_the_option(capsys: pytest.CaptureFixtu
     assert main(["convert", file, "-o", "c.json", "--units", "cm"]) == 0
     assert capsys.readouterr().err == ""
     np.testing.assert_allclose(petmjx.load_plans("c.json").plans[0].size_mm, SOUND.size_mm)
+
+
+def brickwork(rng: np.random.Generator, layers: int) -> list[dict[str, Any]]:
+    """A sound pallet of one article in rows along and across, with the item's own sizes and its orientation."""
+    long, wide, high = (float(rng.choice(sides)) for sides in ((400, 450, 600), (200, 300), (150, 220)))
+    count = int(rng.integers(2, 4))
+    boxes = []
+    for layer in range(layers):
+        for k in range(count):
+            boxes.append(((k * long, 0.0, layer * high), 0))
+        for k in range(int(count * long // wide)):
+            boxes.append(((k * wide, wide, layer * high), 1))
+    item = {"length_mm": long, "width_mm": wide, "height_mm": high, "weight_kg": 6.0}
+    return [{**item, **dict(zip(CORNERS, corner, strict=True)), "orientation": turned} for corner, turned in boxes]
+
+
+def as_they_stand(boxes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The same with lengths and widths swapped where boxes are turned."""
+    sides = ("length_mm", "width_mm")
+    return [{**box, sides[0]: box[sides[1]], sides[1]: box[sides[0]]} if box["orientation"] else box for box in boxes]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sizes_as_boxes_stand_beside_an_orientation_are_named(seed: int) -> None:
+    """In part of a plan's boxes, and in one plan of many that are right."""
+    right = brickwork(np.random.default_rng(seed), 1 + seed % 3)
+    sound = Plan.from_boxes("right", right)
+    mistaken = Plan.from_boxes("A", as_they_stand(right))
+    (line,) = gathered([SOUND, sound, mistaken])
+    assert "that an orientation says are turned look swapped: in plan A " in line
+    table = pd.DataFrame(as_they_stand(right)).assign(plan_id="A", article="d", sequence=range(len(right)))
+    (line,) = gathered(table)
+    assert "that an orientation says are turned look swapped" in line
+    assert gathered(sound) == []
+    assert gathered(pd.DataFrame(right).assign(plan_id="A", article="d", sequence=range(len(right)))) == []
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_right_plans_whose_rows_are_flush_in_y_are_not_suspected(seed: int) -> None:
+    """Rows of boxes that touch in y from the edge on; upper layers with gaps of sheets, or a few boxes lifted or
+    pressed into others."""
+    rng = np.random.default_rng(seed)
+    size = np.array([float(rng.choice([200, 300, 400])), float(rng.choice([200, 300])), 150.0])
+    places = np.array([(x, y, z) for z in range(3) for y in range(3) for x in range(3)], float)
+    corner = places * size
+    if seed % 2:
+        corner[:, 2] += places[:, 2] * rng.integers(1, 6)  # a sheet under each upper layer
+    else:
+        upper = rng.choice(np.arange(18, 27), 3, replace=False)
+        corner[upper, 2] += rng.choice([-12.0, 8.0, 60.0], 3)
+    plan = Plan.from_boxes("A", size_mm=np.tile(size, (27, 1)), corner_mm=corner, mass_kg=np.full(27, 5.0))
+    found = gather_plans([plan], Simulation(carrier=Carrier.EURO_PALLET), RunOptions())
+    assert found.warnings
+    assert found.conventions == []

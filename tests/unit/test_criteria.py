@@ -23,6 +23,7 @@ from petmjx.statics.contacts import find_contacts
 from petmjx.statics.friction import Friction
 from petmjx.statics.hulls import contact_hulls
 from petmjx.statics.load_polygon import load_polygons
+from petmjx.statics.loads import even_bedding, load_slack
 from petmjx.statics.named import CRITERIA, NAMES, chosen_criteria
 
 MU = Friction(0.5)
@@ -148,10 +149,13 @@ def test_cantilever_held_down_from_above() -> None:
     """What lies across the plank's tail and a column can press on the tail with all its weight, if it must."""
     column, across = beam(-200, -20, 0, 300), beam(-100, 120, 300, 400, kg=10)
     end = beam(250, 300, 300, 400, kg=20)
-    found = asked([beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, end])
+    boxes = [beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, end]
+    found = asked(boxes)
     # about x = 200: the plank's 2·50 and 10·190 hold against 20·75; shared out evenly, 10 holds less
     assert says(found)["force_balance"]
-    assert not says(found)["equilibrium"]
+    assert says(found)["equilibrium"]
+    contacts = find_contacts(make_plan(boxes=boxes))
+    assert load_slack(contacts, contact_hulls(contacts), even_bedding)[-1] < 0
     assert not says(found)["stacking_tree"]
     heavier = asked([beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, (*end[:2], 27.0)])
     assert not says(heavier)["force_balance"]  # 27·75 > 100 + 1900
@@ -360,3 +364,29 @@ def test_answers_do_not_depend_on_where_the_plan_is() -> None:
     here, there = asked(boxes), asked(moved)
     assert (here.stable == there.stable).all()
     assert there.slack == pytest.approx(here.slack, abs=1e-6, nan_ok=True)
+
+
+def test_equilibrium_has_the_sign_of_vertical_forces_that_balance() -> None:
+    """Boxes on several others, in 40 random piles, each after its placement, until one has no balance."""
+    rng = np.random.default_rng(11)
+    accepted = []
+    for _ in range(40):
+        boxes: list[Box] = []
+        below, z = [(0.0, 1000.0)], 0.0
+        for _ in range(int(rng.integers(2, 5))):
+            x, row, height = 0.0, [], float(rng.choice([100, 200]))
+            while x < 1000:
+                length = 10.0 * int(rng.integers(10, 45))
+                if any(min(x + length, high) > max(x, low) for low, high in below):
+                    boxes.append(((length, 300.0, height), (x, 0.0, z), float(np.exp(rng.uniform(-1, 3)))))
+                    row.append((x, x + length))
+                x += length + 10.0 * int(rng.integers(0, 10))
+            if not row:
+                break
+            below, z = row, z + height
+        found = asked(boxes, Friction(0.0, 0.0))
+        balance, equilibrium = (found.slack[:, NAMES.index(name)] for name in ("force_balance", "equilibrium"))
+        judged = ~np.isnan(balance)
+        np.testing.assert_array_equal(equilibrium[judged] >= -1e-6, balance[judged] >= -1e-6)
+        accepted.append(bool((balance[judged] >= -1e-6).all()))
+    assert 5 < sum(accepted) < 35

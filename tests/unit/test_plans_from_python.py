@@ -82,9 +82,37 @@ def test_plans_from_boxes() -> None:
     ]
     assert len({plan_digest(plan) for plan in plans}) == 1
     assert plans[0].size_mm.tolist() == [[400, 300, 200]] * 2
-    turned = Plan.from_boxes("tower", **arrays, orientation=[0, 1], article=["a", "b"])
+    turned = Plan.from_boxes(
+        "tower", [{**box, "z_mm": 0}, {**box, "z_mm": 200}], orientation=[0, 1], article=["a", "b"]
+    )
     assert turned.size_mm.tolist() == [[400, 300, 200], [300, 400, 200]]
     assert turned.articles == ("a", "b")
+
+
+def test_sizes_as_boxes_stand_are_not_turned_again() -> None:
+    """A plan's own arrays with its own orientation are the plan, in millimetres or not, and so is a pallet's."""
+    box = {"length_mm": 600, "width_mm": 200, "height_mm": 100, "weight_kg": 6, "x_mm": 0, "y_mm": 0}
+    more = {"com_length_mm": [50, 0], "com_width_mm": [0, 10]}
+    plan = Plan.from_boxes("A", [{**box, "z_mm": 0}, {**box, "z_mm": 100}], orientation=[1, 0], **more)
+    assert plan.size_mm.tolist() == [[200, 600, 100], [600, 200, 100]]
+    arrays = {"size_mm": plan.size_mm, "corner_mm": plan.corner_mm, "mass_kg": plan.mass_kg}
+    for orientation in (plan.orientation, [1, 0], pd.Series([1.0, 0.0])):
+        again = Plan.from_boxes("A", **arrays, orientation=orientation, **more)
+        assert plan_digest(again) == plan_digest(plan)
+        np.testing.assert_array_equal(again.item_size_mm, plan.item_size_mm)
+        np.testing.assert_array_equal(again.item_com_mm, [[50, 0, 0], [0, 10, 0]])
+    in_cm = {name: np.asarray(values) / 10 for name, values in arrays.items()}
+    in_cm["mass_kg"] = plan.mass_kg
+    assert Plan.from_boxes("A", **in_cm, orientation=[1, 0], units="cm").size_mm.tolist() == plan.size_mm.tolist()
+    pallets = petmjx.Pallets(1, engine="mujoco")
+    for size, corner, mass in zip(plan.size_mm, plan.corner_mm, plan.mass_kg, strict=True):
+        pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass)
+    packed = pallets.plan(0, orientation=plan.orientation)
+    pallets.close()
+    assert packed.size_mm.tolist() == plan.size_mm.tolist()
+    assert packed.item_size_mm.tolist() == [[600, 200, 100]] * 2
+    with pytest.raises(petmjx.InputError, match="orientation must be 0 or 1, got 2"):
+        Plan.from_boxes("A", **arrays, orientation=[2, 0])
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,293 @@
+"""How far loads are from the edges of what bears boxes after each box is placed.
+
+A counterweight that comes too late holds nothing: its plan may have all loads inside when it is complete, and fall
+while it is built. So every box's load is looked at after each placement that changes it.
+
+What a box bears of each box above it does not depend on the others, as long as no support pulls. So own weights go down
+once, each for itself, and a box's load after a placement is the sum of those of boxes that are there. Only boxes that
+pull, and those below them, are gone through placement by placement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.basics.units import FloatArray
+from petmjx.history import CARRIER
+from petmjx.world.bearing import Bearing, bearing_of, together
+from petmjx.world.edges import ROUNDING_M, rebalanced
+from petmjx.world.pushing import IntArray, pulls
+from petmjx.world.scene import Scene
+
+MOST_PROGRAMMES: Final = 2
+"""Placements of a plan for which a linear programme is solved, a few milliseconds each and more for a hundred boxes on
+several supports. Loads that only seem to be beyond edges after others are left out: nothing shows that they are."""
+
+
+class Built(NamedTuple):
+    """Loads after placements: p pairs of a box and a box that is placed, sorted.
+
+    Attributes:
+        box: (p,) whose load it is.
+        step: (p,) the box whose placement makes it so.
+        load: (p, 3) as in ``Bearing.loads``, without the height.
+        edge_m: (p,) how far it is inside; NaN where nothing bears the box.
+    """
+
+    box: IntArray
+    step: IntArray
+    load: FloatArray
+    edge_m: FloatArray
+
+
+class LeastBuilt(NamedTuple):
+    """The load that is nearest to an edge while a plan is built, or furthest beyond one.
+
+    Attributes:
+        edge_m: how far inside it is; NaN: there is none.
+        box: whose it is; -1: there is none.
+        step: the box whose placement makes it so.
+        nearest_m: the least distance of a load from an edge on either side.
+    """
+
+    edge_m: float
+    box: int
+    step: int
+    nearest_m: float
+
+
+def building_edges(
+    bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None
+) -> list[LeastBuilt]:
+    """The least edges over all placements of the first so many boxes of each scene.
+
+    Args:
+        joined: the bearings together, where they are at hand.
+    """
+    if not bearings:
+        return []
+    bearing, in_order = joined or together(bearings), list(bearings)
+    if not (bearing.lower < bearing.upper).all():
+        in_order = [_in_order(one) for one in bearings]
+        bearing = together(in_order)
+    built = built_of(bearing, placed)
+    beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
+    scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
+    surely, perhaps = (np.bincount(scene[beyond & which], minlength=len(bearings)) > 0 for which in (~depends, depends))
+    edge = np.where(beyond & depends & surely[scene], np.nan, built.edge_m)
+    begins = np.searchsorted(scene, np.arange(len(bearings) + 1)).tolist()
+    least = []
+    for number, one in enumerate(in_order):
+        pairs, first = slice(begins[number], begins[number + 1]), int(bearing.boxes.first[number])
+        of_one = Built(built.box[pairs] - first, built.step[pairs] - first, built.load[pairs], edge[pairs])
+        looked = perhaps[number] and not surely[number]
+        least.append(_looked_closely(one, of_one) if looked else _least(of_one))
+    return least
+
+
+def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
+    """From which placement on the load of a box is beyond the edge while a plan is built, and the one after which it is
+    not any more: numbers of boxes; -1 for none."""
+    built = built_of(_in_order(bearing_of(scene)), [scene.n_boxes])
+    steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
+    beyond = np.flatnonzero(edge < 0)
+    if not len(beyond):
+        return -1, -1
+    inside = np.flatnonzero((edge >= 0) & (steps > steps[beyond[0]]))
+    return int(steps[beyond[0]]), int(steps[inside[0]]) if len(inside) else -1
+
+
+def _in_order(bearing: Bearing) -> Bearing:
+    """A scene's bearing, without boxes that bear others which are placed before them: what hangs in the air until then
+    has fallen."""
+    before = bearing.lower < bearing.upper
+    if before.all():
+        return bearing
+    return Bearing(
+        bearing.boxes, *(values[before] for values in (bearing.upper, bearing.lower, bearing.low, bearing.high))
+    )
+
+
+def built_of(bearing: Bearing, placed: Sequence[int]) -> Built:
+    """The loads of boxes after all placements that change them.
+
+    Args:
+        bearing: of several scenes together, whose boxes lie on earlier ones only.
+    """
+    box, step, part = _parts(bearing, bearing.boxes.among(placed))
+    begins = np.searchsorted(box, np.arange(len(bearing.boxes.mass) + 1))
+    load = _running_sums(part, begins)
+    several = bearing.n_supports > 1
+    if several.any():
+        _without_pulls(bearing, begins, step, load)
+    point = load[:, 1:] / load[:, :1]
+    edge = np.full(len(box), np.nan)
+    one = np.flatnonzero((bearing.n_supports == 1)[box])
+    contact = np.cumsum(bearing.n_supports) - bearing.n_supports
+    low, high = bearing.low[contact[box[one]]], bearing.high[contact[box[one]]]
+    edge[one] = np.minimum(point[one] - low, high - point[one]).min(axis=1)
+    more = np.flatnonzero(several[box])
+    edge[more] = bearing.hulls.inside_m(bearing.number_of_hull[box[more]], point[more])
+    edge[(edge < 0) & (edge > -ROUNDING_M)] = 0.0
+    return Built(box, step, load, edge)
+
+
+def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
+    """Sorted pairs of a box and a box that it bears a part of, itself too: (p,), (p,) and (p, 3) parts."""
+    n, boxes = len(among), np.flatnonzero(among)
+    between = np.flatnonzero(bearing.lower != CARRIER)
+    count = np.bincount(bearing.upper[between], minlength=n)
+    first = np.cumsum(count) - count
+    most = int(bearing.level.max(initial=0)) + 1
+    waiting: list[list[tuple[IntArray, FloatArray]]] = [[] for _ in range(most)]
+
+    def wait(key: IntArray, part: FloatArray) -> None:
+        level = bearing.level[key // n]
+        for number in np.unique(level).tolist():
+            here = level == number
+            waiting[number].append((key[here], part[here]))
+
+    wait(boxes * n + boxes, bearing.weights[boxes, :3])
+    done = []
+    for level in waiting:
+        if not level:
+            continue
+        keys, parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
+        key, place = np.unique(keys, return_inverse=True)
+        part = np.stack([np.bincount(place, weights=column, minlength=len(key)) for column in parts.T], axis=1)
+        done.append((key, part))
+        upper = key // n
+        times = count[upper]
+        rows = np.repeat(np.arange(len(key)), times)
+        contact = between[first[upper[rows]] + np.arange(len(rows)) - np.repeat(np.cumsum(times) - times, times)]
+        if len(rows):
+            passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
+            wait(bearing.lower[contact] * n + key[rows] % n, passed)
+    key, part = (np.concatenate(arrays) for arrays in zip(*done, strict=True)) if done else (boxes, np.zeros((0, 3)))
+    order = np.argsort(key)
+    return key[order] // n, key[order] % n, part[order]
+
+
+def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
+    """(p, 3) sums from each box's first pair on."""
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(part, axis=0)])
+    sums: FloatArray = total[1:] - np.repeat(total[begins[:-1]], np.diff(begins), axis=0)
+    return sums
+
+
+def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
+    """Put right the loads of boxes on which others would pull, and of all below these."""
+    several = np.flatnonzero(bearing.n_supports > 1)
+    contacts = _spans(bearing.n_supports, several)
+    times = np.diff(begins)[bearing.upper[contacts]]
+    pair = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
+    contact = np.repeat(contacts, times)
+    pair += begins[bearing.upper[contact]]
+    force = np.einsum("cij,cj->ci", bearing.shares[contact], load[pair])
+    pulled = np.zeros(len(bearing.boxes.mass), bool)
+    pulled[bearing.upper[contact[pulls(force, bearing.low[contact], bearing.high[contact], load[pair, 0])]]] = True
+    if not pulled.any():
+        return
+    for between in bearing.levels:
+        np.logical_or.at(pulled, bearing.lower[between], pulled[bearing.upper[between]])
+    above = np.argsort(bearing.lower, kind="stable")
+    lowest = np.searchsorted(bearing.lower[above], np.arange(len(pulled) + 1))
+    forces: dict[int, FloatArray] = {}
+    weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
+    level = bearing.level[boxes]
+    for number in np.unique(level).tolist():
+        some = boxes[level == number]
+        for box in some.tolist():
+            pairs = slice(begins[box], begins[box + 1])
+            steps = step[pairs]
+            total = np.where((steps >= box)[:, None], weights[box], 0.0)
+            for contact_above in above[lowest[box] : lowest[box + 1]].tolist():
+                upper = bearing.upper[contact_above]
+                of_upper = slice(begins[upper], begins[upper + 1])
+                pushed = forces.get(contact_above)
+                if pushed is None:
+                    pushed = load[of_upper] @ bearing.shares[contact_above].T
+                last = np.searchsorted(step[of_upper], steps, side="right") - 1
+                total += np.where((last >= 0)[:, None], pushed[last], 0.0)
+            load[pairs] = total
+        _push(bearing, some, begins, load, forces)
+
+
+def _push(bearing: Bearing, boxes: IntArray, begins: IntArray, load: FloatArray, forces: dict[int, FloatArray]) -> None:
+    """Note the (s, 3) forces at each contact of boxes under all their s loads."""
+    pairs, times = _spans(np.diff(begins), boxes), np.diff(begins)[boxes]
+    owner = np.repeat(boxes, times)  # of each load
+    supports = bearing.n_supports[owner]
+    rows = np.repeat(np.arange(len(pairs)), supports)
+    contact = _spans(bearing.n_supports, owner)
+    under = load[pairs[rows]]
+    force = np.where((supports == 1)[rows, None], under, np.einsum("cij,cj->ci", bearing.shares[contact], under))
+    low, high = bearing.low[contact], bearing.high[contact]
+    pulled = np.zeros(len(pairs), bool)
+    pulled[rows[pulls(force, low, high, under[:, 0]) & (supports > 1)[rows]]] = True
+    if pulled.any():
+        some = pulled[rows]
+        number = (np.cumsum(pulled) - 1)[rows[some]]
+        force[some] = bearing.pushed(load[pairs[pulled]], owner[pulled], number, low[some], high[some])
+    order = np.argsort(contact, kind="stable")
+    cuts = np.flatnonzero(np.diff(contact[order])) + 1
+    for some in np.split(order, cuts) if len(order) else []:
+        forces[int(contact[some[0]])] = force[some]
+
+
+def _spans(count: IntArray, chosen: IntArray) -> IntArray:
+    """The numbers of all members of the chosen groups, of which each has so many."""
+    first, times = (np.cumsum(count) - count)[chosen], count[chosen]
+    spans: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
+    return spans
+
+
+def _looked_closely(bearing: Bearing, built: Built) -> LeastBuilt:
+    """The least edge of one scene, where all loads that seem to be beyond edges depend on how other boxes share
+    theirs: a linear programme says of the furthest ones whether they are."""
+    edge = built.edge_m.copy()
+    for _ in range(MOST_PROGRAMMES):
+        if not (edge < 0).any():
+            break
+        step = int(built.step[np.nanargmin(edge)])
+        last, seen = balanced_after(bearing, built, step)
+        if (seen < 0).any():
+            box = int(np.nanargmin(seen))
+            return LeastBuilt(float(seen[box]), box, step, float(np.nanmin(np.abs(edge))))
+        edge[last] = np.where(edge[last] < 0, seen[built.box[last]], edge[last])
+    edge[edge < 0] = np.nan
+    return _least(built._replace(edge_m=edge))
+
+
+def balanced_after(bearing: Bearing, built: Built, step: int) -> tuple[IntArray, FloatArray]:
+    """The pairs of one scene that have each box's load after a placement, and (n,) edges of these loads, as well inside
+    as forces that balance allow."""
+    n = len(bearing.boxes.mass)
+    now = np.flatnonzero(built.step <= step)
+    last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
+    load, edge = np.zeros((n, 3)), np.full(n, np.nan)
+    load[built.box[last]], edge[built.box[last]] = built.load[last], built.edge_m[last]
+    _, seen = rebalanced(bearing, load, edge, np.arange(n) <= step)
+    return last, seen
+
+
+def _least(built: Built) -> LeastBuilt:
+    """The least of one scene's edges."""
+    if np.isnan(built.edge_m).all():
+        return LeastBuilt(np.nan, -1, -1, np.nan)
+    place = int(np.nanargmin(built.edge_m))
+    nearest = float(np.nanmin(np.abs(built.edge_m)))
+    return LeastBuilt(float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), nearest)
+
+
+def depends_on_sharing(bearing: Bearing, built: Built) -> NDArray[np.bool_]:
+    """(p,) which loads depend on how a box with several supports shares its own."""
+    shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
+    first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
+    np.minimum.at(first, built.box[shares], built.step[shares])
+    depends: NDArray[np.bool_] = first[built.box] <= built.step
+    return depends
