@@ -23,7 +23,7 @@ from petmjx.options.config import Simulation
 from petmjx.options.run_options import WORLDS
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
-from petmjx.results.files import RUN_FILE
+from petmjx.results.files import MOST_RUN_FILE_BYTES, RUN_FILE
 from petmjx.results.given import Given
 from petmjx.results.listed import LISTED, Parts
 from petmjx.results.memory import MemoryParts
@@ -31,9 +31,6 @@ from petmjx.results.notebook import worlds_as_html
 from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.schema import check_version, plans_schema, schemas
 from petmjx.verdict import Verdict
-
-MOST_RUN_FILE_BYTES: Final = 1 << 30
-"""A million lines about skipped plans take 200 MB."""
 
 FINISHED: Final = "finished"
 """The status of a run that came to its end."""

@@ -19,7 +19,7 @@ from petmjx.plans.plan import Plan
 from petmjx.results.alarm import Alarm
 from petmjx.results.by_place import ByPlace, Places
 from petmjx.results.counts import COUNTED, WorldCounts
-from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
+from petmjx.results.files import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
 from petmjx.results.given import Given
 from petmjx.results.going_on import run_there
 from petmjx.results.info import RunFolder, now
@@ -139,11 +139,12 @@ class RunWriter(RunFolder):
                 self.out_dir.mkdir(parents=True, exist_ok=True)
                 if not until_exit.enter_context(locked(self.out_dir)):
                     self.warn("the file system has no locks: petmjx cannot notice another run in the same folder")
+                check_run_folder(self.out_dir, self._overwrite, self._resume)
                 tidy(self.out_dir)
                 if self._resume and (self.out_dir / RUN_FILE).exists():
                     self._go_on()
                 else:
-                    make_room(self.out_dir, self._overwrite)
+                    make_room(self.out_dir)
                     self._tables.drop_others()
                     self._write_plans()
                 self._write_info()
