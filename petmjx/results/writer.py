@@ -215,7 +215,7 @@ class RunWriter(RunFolder):
         """Write what is gathered, at the end; returns why it could not be written."""
         with self._lock:
             if self._alarm is not None:
-                self._alarm.off()
+                self._alarm.close()
             with contextlib.suppress(Exception):  # what could not be written is gathered, and tried once more
                 self._land()
             try:
@@ -346,14 +346,13 @@ class RunWriter(RunFolder):
                     self._tables.drop_others()
 
     def _time_is_up(self) -> None:
-        """Write what waits though it is no whole part, since no world may finish for long. The lock is held."""
-        with contextlib.suppress(PetmjxError):  # it is tried again, and told with the next part or in the end
-            if self._by_place is not None:
-                self._write_by_place(self._by_place.late(self._seconds_per_part))
-            else:
-                self._land(wait=False)
-                if self._gathering.is_old(self._seconds_per_part):
-                    self._write_part()
+        """Write what waits though it is no whole part, with the lock held. After an error the alarm calls again."""
+        if self._by_place is not None:
+            self._write_by_place(self._by_place.late(self._seconds_per_part))
+        else:
+            self._land(wait=False)
+            if self._gathering.is_old(self._seconds_per_part):
+                self._write_part()
         if self._gathering.waits if self._by_place is None else self._by_place.left():
             self._set_alarm()
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.engines.base import Engine, Progress, RunLock
+from petmjx.engines.base import Engine, Progress, RunLock, says_at_hand
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import outcomes
 from petmjx.engines.batch.padded import PaddedModel
@@ -93,6 +93,7 @@ class MjxJaxEngine(Engine):
         """The padded model for worlds of up to so many boxes."""
         return PaddedModel(capacity, boards, sim, held=held)
 
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once. The outcomes of a batch come together. If memory runs out, batches are halved.
 
@@ -120,7 +121,8 @@ class MjxJaxEngine(Engine):
                         batch = _load(jobs, some, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)
                     picked = pick(rows, batch.table, batch.worlds, sim)
-                    for outcome in outcomes(picked, batch.jobs, sim, batch.recorder):
+                    for count, outcome in enumerate(outcomes(picked, batch.jobs, sim, batch.recorder), start=1):
+                        progress.at_hand = len(some) - count
                         outcome.job = some[outcome.job]
                         yield outcome
                     alike = alike[len(some) :]
