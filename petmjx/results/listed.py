@@ -65,9 +65,9 @@ class Parts:
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
         """All parts of a table, read at the same time; as :meth:`read`."""
         files = self.files(table)
-        self._check_size(files, columns)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
+        self._check_size(files, columns)
         with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-parts") as pool:
             return list(pool.map(lambda file: self.read(file, columns), files))
 
