@@ -195,6 +195,7 @@ class ByPlace:
     def write(self, number: int, tables: Tables) -> bool:
         """Write what there is of a part; returns whether parts that were written early are of no more use. Raises
         OSError."""
+        tables.land_placements(wait=False)
         waiting, whole = self._waiting[number], self._whole(number)
         before = waiting.nbytes
         waiting.make_piece(self._schemas)

@@ -9,6 +9,7 @@
     DIR/contacts/part-*.parquet     one row per contact of each frame, if details were recorded
     DIR/summary/part-*.parquet      sweeps: the answers
     DIR/plans/part-*.parquet        a row a plan, with its digest: what a run was of
+    DIR/placements/part-*.parquet   a row a box of its plans: all that they say
     DIR/.lock                       while a run writes there
 
 Every file appears whole or not at all. A part counts once ``run.json`` lists it, with its digest
@@ -44,7 +45,7 @@ OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
 """Tables of which a part may be missing: none of its worlds has a row there."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
-TABLES: Final = (*OF_WORLDS, "summary", "plans")
+TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
 
 ROWS_PER_GROUP: Final = 131_072
 """Of ``boxes`` some megabytes, which a reader can take one after the other, and of ``worlds`` a part."""
@@ -184,10 +185,9 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one. The table ``plans`` alone does not count: it is written before
-    ``run.json``.
-    """
-    return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in TABLES if table != "plans")
+    """Whether a folder has a run, or parts of one. Its plans alone do not count: they come before ``run.json``."""
+    tables = (table for table in TABLES if table not in ("plans", "placements"))
+    return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
 
 
 def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False) -> None:

@@ -153,10 +153,8 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
         InputError: a plan is missing or differs.
     """
     records = Manifest.read(results.parts, results.info).plans
-    if plans is None and results.held:
-        plans = list(results.held.values())
-    found = find_plans(results.info, records, set(results.worlds["plan_id"]), plans)
-    if plans is None and found.gone:
+    found = find_plans(results, records, set(results.worlds["plan_id"]), plans)
+    if plans is None and found.gone and found.missing:
         gone = printable(found.gone[0])
         raise InputError(f"{results.path}: needs the plans of the run, and {gone} is not there: name them")
     for plan_ids, what in (

@@ -251,7 +251,7 @@ class Gathering:
             self._beside, self._pending = _Beside(self._pending, digests), self._pending.following()
 
     def land(self, tables: Tables, *, wait: bool) -> bool:
-        """Let the part count that the thread has written; whether there was one.
+        """Let the part count that the thread has written, and the run's plans; whether there was any.
 
         Args:
             wait: until it is written.
@@ -259,8 +259,9 @@ class Gathering:
         Raises:
             OSError: it could not be written. Its worlds are gathered again, before those that came since.
         """
+        plans = tables.land_placements(wait=wait)
         if self._beside is None or not (wait or self._beside.digests.done()):
-            return False
+            return plans
         pending, digests = self._beside
         error = digests.exception()  # an interrupt while this waits changes nothing
         with shielded(afterwards=True):

@@ -225,9 +225,9 @@ class RunWriter(RunFolder):
         return None
 
     def _write_plans(self) -> bool:
-        """Write the table ``plans`` if there is none that says the same; returns whether it did."""
-        of_plan = self.orders.of_plan if self.orders else None
-        return self._manifest is not None and self._tables.write_plans(self._manifest.table(of_plan))
+        """Write the plans if there are none that say the same; returns whether it did."""
+        of_plan, manifest = self.orders.of_plan if self.orders else None, self._manifest
+        return manifest is not None and self._tables.write_plans(manifest.table(of_plan), manifest.placements)
 
     @property
     def info(self) -> dict[str, Any]:

@@ -122,6 +122,15 @@ def test_another_engine_takes_the_place_of_one_that_cannot_run(
     assert "; in the run: stable; here: unstable by tilt, first box 1" in note
 
 
+def keep_nothing(folder: Path) -> None:
+    """A run as before it kept its plans and its sweep."""
+    file = folder / "run.json"
+    info = json.loads(file.read_text())
+    del info["parts"]["placements"], info["digest"]
+    info["config"].get("sweep", {}).pop("tables", None)
+    file.write_text(json.dumps(info))
+
+
 def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, tmp_path: Path) -> None:
     run = petmjx.score(plan_file, engine="mujoco", out=tmp_path / "run").path
     file = tmp_path / "x.toml"
@@ -135,6 +144,9 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
         assert "\n" not in str(error.value)
 
     refused("run: plan nothing is not among its 2 plans", "nothing", run)
+    assert petmjx.tell("tower", run).outcome.verdict is Verdict.STABLE, "the run has kept it"
+    for folder in (run, swept):
+        keep_nothing(folder)
     refused("run: plan tower came from .*plans.json, which is not there", "tower", run)
     assert petmjx.tell("tower", run, plans=moved).outcome.verdict is Verdict.STABLE
     refused("swept: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)

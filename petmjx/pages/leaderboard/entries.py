@@ -103,7 +103,7 @@ def enter(
             run = score(path, watcher=watcher, **{**options, "out": folder / RUNS / name, "resume": True})
     records = Manifest.read(run.parts, run.info).plans
     ids = dict.fromkeys(run.worlds["plan_id"])
-    plans = find_plans(run.info, records, ids).plans
+    plans = find_plans(run, records, ids).plans
     return Entry(name, run, {plan_id: plans[plan_id] for plan_id in ids if plan_id in plans}, ours)
 
 
