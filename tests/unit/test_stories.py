@@ -12,7 +12,7 @@ import pytest
 from support.histories import Forgetful, assert_equal, assert_tells
 from support.plan_files import placement, tower
 from support.plans import make_plan, stack
-from support.runs import edit_info, relisted
+from support.runs import edit_info, keep_nothing, relisted
 
 import petmjx
 from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
@@ -120,15 +120,6 @@ def test_another_engine_takes_the_place_of_one_that_cannot_run(
     relisted(run.path)
     note = petmjx.tell("overhang", run.path).note
     assert "; in the run: stable; here: unstable by tilt, first box 1" in note
-
-
-def keep_nothing(folder: Path) -> None:
-    """A run as before it kept its plans and its sweep."""
-    file = folder / "run.json"
-    info = json.loads(file.read_text())
-    del info["parts"]["placements"], info["digest"]
-    info["config"].get("sweep", {}).pop("tables", None)
-    file.write_text(json.dumps(info))
 
 
 def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, tmp_path: Path) -> None:

@@ -49,8 +49,8 @@ def report(
     Args:
         runs: folders of runs, or what ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run`` return.
         out: the HTML file.
-        plans: files or folders with the runs' plans; without, the files that the runs name. Only they have the sizes of
-            boxes, which 3D pictures need.
+        plans: files or folders with the runs' plans; without, what the runs have kept, or else the files that they
+            name.
         overwrite: replace a file that is there.
 
     Returns:
