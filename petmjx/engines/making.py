@@ -140,6 +140,8 @@ class Making(Generic[AnyWorld]):
             try:
                 answer = next(answers, _END)
             except BaseException as error:  # ctrl-C, too, loses nothing that has come
+                if self.lookers is not None and not isinstance(error, Exception):
+                    self.lookers.hurry()
                 yield from self.made(came, engine.name, looks=engine.looks)
                 if not isinstance(error, Exception):
                     raise

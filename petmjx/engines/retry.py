@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Final, Generic
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.shield import shielded
 from petmjx.basics.text import counted
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import GROUP_WORLDS, Engine, Progress
@@ -148,14 +150,17 @@ def score_worlds(
                 yield from retry()  # from whose results more may follow
     except GeneratorExit:
         raise
-    except BaseException:  # ctrl-C, too, loses nothing that has come
+    except BaseException as error:  # ctrl-C, too, loses nothing that has come
+        if besides.lookers is not None and not isinstance(error, Exception):
+            besides.lookers.hurry()
         yield from from_beside()
         for found in besides.making.made([], engine.name) if besides.making is not None else ():
             yield from went_on(first, found)
         raise
     finally:
-        source.close()
-        besides.close()
+        with shielded(afterwards=True), ExitStack() as closing:  # a second ctrl-C skips nothing of it
+            closing.callback(source.close)
+            closing.callback(besides.close)
 
 
 @dataclass(eq=False)

@@ -15,12 +15,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from petmjx.basics.shield import shielded
 from petmjx.basics.units import FloatArray
 from petmjx.metrics.spec import FORCE_INTERVAL, Column, box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.plans.plan import Plan
 from petmjx.results import histories
 from petmjx.results.counts import COUNTED, WorldCounts
-from petmjx.results.shield import shielded
 from petmjx.results.tables import Tables
 from petmjx.verdict import Attempt, Outcome
 

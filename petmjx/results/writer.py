@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from petmjx.basics.errors import InputError, PetmjxError
+from petmjx.basics.shield import shielded
 from petmjx.basics.text import one_line
 from petmjx.basics.units import FloatArray
 from petmjx.plans.ordered import OrderCheck
@@ -33,7 +34,6 @@ from petmjx.results.reader import FINISHED, RunResults, load_run
 from petmjx.results.recorded import Recorded
 from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
-from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
 from petmjx.results.tables import Tables
 from petmjx.verdict import Attempt, Outcome
