@@ -26,6 +26,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.by_place import LARGE, Places
 from petmjx.results.manifest import Manifest, PlanRecord, records_of
+from petmjx.results.placements import placements_table
 from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults
 from petmjx.results.recording import Recording, recording_of
@@ -171,7 +172,7 @@ class _Run:
         with RunWriter(
             options.out,
             self.config(),
-            manifest=Manifest(plain(self.identity()), self.records),
+            manifest=Manifest(plain(self.identity()), self.records, lambda: placements_table(study.plans)),
             orders=self.orders,
             params=study.params,
             dynamic=study.dynamic,

@@ -10,6 +10,13 @@ from typing import BinaryIO, Final
 
 _BLOCK: Final = 1 << 20
 
+MOST_BYTES: Final = 4 << 30
+"""Of the largest file of plans or tables: 100 times BED-BPP's 10,003 plans, which take some 40 MB."""
+MOST_RATIO: Final = 100
+FREE_BYTES: Final = 64 << 20
+"""Gzip packs plans to a tenth or a thirtieth, and zeros to a thousandth; Parquet packs results to a tenth. What unpacks
+to more than `FREE_BYTES` and to more than `MOST_RATIO` times its own size is no file of plans or of a table."""
+
 _KINDS: Final = (
     (stat.S_ISDIR, errno.EISDIR, "Is a directory"),
     (stat.S_ISFIFO, errno.EINVAL, "it is a FIFO, not a file"),

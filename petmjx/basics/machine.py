@@ -13,6 +13,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from petmjx.basics.caches import why_no_folder
 from petmjx.basics.text import counted
 from petmjx.version import __version__
 
@@ -136,7 +137,7 @@ def why_no_warp_at_once() -> str | None:
         return "no CUDA device (or no driver) on this machine"
     if importlib.util.find_spec("warp") is None:
         return "Warp is not installed: pip install 'petmjx[cuda]'"
-    return None
+    return why_no_folder("warp")
 
 
 def why_no_warp() -> str | None:
@@ -154,4 +155,4 @@ def why_no_warp_on_cpu() -> str | None:
     """Why mjx-warp-cpu cannot run here; None if it can, unless JAX uses a GPU in this process."""
     if importlib.util.find_spec("warp") is None:
         return "Warp is not installed: pip install 'petmjx[warp]'"
-    return None
+    return why_no_folder("warp")

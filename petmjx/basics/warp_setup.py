@@ -1,8 +1,7 @@
 """Sets up Warp for petmjx: where it keeps compiled kernels, and that it prints nothing.
 
-JAX's programs and Warp's kernels are kept under ``$PETMJX_CACHE_DIR`` (default: ``~/.cache/petmjx``). These are
-settings of the process. Who needs Warp first makes them; they stay, and they also apply to the caller's own Warp
-programs. If the caller has set one of them before, it is not changed.
+Where they are: petmjx/basics/caches.py. These are settings of the process. Who needs Warp first makes them; they stay,
+and they also apply to the caller's own Warp programs. If the caller has set one of them before, it is not changed.
 """
 
 from __future__ import annotations
@@ -11,19 +10,13 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
+from petmjx.basics.caches import cache_folder
 from petmjx.basics.machine import cuda_devices
 
 
-def cache_dir() -> Path:
-    """Where compiled programs are kept."""
-    named = os.environ.get("PETMJX_CACHE_DIR")
-    return Path(named) if named else Path.home() / ".cache" / "petmjx"
-
-
 def set_up_warp() -> None:
-    """Put Warp's kernel cache beside JAX's, and stop Warp from printing.
+    """Put Warp's kernel cache beside JAX's, and stop Warp from printing. Raises EngineUnavailable: no folder for it.
 
     Each setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) If tiles
     are on the stack, Warp has one pointer to them for all threads of an x86 CPU: launches in several threads would
@@ -31,8 +24,8 @@ def set_up_warp() -> None:
     """
     import warp
 
-    if warp.config.kernel_cache_dir is None and "WARP_CACHE_PATH" not in os.environ:
-        warp.config.kernel_cache_dir = str(cache_dir() / "warp")
+    if warp.config.kernel_cache_dir is None:
+        warp.config.kernel_cache_dir = str(cache_folder("warp"))
     if warp.config.enable_tiles_in_stack_memory:
         warp.config.enable_tiles_in_stack_memory = None  # by architecture: on x86 they are not
     if warp.config.log_level == warp.LOG_INFO:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import os
 import secrets
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
@@ -13,27 +13,6 @@ from typing import IO
 from petmjx.basics.checked import reason
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import printable
-
-
-def check_free(file: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that a file that somebody names may be written. Existing paths that are not files, such as
-    ``/dev/stdout``, may be written.
-
-    Args:
-        overwrite: a file that is there is to be replaced.
-        inputs: files and folders that are read, which are never replaced.
-
-    Raises:
-        InputError: it is one of the inputs or is in one of them, or it exists and may not be replaced.
-    """
-    if not file.is_file() or str(file.absolute()).startswith("/dev/"):  # /dev/stdout may lead to a file
-        return
-    target = file.resolve()
-    for each in inputs:
-        if each.resolve() in (target, target.parent):
-            raise InputError(f"{printable(str(file))}: is read, so it cannot be written too; name another file")
-    if not overwrite:
-        raise InputError(f"{printable(str(file))}: exists already; name another file, or pass --overwrite")
 
 
 def check_writable(file: Path) -> None:

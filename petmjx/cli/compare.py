@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from petmjx.basics.errors import InputError
-from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
@@ -59,11 +58,9 @@ def compare(
     """
     from petmjx.show.layout import print_each
 
-    files = figure_files(pdf, svg, png, overwrite)
-    if out is not None:
-        check_free(out / "packers.parquet", overwrite)
+    files = figure_files(pdf, svg, png, overwrite, runs, orders)
     if packers:
-        _compare_packers(runs, orders, rows, out, files, as_json)
+        _compare_packers(runs, orders, rows, out, overwrite, files, as_json)
         return
     if len(runs) != 2:
         raise InputError(f"compare takes two runs, got {len(runs)}; --packers takes more")
@@ -84,16 +81,26 @@ def compare(
 
 
 def _compare_packers(
-    runs: list[str], orders: Path | None, rows: int, out: Path | None, files: list[Path], as_json: bool
+    runs: list[str],
+    orders: Path | None,
+    rows: int,
+    out: Path | None,
+    overwrite: bool,
+    files: list[Path],
+    as_json: bool,
 ) -> None:
     from petmjx.packers.compare import compare_packers
-    from petmjx.packers.write import write_comparison
+    from petmjx.packers.write import check_comparison_free, write_comparison
+    from petmjx.results.sources import source_files
     from petmjx.show.layout import line, print_each
     from petmjx.show.packer_tables import packer_tables
 
-    found = compare_packers(named_paths(runs, "compare --packers") or runs, orders=orders)
+    named = named_paths(runs, "compare --packers") or runs
     if out is not None:
-        write_comparison(found, out)
+        check_comparison_free(out, overwrite, source_files(named, orders))
+    found = compare_packers(named, orders=orders)
+    if out is not None:
+        write_comparison(found, out, overwrite)
     if files:
         from petmjx.figures.save import figure
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.outputs import check_outputs
 from petmjx.basics.text import counted, printable
-from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 
 SHOWN_SKIPPED = 10
@@ -33,8 +33,9 @@ def convert(
     """
     from petmjx.plans.read import load_plans
     from petmjx.plans.write import save_plans
+    from petmjx.results.sources import source_files
 
-    check_free(out, overwrite, plans)
+    check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
     found = load_plans(plans, **options)
     print_skipped([str(skipped) for skipped in found.skipped])
     for note in found.notes:

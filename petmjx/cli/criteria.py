@@ -72,7 +72,7 @@ def criteria(
     from petmjx.show.progress import progress
     from petmjx.statics.run import criteria as ask
 
-    files = figure_files(pdf, svg, png, overwrite)
+    files = figure_files(pdf, svg, png, overwrite, plans, run)
     if files and run is None:
         raise InputError(f"{files[0]}: a figure compares criteria with a run: name it with --run DIR")
     bar = None

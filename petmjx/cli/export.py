@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.outputs import check_outputs
 from petmjx.basics.text import counted, printable
-from petmjx.basics.whole import check_free, whole_file
+from petmjx.basics.whole import whole_file
 from petmjx.cli import options as opt
 
 if TYPE_CHECKING:
@@ -33,10 +34,11 @@ def export(
 
     Of a run in DIR it is the world that the run simulated; else the options given here say what it is like.
     """
+    from petmjx.results.sources import source_files
     from petmjx.world.mjcf import to_mjcf
 
     if out is not None:
-        check_free(out, overwrite, source or ())
+        check_outputs([out], overwrite=overwrite, inputs=source_files(source, options.get("articles")))
     scene, physics = _scene(plan_id, source or [], variant, options)
     mjcf = to_mjcf(scene, physics)
     if out is None:

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 import typer
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.outputs import check_outputs
 from petmjx.basics.text import printable
-from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 
 PANEL = "A figure for a paper"
@@ -24,21 +24,25 @@ Svg = Annotated[Path | None, _file("svg", "The same as SVG.")]
 Png = Annotated[Path | None, _file("png", "The same as a picture.")]
 
 
-def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool) -> list[Path]:
+def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:
     """The files that were asked for, checked before anything is worked out.
+
+    Args:
+        read: files and folders that the command reads.
 
     Raises:
         InputError: a name that does not end as its option says, or a file that is there or cannot be written.
     """
     from petmjx.figures.save import check_figures
+    from petmjx.results.sources import source_files
 
     given = {"pdf": pdf, "svg": svg, "png": png}
     files = {kind: path for kind, path in given.items() if path is not None}
     for kind, path in files.items():
         if path.suffix.lower() != f".{kind}":
             raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
-        check_free(path, overwrite)
     paths = list(files.values())
+    check_outputs(paths, overwrite=overwrite, inputs=source_files(*read))
     if paths:
         check_figures(paths)
     return paths
@@ -61,7 +65,7 @@ def figure(
     from petmjx.figures.save import figure as draw
     from petmjx.results.reader import load_run
 
-    files = figure_files(pdf, svg, png, overwrite)
+    files = figure_files(pdf, svg, png, overwrite, run)
     if not files:
         raise InputError("figure needs a file to write: --pdf FILE, --svg FILE or --png FILE")
     for path in draw(load_run(run), *files):

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from petmjx.basics.outputs import check_outputs
 from petmjx.basics.text import printable
-from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 
@@ -58,21 +58,23 @@ def kpis(
     """
     from petmjx.basics.errors import InputError
     from petmjx.cli.convert import print_skipped
-    from petmjx.rating.files import write_kpis
+    from petmjx.rating.files import check_kpis_free, write_kpis
     from petmjx.rating.kpis import kpis as rate
     from petmjx.rating.submission import parse_name, write_submission
+    from petmjx.results.sources import source_files
     from petmjx.show.kpi_tables import kpi_tables
     from petmjx.show.layout import print_each
 
     if xlsx and out is None:
         raise InputError("--xlsx needs --out DIR")
+    read = source_files(plans, orders, run)
     if out is not None:
-        check_free(out / "kpis.parquet", overwrite)
+        check_kpis_free(out, overwrite, xlsx=xlsx, inputs=read)
     if leaderboard is not None:
-        check_free((out or Path()) / parse_name(leaderboard).file_name, overwrite)
+        check_outputs([(out or Path()) / parse_name(leaderboard).file_name], overwrite=overwrite, inputs=read)
     found = rate(plans, orders, run, assume_stable=assume_stable, strict=strict)
     if out is not None:
-        write_kpis(found, out, xlsx=xlsx)
+        write_kpis(found, out, xlsx=xlsx, overwrite=overwrite)
     if as_json:
         print(json.dumps({**found.summary, "notes": found.notes, "skipped": found.skipped}, indent=2))
     else:

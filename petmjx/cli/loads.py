@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from petmjx.basics.text import printable
-from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 
@@ -45,16 +44,18 @@ def loads(
 
     A strength is given in newtons, or by McKee's formula from the carton's board. Verdicts stay as they are.
     """
+    from petmjx.results.loads import check_loads_free
     from petmjx.results.loads import loads as compare
     from petmjx.results.plain import plain
+    from petmjx.results.sources import source_files
     from petmjx.show.layout import print_each
     from petmjx.show.load_tables import load_tables
 
     if out is not None:
-        check_free(out / "box_loads.parquet", overwrite)
+        check_loads_free(out, overwrite, source_files(run, plans, articles))
     found = compare(run, articles, plans or None)
     if out is not None:
-        found.write(out)
+        found.write(out, overwrite)
     if as_json:
         print(json.dumps({"plans": plain(found.plans), "notes": found.notes}, indent=2))
         return

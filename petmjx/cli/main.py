@@ -15,6 +15,7 @@ from typing import Annotated
 import typer
 
 from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.basics.option_names import typed_options
 from petmjx.basics.text import one_line, printable
 from petmjx.cli import (
     compare,
@@ -141,7 +142,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
             raise InputError(f"argument {given.index('') + 1} is empty; is a shell variable not set?")
         if "-" in given:  # it would be a file of this name
             raise InputError(f"argument {given.index('-') + 1} is -: name a file; /dev/stdout is standard output")
-        with as_notes():
+        with as_notes(), typed_options():
             result = application(args=given or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
             return _report("interrupted", ExitCode.INTERRUPTED)

@@ -27,6 +27,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
     """
     from petmjx.packers.compare import compare_packers
     from petmjx.packers.load import check_names
+    from petmjx.results.files import check_run_folder
     from petmjx.show.layout import line, print_each
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.tables import run_tables
@@ -37,6 +38,8 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
             raise InputError(f"{printable(path)}: no such file or folder")
     made = None if "out" in options or options.get("resume") else default_folder()
     parent = options.get("out", made)
+    for name in plans if "out" in options else ():
+        check_run_folder(Path(options["out"]) / name, options.get("overwrite", False), options.get("resume", False))
     console = results_console()
     results = {}
     try:

@@ -18,7 +18,7 @@ def report(
         typer.Option(
             "--plans",
             metavar="PATH",
-            help="File or folder with the runs' plans; can be given again. By default the files that the runs name.",
+            help="File or folder with the runs' plans; can be given again. By default what the runs have kept.",
         ),
     ] = None,
     overwrite: opt.Overwrite = False,

@@ -9,8 +9,8 @@ import typer
 
 from petmjx.basics.arguments import whole_of
 from petmjx.basics.errors import InputError
+from petmjx.basics.outputs import check_outputs
 from petmjx.basics.text import counted, printable
-from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.physical import write_physical
 from petmjx.options.run_options import Confidence
@@ -111,7 +111,7 @@ def samples(
 
     if is_csv(out) or is_parquet_name(out):
         raise InputError(f"{out}: samples are written as JSON; use petmjx convert to make a table")
-    check_free(out, overwrite, [orders] if orders is not None else ())
+    check_outputs([out], overwrite=overwrite, inputs=[] if orders is None else [orders])
     if look_ahead is not None:
         if packer != LEARNED:
             raise InputError(f"--lookahead needs the packer {LEARNED}")

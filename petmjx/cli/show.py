@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.outputs import check_outputs
 from petmjx.basics.text import printable
-from petmjx.basics.whole import check_free
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.runs import Interrupted, stoppable
@@ -57,13 +57,14 @@ def show(
     what is drawn, its story is printed in the terminal.
     """
     from petmjx.pictures.save import check_drawing
+    from petmjx.results.sources import source_files
 
     given = {"html": html, "png": png, "pdf": pdf, "svg": svg, "gif": gif, "mp4": mp4, "rrd": rrd}
     files = {kind: path for kind, path in given.items() if path is not None}
     for kind, path in files.items():
         if path.suffix.lower() != f".{kind}":
             raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")
-        check_free(path, overwrite)
+    check_outputs(files.values(), overwrite=overwrite, inputs=source_files(source))
     check_drawing(list(files.values()))
     look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
     PictureOptions(**look)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 from petmjx.basics.errors import InputError
 from petmjx.basics.machine import device_name
@@ -28,7 +28,10 @@ class Progress:
 
     Attributes:
         message: what it is doing (compiling, …).
-        at_hand: so many outcomes follow the last one at once, or more; None where the engine does not say.
+        at_hand: so many outcomes follow the last one at once, or more; None where the engine does not say. It is
+            believed where the engine's ``run`` is marked with ``says_at_hand``.
+        pauses: whether the engine may yield None where no world ends for a while, so that whoever asks it sees to the
+            rest of the run.
         notes: lines for the results, each once: what was done otherwise than asked for.
     """
 
@@ -37,8 +40,22 @@ class Progress:
     compile_s: float = 0.0
     message: str = ""
     at_hand: int | None = None
+    pauses: bool = False
     extra: dict[str, float] = field(default_factory=dict)
     notes: dict[str, None] = field(default_factory=dict)
+
+
+Run = TypeVar("Run", bound=Callable[..., Iterator[Outcome]])
+
+
+def says_at_hand(run: Run) -> Run:
+    """Mark a ``run`` that keeps ``Progress.at_hand`` up to date while it waits, and yields None in pauses if asked to.
+
+    It is the method that is marked, not the engine: one that inherits from an engine of petmjx may hold back what that
+    yields, for as long as it likes.
+    """
+    run.says_at_hand = True  # type: ignore[attr-defined]  # a function has room for it
+    return run
 
 
 class RunLock:
@@ -126,6 +143,11 @@ class Engine(Simulates, Protocol):
     def device(self) -> str:
         """The name of the device on which worlds run, for the results."""
         return device_name(self.name)
+
+    @property
+    def tells(self) -> bool:
+        """Whether its ``run`` is marked with ``says_at_hand``."""
+        return getattr(self.run, "says_at_hand", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
         """Worlds that stay open.

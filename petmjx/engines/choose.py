@@ -10,7 +10,7 @@ from typing import Any
 
 from petmjx.basics.errors import EngineUnavailable, InputError
 from petmjx.basics.machine import why_no_warp, why_no_warp_on_cpu
-from petmjx.basics.text import counted
+from petmjx.basics.text import counted, one_line
 from petmjx.engines.base import Engine
 from petmjx.options.run_options import AUTO, RunOptions
 
@@ -104,7 +104,10 @@ def make_engine(
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
-    engine: Engine = getattr(module, class_name)(*(given[option] for option in its_options))
+    try:
+        engine: Engine = getattr(module, class_name)(*(given[option] for option in its_options))
+    except OSError as error:
+        raise EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}") from error
     return engine
 
 

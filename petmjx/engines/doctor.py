@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import platform
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
+from petmjx.basics.caches import Kind, cache_folder, why_no_folder, why_not_written
 from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import cpu_name, cpu_threads, cuda_devices, package_versions, why_no_warp
 from petmjx.basics.text import counted
@@ -39,7 +38,7 @@ class Report:
         versions: package → version, of Python, petmjx and its dependencies.
         devices: CPU and GPUs, one line each.
         engines: one report per engine.
-        caches: content of a cache → its folder, and whether the folder exists.
+        caches: content of a cache → its folder, and why it is not the one that was asked for.
     """
 
     versions: dict[str, str]
@@ -61,7 +60,7 @@ def examine() -> Report:
 def _examine_engine(name: str) -> EngineReport:
     try:
         return EngineReport(name, True, _CHECKS[name]() if name in _CHECKS else _built(name))
-    except (EngineUnavailable, ImportError, RuntimeError) as error:
+    except (EngineUnavailable, ImportError, RuntimeError, OSError) as error:
         return EngineReport(name, False, " ".join(str(error).split()))
 
 
@@ -122,10 +121,13 @@ def _one_box() -> Plan:
 
 
 def _caches() -> dict[str, str]:
-    from petmjx.basics.warp_setup import cache_dir
+    kinds: dict[str, Kind] = {"JAX programs": "jax", "Warp kernels": "warp"}
+    return {name: _cache(kind) for name, kind in kinds.items()}
 
-    folders = {
-        "JAX programs": os.environ.get("JAX_COMPILATION_CACHE_DIR", str(cache_dir() / "jax")),
-        "Warp kernels": os.environ.get("WARP_CACHE_PATH", str(cache_dir() / "warp")),
-    }
-    return {name: folder if Path(folder).is_dir() else f"{folder} (not there yet)" for name, folder in folders.items()}
+
+def _cache(kind: Kind) -> str:
+    """Where programs are kept, and why not where it was asked for."""
+    if why := why_no_folder(kind):
+        return why
+    why = why_not_written(kind)
+    return f"{cache_folder(kind)} (since {why})" if why else str(cache_folder(kind))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -22,10 +20,6 @@ from petmjx.options.config import Simulation
 from petmjx.verdict import Attempt, Flag, Outcome
 from petmjx.world.job import Job, KeptState
 
-MOST_DELAY_S: Final = 0.1
-"""Up to ``MOST_TOGETHER`` answers are looked at together. If an engine says how many are at hand, it is these; else
-those that come within so many seconds, or, if more worlds may follow from them, each alone."""
-
 
 def _never() -> bool:
     return False
@@ -33,6 +27,17 @@ def _never() -> bool:
 
 Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts: with the outcome of the last one, and the records of all before."""
+
+
+Made = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
+"""A world after an attempt: with its outcome, and the records of all so far."""
+
+
+class _End:
+    """Stands for the end of an engine's answers."""
+
+
+_END: Final = _End()
 
 
 @dataclass(eq=False)
@@ -79,8 +84,8 @@ class Making(Generic[AnyWorld]):
     _put_back: list[AnyWorld] | None = None
     """The chunk that could not be made jobs of while an engine had others."""
 
-    def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
-        """Yield world, outcome, and its records with this attempt's record.
+    def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
+        """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
 
         Args:
             batch: is emptied, since worlds that have ended would take memory.
@@ -95,7 +100,7 @@ class Making(Generic[AnyWorld]):
         self.aside += self._put_back or ()
         yield from self.stood_in(left + others)
 
-    def stood_in(self, left: list[Pending[AnyWorld]]) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+    def stood_in(self, left: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
         """The same of worlds that the stand-in takes over, if there is one."""
         maker = self.engines.own
         if left and self.engines.stand_in is not None:
@@ -113,7 +118,7 @@ class Making(Generic[AnyWorld]):
 
     def _run_on(
         self, engine: Engine, batch: list[Pending[AnyWorld]]
-    ) -> Generator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]], None, list[Pending[AnyWorld]]]:
+    ) -> Generator[Made[AnyWorld] | None, None, list[Pending[AnyWorld]]]:
         """Yield what an engine made of worlds; return those that an error of the engine left unanswered.
 
         Args:
@@ -127,13 +132,16 @@ class Making(Generic[AnyWorld]):
             jobs = GrowingJobs(jobs)
         elif self.next_chunk is not None and engine is self.engines.own:
             jobs = JobsInParts(jobs, partial(self._next_part, asked, engine))
-        answers = iter(engine.run(jobs, self.sim, self.engines.progress))
+        progress, tells = self.engines.progress, getattr(engine, "tells", False)
+        progress.at_hand, progress.pauses = None, tells
+        answers: Iterator[Outcome | _End | None] = iter(engine.run(jobs, self.sim, progress))
         came: list[tuple[Pending[AnyWorld], Outcome]] = []
-        looked_s = -math.inf
         while True:
             try:
-                answer = next(answers, None)
+                answer = next(answers, _END)
             except BaseException as error:  # ctrl-C, too, loses nothing that has come
+                if self.lookers is not None and not isinstance(error, Exception):
+                    self.lookers.hurry()
                 yield from self.made(came, engine.name, looks=engine.looks)
                 if not isinstance(error, Exception):
                     raise
@@ -143,18 +151,22 @@ class Making(Generic[AnyWorld]):
                 self._message = one_line(error)
                 self.engines.note_failure(engine.name, self.attempt.number, len(asked.unanswered), self._message)
                 return list(asked.unanswered.values())
-            if answer is None:
+            if answer is None and tells:
+                yield from self.made([], engine.name, looks=engine.looks, wait=False)
+                yield None
+                continue
+            if answer is _END:
                 break
+            assert isinstance(answer, Outcome)
             if answer.job not in asked.unanswered:
                 raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
             came.append((asked.unanswered.pop(answer.job), answer))
-            at_hand = self.engines.progress.at_hand if engine is self.engines.own else None
-            soon = time.monotonic() - looked_s < MOST_DELAY_S and not takes_more
-            idle = not (soon if at_hand is None else at_hand > 0)
+            # up to MOST_TOGETHER answers are looked at together, but none is held back: others must be at hand
+            idle = not (tells and progress.at_hand)
             if len(came) == MOST_TOGETHER or idle:
-                until = self._has_outcomes if engine is self.engines.own else _never
+                until = self._has_outcomes if tells else _never
                 yield from self.made(came, engine.name, looks=engine.looks, wait=idle, until=until)
-                came, looked_s = [], time.monotonic()
+                came = []
             if takes_more:
                 assert self.more is not None
                 jobs += self._more_jobs(self.more(), asked, engine)
@@ -210,7 +222,7 @@ class Making(Generic[AnyWorld]):
         looks: bool = False,
         wait: bool = True,
         until: Callable[[], bool] = _never,
-    ) -> Iterator[tuple[AnyWorld, Outcome, tuple[Attempt, ...]]]:
+    ) -> Iterator[Made[AnyWorld]]:
         """What becomes of the answers of many worlds.
 
         Args:

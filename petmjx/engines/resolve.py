@@ -12,14 +12,17 @@ from typing import TYPE_CHECKING, Final
 from petmjx.basics.checked import got
 from petmjx.basics.errors import InputError
 from petmjx.basics.machine import cpu_threads, cuda_devices, device_name
+from petmjx.basics.shield import shielded
 from petmjx.engines.base import Engine, Progress, Simulates
 from petmjx.engines.choose import Choice, choose, make_engine, options_of
 from petmjx.engines.cost import MEASURED, Costs, Work
+from petmjx.engines.open import MOST_BOXES, OpenWorlds
 from petmjx.engines.start import start_gpu
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.verdict import Outcome
 from petmjx.world.job import Job
+from petmjx.world.scene import Scene
 
 if TYPE_CHECKING:
     from petmjx.engines.workers.resolve import WorkersAhead
@@ -39,6 +42,18 @@ class Lent(Engine):
         self.name, self._own, self._threads = own.name, own, threads
         self.takes_more = bool(getattr(own, "takes_more", False))
         self.takes_parts = bool(getattr(own, "takes_parts", False))
+        self.looks = bool(getattr(own, "looks", False))
+        self.devices = int(getattr(own, "devices", 1))
+
+    @property
+    def tells(self) -> bool:
+        return getattr(self._own.run, "says_at_hand", False)
+
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
+        """Worlds that stay open, of an engine that has them; else as any other."""
+        opens = getattr(self._own, "open", None)
+        worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
+        return worlds
 
     @property
     def device(self) -> str:
@@ -99,7 +114,8 @@ def engine_for(options: RunOptions, work: Work, ahead: WorkersAhead | None = Non
     try:
         yield engine, choice
     finally:
-        engine.close()
+        with shielded(afterwards=True):  # a second ctrl-C leaves no process behind
+            engine.close()
 
 
 def resolve_engine(

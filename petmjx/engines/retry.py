@@ -7,17 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Any, Final, Generic
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.shield import shielded
 from petmjx.basics.text import counted
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.base import GROUP_WORLDS, Engine, Progress
 from petmjx.engines.beside.lookers import LARGE, Lookers
 from petmjx.engines.beside.process import READY, Answer, Task
-from petmjx.engines.making import Making, Pending
+from petmjx.engines.making import Made, Making, Pending
 from petmjx.engines.sinking import may_sink
 from petmjx.engines.worlds import AnyWorld, WorldResult
 from petmjx.options.config import Simulation, Solver
@@ -117,7 +119,8 @@ def score_worlds(
             making.lookers, besides.making = besides.lookers, making
             making.next_chunk = next_chunk if source.more else None
         for found in making.run(batch):
-            yield from went_on(attempt, found)
+            if found is not None:  # None: the engine pauses
+                yield from went_on(attempt, found)
             yield from from_beside()
 
     def retry() -> Iterator[WorldResult[AnyWorld]]:
@@ -147,14 +150,17 @@ def score_worlds(
                 yield from retry()  # from whose results more may follow
     except GeneratorExit:
         raise
-    except BaseException:  # ctrl-C, too, loses nothing that has come
+    except BaseException as error:  # ctrl-C, too, loses nothing that has come
+        if besides.lookers is not None and not isinstance(error, Exception):
+            besides.lookers.hurry()
         yield from from_beside()
         for found in besides.making.made([], engine.name) if besides.making is not None else ():
             yield from went_on(first, found)
         raise
     finally:
-        source.close()
-        besides.close()
+        with shielded(afterwards=True), ExitStack() as closing:  # a second ctrl-C skips nothing of it
+            closing.callback(source.close)
+            closing.callback(besides.close)
 
 
 @dataclass(eq=False)
@@ -276,11 +282,12 @@ class _Besides(Generic[AnyWorld]):
                     continue
                 making, pending, engine = self._asked.pop(answer.number)
                 for found in self._made(making, pending, engine, answer):
-                    yield making.attempt, found
+                    if found is not None:
+                        yield making.attempt, found
 
     def _made(
         self, making: Making[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
-    ) -> Iterator[Pending[AnyWorld]]:
+    ) -> Iterator[Made[AnyWorld] | None]:
         """What becomes of an answer: without an outcome the stand-in is asked, and then once more in this process."""
         stand_in = self.engines.stand_in
         if answer.outcome is not None:

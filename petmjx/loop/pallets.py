@@ -24,7 +24,7 @@ from petmjx.loop.places import Places, free_places
 from petmjx.loop.settled import SettledEngine
 from petmjx.loop.standing import Standing
 from petmjx.loop.told import Told
-from petmjx.loop.trials import Errors, drive_of, shares, told_driven
+from petmjx.loop.trials import drive_of, errors_of, shares, told_driven
 from petmjx.options.carrier import AnyCarrier, extent_m
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import AUTO, RunOptions, sorted_options
@@ -195,7 +195,7 @@ class Pallets(Closable):
                 told = told_driven(self._worlds, asked.pallet, boxes, shaken, self.simulation.thresholds)
             if number is None:
                 return told
-            return told.with_share(shares(self._worlds, worlds, boxes, Errors(number, self.simulation), shaken))
+            return told.with_share(shares(self._worlds, worlds, boxes, errors_of(number, self.simulation), shaken))
 
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets, which are then as they were before it came, to the last bit; None: all

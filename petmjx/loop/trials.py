@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -53,6 +54,12 @@ class Errors:
         """A scene whose last box is the candidate, once for each error."""
         standing = scene.n_boxes - 1
         return [apply(scene, _NAME, variant, self._sweep.seed, standing=standing) for variant in self._variants]
+
+
+@functools.lru_cache(maxsize=4)
+def errors_of(count: int, sim: Simulation) -> Errors:
+    """The errors of so many worlds. The file that says them is read once: candidates are tried step after step."""
+    return Errors(count, sim)
 
 
 def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Drive | None:

@@ -47,6 +47,10 @@ SHOWN: Final = (
 """Columns of ``packers`` in a notebook."""
 
 
+TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
+"""Names of the tables of a comparison."""
+
+
 @dataclass(frozen=True, eq=False)
 class PackerComparison:
     """What :func:`compare_packers` found.
@@ -99,7 +103,7 @@ class PackerComparison:
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
         """All tables by name."""
-        return {name: getattr(self, name) for name in ("packers", "pairs", "reasons", "decided", "plans")}
+        return {name: getattr(self, name) for name in TABLES}
 
     def to_dict(self) -> dict[str, Any]:
         """All but ``plans`` as plain JSON values; missing numbers are None."""

@@ -53,6 +53,6 @@ def kpis_of_runs(runs: Mapping[str, RunResults], file: Path) -> tuple[pd.DataFra
 
 def _rows(run: RunResults, wanted: set[str], orders: Mapping[str, Order]) -> list[dict[str, object]]:
     records = Manifest.read(run.parts, run.info).plans
-    plans = find_plans(run.info, records, wanted & orders.keys()).plans
+    plans = find_plans(run, records, wanted & orders.keys()).plans
     each = (kpis_of(plan, orders[plan_id]) for plan_id, plan in plans.items())
     return [{name: row[name] for name in ("plan_id", *KPIS)} for row in each]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
 from petmjx.basics.whole import writing
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
-from petmjx.packers.compare import PackerComparison
+from petmjx.packers.compare import TABLES, PackerComparison
 from petmjx.rating.columns import COLUMNS
-from petmjx.results.described import Described, write_described
+from petmjx.results.described import Described, check_tables_free, write_described
 
 _COUNTS: Final = {
     "n": "compared orders; in reasons those that are lost",
@@ -58,11 +59,22 @@ DESCRIBED: Final[Described] = {
 """Every column of every table. Of KPIs and measures ``packers`` has the means."""
 
 
-def write_comparison(found: PackerComparison, folder: Path) -> None:
-    """Write each table into a folder, as NAME.parquet, with units, and NAME.csv; those that are there are replaced.
+def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Check, before packers are compared, that the tables may be written into a folder; ``inputs`` are files that are
+    read. Raises InputError as ``petmjx.results.described.check_tables_free``.
+    """
+    check_tables_free(folder, TABLES, overwrite=overwrite, inputs=inputs)
+
+
+def write_comparison(found: PackerComparison, folder: Path, overwrite: bool = False) -> None:
+    """Write each table into a folder, as NAME.parquet, with units, and NAME.csv.
+
+    Args:
+        overwrite: tables that petmjx wrote there before may be replaced.
 
     Raises:
-        InputError: the folder or a file cannot be written.
+        InputError: the folder or a file cannot be written, or a file of these names may not be replaced.
     """
+    check_comparison_free(folder, overwrite)
     with writing(folder):
         write_described(folder, ((name, table, DESCRIBED) for name, table in found.tables.items()))

@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from petmjx.basics.arrow_files import parquet_table
+from petmjx.basics.arrow_files import parquet_rows
 from petmjx.basics.checked import read_toml, reason
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import number_in, printable, shown
@@ -49,6 +49,9 @@ _NUMBERS: Final = {
 _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 
 _LONGEST_MATERIAL: Final = 100
+
+MOST_ARTICLES: Final = 1_000_000
+"""Of a table: more than any warehouse has. They take some 400 MB."""
 
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
 
@@ -133,25 +136,27 @@ def read_articles(path: str | Path) -> Articles:
     file, name = Path(path), printable(str(path))
     try:
         if file.suffix.lower() == ".toml":
-            rows = list(_toml_rows(read_toml(file), name))
+            rows = _toml_rows(read_toml(file), name)
         elif is_parquet_name(file):
-            rows = list(_parquet_rows(file))
+            rows = _parquet_rows(file)
         elif is_csv(file):
-            rows = list(_csv_rows(file, name))
+            rows = _csv_rows(file, name)
         else:
             raise InputError(f"{name}: the name must end in one of .toml, {PARQUET_SUFFIX}, {', '.join(CSV_SUFFIXES)}")
+        found: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
+        for where, row in rows:  # one at a time: a table of a million rows takes a gigabyte as dictionaries
+            key, value, article = _article(f"{name}: {where}", row)
+            if value in found[key]:
+                raise InputError(f"{name}: {where}: {key} {shown(value)} is there twice")
+            found[key][value] = article
+            if sum(map(len, found.values())) > MOST_ARTICLES:
+                raise InputError(f"{name}: has more than {MOST_ARTICLES:,} articles")
     except pa.ArrowException:
         raise InputError(f"{name}: is not a whole Parquet file") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from None
-    if not rows:
+    if not any(found.values()):
         raise InputError(f"{name}: holds no article")
-    found: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
-    for where, row in rows:
-        key, value, article = _article(f"{name}: {where}", row)
-        if value in found[key]:
-            raise InputError(f"{name}: {where}: {key} {shown(value)} is there twice")
-        found[key][value] = article
     return Articles(found["article"], found["product_group"], found[_MATERIAL])
 
 
@@ -264,7 +269,7 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], del
 
 
 def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    for number, row in enumerate(parquet_table(file).to_pylist()):
+    for number, row in enumerate(parquet_rows(file)):
         yield (
             f"row {number}",
             {name: None if isinstance(value, float) and math.isnan(value) else value for name, value in row.items()},

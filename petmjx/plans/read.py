@@ -134,17 +134,22 @@ def _list_files(paths: list[Path]) -> list[Path]:
             if not path.is_dir():
                 files.append(path)
                 continue
-            members = sorted(
-                member
-                for member in path.iterdir()
-                if member.name.lower().endswith(_SUFFIXES) and not member.name.startswith(".") and not member.is_dir()
-            )
+            members = plan_files_in(path)
         except (OSError, ValueError) as error:
             raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from error
         if not members:
             raise InputError(f"{printable(str(path))}: the folder holds no .json, .csv or .parquet files")
         files.extend(members)
     return files
+
+
+def plan_files_in(folder: Path) -> list[Path]:
+    """The files directly in a folder that are read as plans, by their names, sorted. Raises OSError."""
+    return sorted(
+        member
+        for member in folder.iterdir()
+        if member.name.lower().endswith(_SUFFIXES) and not member.name.startswith(".") and not member.is_dir()
+    )
 
 
 @dataclass

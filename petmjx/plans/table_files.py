@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,13 +12,11 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from petmjx.basics.arrow_files import open_for_arrow
-from petmjx.basics.bounded import size
+from petmjx.basics.arrow_files import TooMuch, open_for_arrow, read_within
 from petmjx.basics.checked import reason
 from petmjx.basics.text import counted
 from petmjx.plans.columns import as_column
 from petmjx.plans.table import LostRow, Table, TableError, sorted_columns
-from petmjx.plans.unpack import MOST_BYTES
 
 _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
 _LINE_ENDS: Final = (b"\n", b"\r")
@@ -175,21 +172,16 @@ def read_parquet(path: Path) -> Table:
     with open_for_arrow(path) as stream:
         try:
             with pq.ParquetFile(stream) as file:
-                n_bytes = sum(_row_group_bytes(file.metadata))
-                if n_bytes > MOST_BYTES or file.metadata.num_rows > MOST_BYTES // 8:
-                    raise TableError(f"it holds more than {size(MOST_BYTES)}")
-                where, unread = sorted_columns(file.schema_arrow.names)
-                chosen = [file.schema_arrow.names[index] for index in where.values()]
-                rows = file.read(columns=chosen)
+                names = file.schema_arrow.names
+            where, unread = sorted_columns(names)
+            chosen = [names[index] for index in where.values()]
+            rows = read_within(stream, chosen)
+        except TooMuch as error:
+            raise TableError(str(error)) from error
         except (pa.ArrowException, OSError) as error:
             raise TableError("is not a whole Parquet file") from error
     columns = {name: as_column(rows.column(given)) for name, given in zip(where, chosen, strict=True)}
     return Table(columns, unread, np.arange(rows.num_rows))
-
-
-def _row_group_bytes(metadata: Any) -> Iterator[int]:
-    for group in range(metadata.num_row_groups):
-        yield metadata.row_group(group).total_byte_size
 
 
 def frame_table(frame: Any) -> Table:

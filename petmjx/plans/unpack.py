@@ -6,14 +6,7 @@ import zlib
 from pathlib import Path
 from typing import Final
 
-from petmjx.basics.bounded import read_regular, size
-
-MOST_BYTES: Final = 4 << 30
-"""Largest file, packed or plain: 100 times BED-BPP's 10,003 plans, which take some 40 MB."""
-MOST_RATIO: Final = 100
-FREE_BYTES: Final = 64 << 20
-"""Gzip packs plans to a tenth or a thirtieth, and zeros to a thousandth. A file that unpacks to more than `FREE_BYTES`
-and to more than `MOST_RATIO` times its own size is no plan file."""
+from petmjx.basics.bounded import FREE_BYTES, MOST_BYTES, MOST_RATIO, read_regular, size
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"
 _GZIP_CHUNK: Final = 1 << 14

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
@@ -11,25 +12,46 @@ from typing import Any, Final
 import pyarrow as pa
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.outputs import IsOurs
 from petmjx.basics.text import printable
 from petmjx.basics.whole import writing
 from petmjx.rating.columns import COLUMNS, MEANS
 from petmjx.rating.kpis import Kpis
+from petmjx.results.described import check_tables_free, has_keys
 from petmjx.results.files import csv, parquet, text, write_together
+
+_CREATOR: Final = "petmjx"
+"""In a workbook's properties: that petmjx wrote it."""
+_MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
 _SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdict", "rating_if_all_stood")
 
 
-def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False) -> None:
+def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs: Iterable[Path] = ()) -> None:
+    """Check that :func:`write_kpis` may write into a folder; ``inputs`` are files that are read. Raises InputError as
+    ``petmjx.results.described.check_tables_free``.
+    """
+    others: dict[str, IsOurs] = {"summary.json": lambda file: has_keys(file, (*_SUMMED, "means", "skipped"))}
+    if xlsx:
+        others["kpis.xlsx"] = _is_our_workbook
+    check_tables_free(folder, ("kpis",), overwrite=overwrite, inputs=inputs, others=others)
+
+
+def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite: bool = False) -> None:
     """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
 
-    Files of these names are replaced, all or none; the folder is made if it is not there.
+    All or none; the folder is made if it is not there.
+
+    Args:
+        overwrite: files that petmjx wrote there before may be replaced.
 
     Raises:
-        InputError: it cannot be written, or for ``xlsx`` openpyxl is not installed.
+        InputError: it cannot be written, a file of these names may not be replaced, or for ``xlsx`` openpyxl is not
+            installed.
     """
     folder = Path(folder)
+    check_kpis_free(folder, overwrite, xlsx=xlsx)
     workbook = _workbook(found) if xlsx else b""
     table = kpis_table(found)
     with writing(folder):
@@ -64,6 +86,7 @@ def _workbook(found: Kpis) -> bytes:
     except ImportError:
         raise InputError("a workbook needs openpyxl: pip install 'petmjx[packers]'") from None
     workbook = Workbook(write_only=True)
+    workbook.properties.creator = _CREATOR
 
     def add(sheet: Any, values: Iterable[Any]) -> None:
         cells = []
@@ -87,3 +110,11 @@ def _workbook(found: Kpis) -> bytes:
     content = io.BytesIO()  # openpyxl is loud about a workbook that cannot be saved
     workbook.save(content)
     return content.getvalue()
+
+
+def _is_our_workbook(file: Path) -> bool:
+    try:
+        with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
+            return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
+        return False

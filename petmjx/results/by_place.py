@@ -146,6 +146,7 @@ class ByPlace:
         self._places, self._schemas = places, schemas
         self._waiting: dict[int, _Waiting] = {}
         self._next_early = places.n_parts
+        self._nbytes = 0  # of all that waits; to add it up for each world takes longer than to keep the world
         self.counts = WorldCounts()
 
     def goes_on(self, parts: Parts, counts: WorldCounts) -> bool:
@@ -173,10 +174,12 @@ class ByPlace:
         memory."""
         number = self._places.rank(row.plan.plan_id, row.cells["variant"]) // self._places.per_part
         waiting = self._waiting.setdefault(number, _Waiting())
+        before = waiting.nbytes
         waiting.add(row)
         if len(waiting.rows) == PIECE_WORLDS:
             waiting.make_piece(self._schemas)
-        if sum(each.nbytes for each in self._waiting.values()) > MOST_WAITING_BYTES:
+        self._nbytes += waiting.nbytes - before
+        if self._nbytes > MOST_WAITING_BYTES:
             return self.left()
         return [number] if self._whole(number) else []
 
@@ -192,13 +195,17 @@ class ByPlace:
     def write(self, number: int, tables: Tables) -> bool:
         """Write what there is of a part; returns whether parts that were written early are of no more use. Raises
         OSError."""
+        tables.land_placements(wait=False)
         waiting, whole = self._waiting[number], self._whole(number)
+        before = waiting.nbytes
         waiting.make_piece(self._schemas)
+        self._nbytes += waiting.nbytes - before
         early = waiting.early if whole else []
         tables.write_part(number if whole else self._next_early, self._joined(tables.parts, early, waiting.pieces))
         tables.forget(early)
         for piece in waiting.pieces:
             self.counts.add_worlds(piece["worlds"])
+        self._nbytes -= waiting.nbytes
         if whole:
             del self._waiting[number]
         else:

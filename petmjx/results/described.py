@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any, Final
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 
+from petmjx.basics.arrow_files import open_for_arrow
+from petmjx.basics.bounded import read_regular
+from petmjx.basics.outputs import IsOurs, check_outputs
 from petmjx.results.files import Write, csv, parquet, write_together
 
 Described = Mapping[str, tuple[str, str]]
 """Column → unit and meaning."""
+
+_MOST_JSON_BYTES: Final = 1 << 28
+_LONGEST_HEADER: Final = 1 << 20
 
 
 def described_table(frame: pd.DataFrame, name: str, described: Described) -> pa.Table:
@@ -32,6 +41,7 @@ def write_described(
     folder: Path, tables: Iterable[tuple[str, pd.DataFrame, Described]], others: Mapping[str, Write] | None = None
 ) -> None:
     """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder, which is made if it is not there; all or none.
+    What is there may be replaced: :func:`check_tables_free` was asked.
 
     Args:
         others: name → content of more files.
@@ -45,3 +55,73 @@ def write_described(
         table = described_table(frame, name, described)
         files |= {folder / f"{name}.parquet": parquet(table), folder / f"{name}.csv": csv(table)}
     write_together(files)
+
+
+def check_tables_free(
+    folder: Path,
+    tables: Iterable[str],
+    *,
+    overwrite: bool,
+    inputs: Iterable[Path] = (),
+    others: Mapping[str, IsOurs] | None = None,
+) -> None:
+    """Check, before minutes of work, that :func:`write_described` would replace nothing that it may not.
+
+    Args:
+        tables: their names.
+        overwrite: tables that petmjx wrote there before may be replaced.
+        inputs: files that are read.
+        others: name of each further file → whether one that is there is petmjx's.
+
+    Raises:
+        InputError: a file of these names is not petmjx's, or may not be replaced, or the folder is none.
+    """
+    others = others or {}
+    names = [*others, *(f"{name}{suffix}" for name in tables for suffix in (".parquet", ".csv"))]
+
+    def is_ours(file: Path) -> bool:
+        return others[file.name](file) if file.name in others else is_described(file)
+
+    check_outputs([folder / name for name in names], overwrite=overwrite, inputs=inputs, folder=folder, is_ours=is_ours)
+
+
+def is_described(file: Path) -> bool:
+    """Whether a file is a table as :func:`write_described` writes it: the Parquet file says so itself, and CSV has the
+    columns of the Parquet file beside it."""
+    if file.suffix == ".csv":
+        columns = _described_columns(file.with_suffix(".parquet"))
+        return columns is not None and _header(file) == columns
+    return _described_columns(file) is not None
+
+
+def has_keys(file: Path, keys: Iterable[str]) -> bool:
+    """Whether a file is a JSON object with these keys."""
+    try:
+        found: Any = json.loads(read_regular(file, _MOST_JSON_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(found, dict) and found.keys() >= set(keys)
+
+
+def _described_columns(file: Path) -> list[str] | None:
+    """The columns of a Parquet file of which each has a unit and a description; None for others, and for parts of
+    runs."""
+    try:
+        with open_for_arrow(file) as stream:
+            schema = pq.read_schema(stream)
+    except (OSError, ValueError, pa.ArrowException):
+        return None
+    if b"schema_version" in (schema.metadata or {}):  # a part of a run
+        return None
+    described = all({b"unit", b"description"} <= (field.metadata or {}).keys() for field in schema)
+    return list(schema.names) if described and len(schema) else None
+
+
+def _header(file: Path) -> list[str]:
+    """The names in the first line of a CSV file that Arrow wrote."""
+    try:
+        with file.open("rb") as stream:
+            line = stream.readline(_LONGEST_HEADER)
+        return [name.strip('"') for name in line.decode().rstrip("\n").split(",")]
+    except (OSError, ValueError):
+        return []

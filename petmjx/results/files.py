@@ -9,6 +9,7 @@
     DIR/contacts/part-*.parquet     one row per contact of each frame, if details were recorded
     DIR/summary/part-*.parquet      sweeps: the answers
     DIR/plans/part-*.parquet        a row a plan, with its digest: what a run was of
+    DIR/placements/part-*.parquet   a row a box of its plans: all that they say
     DIR/.lock                       while a run writes there
 
 Every file appears whole or not at all. A part counts once ``run.json`` lists it, with its digest
@@ -19,6 +20,7 @@ number belong together, and so do those of ``histories``, ``frames`` and ``conta
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import re
 import secrets
@@ -32,14 +34,18 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
+from petmjx.basics.arrow_files import open_for_arrow
+from petmjx.basics.bounded import read_regular
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
+from petmjx.basics.outputs import check_outputs
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
 """Tables of which a part may be missing: none of its worlds has a row there."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
-TABLES: Final = (*OF_WORLDS, "summary", "plans")
+TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
 
 ROWS_PER_GROUP: Final = 131_072
 """Of ``boxes`` some megabytes, which a reader can take one after the other, and of ``worlds`` a part."""
@@ -48,7 +54,9 @@ DIGEST_BYTES: Final = 16
 _BLOCK: Final = 1 << 20
 
 _PART: Final = re.compile(r"part-\d{5,}\.parquet")
-_TEMPORARY: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)(\.[0-9a-f]{32})?\.tmp")
+_HIDDEN: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)\.[0-9a-f]{32}\.tmp")
+MOST_RUN_FILE_BYTES: Final = 1 << 30
+"""A million lines about skipped plans take 200 MB."""
 
 
 def part_name(number: int) -> str:
@@ -177,44 +185,83 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one. The table ``plans`` alone does not count: it is written before
-    ``run.json``.
+    """Whether a folder has a run, or parts of one. Its plans alone do not count: they come before ``run.json``."""
+    tables = (table for table in TABLES if table not in ("plans", "placements"))
+    return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
+
+
+def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False) -> None:
+    """Check that a run may write into a folder. Nothing is changed.
+
+    Args:
+        overwrite: a run that is there is to be replaced.
+        resume: it is to go on.
+
+    Raises:
+        InputError: the folder has a run, and neither is set; or it has a file, folder or link with a name of a run's
+            files that is none of petmjx's own.
     """
-    return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in TABLES if table != "plans")
+    parts = {file: table for table in TABLES for file in part_files(folder, table)}
+    hidden = [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
+    listed: Collection[Path] = ()
+
+    def is_ours(file: Path) -> bool:
+        if file.name == RUN_FILE:
+            return resume or _listed_parts(file) is not None  # of one that goes on its reader says what is wrong
+        return file in hidden or file in listed or _is_part_of(parts[file], file)
+
+    def check(*files: Path) -> None:
+        check_outputs(files, overwrite=True, folder=folder, is_ours=is_ours)
+
+    # also the folders that are to be made: a path within them is looked at from the top
+    check(folder / RUN_FILE, *(folder / table / "x" for table in TABLES))
+    listed = _listed_parts(folder / RUN_FILE) or ()
+    check(*parts, *hidden)
+    if holds_run(folder) and not overwrite and not (resume and (folder / RUN_FILE).exists()):
+        what = "a run already"
+        if not (folder / RUN_FILE).exists():
+            what = f"tables of a run without its {RUN_FILE}, so that it cannot be resumed"
+        out, replace = option("--out"), option("--overwrite", "True")
+        raise InputError(f"{folder}: holds {what}; name another folder with {out}, or pass {replace}")
 
 
-def make_room(folder: Path, overwrite: bool) -> None:
-    """Make sure that a folder has no run: refuse one that has, or delete the run's files (and no others).
+def _listed_parts(run_file: Path) -> frozenset[Path] | None:
+    """The files that a ``run.json`` lists; None: it is not there, or petmjx did not write it."""
+    try:
+        tables = json.loads(read_regular(run_file, MOST_RUN_FILE_BYTES))["parts"]
+        return frozenset(run_file.parent / table / name for table, names in tables.items() for name in names)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+
+
+def _is_part_of(table: str, file: Path) -> bool:
+    """Whether a file is a part of a table of a run, whichever: it says so itself."""
+    try:
+        with open_for_arrow(file) as stream:
+            said = pq.read_schema(stream).metadata or {}
+    except (OSError, ValueError, pa.ArrowException):
+        return False
+    return said.get(b"table") == table.encode() and b"schema_version" in said
+
+
+def make_room(folder: Path) -> None:
+    """Delete the files of the run that a folder has, and no others; :func:`check_run_folder` was asked.
 
     ``run.json`` is deleted first: after a crash the folder then has no run, instead of a run without some parts.
 
     Raises:
-        InputError: the folder has a run, and ``overwrite`` is not set.
         OSError: the folder cannot be written.
     """
     if holds_run(folder):
-        if not overwrite:
-            what = "a run already"
-            if not (folder / RUN_FILE).exists():
-                what = f"tables of a run without its {RUN_FILE}, so that it cannot be resumed"
-            raise InputError(f"{folder}: holds {what}; name another folder with --out, or pass --overwrite")
         (folder / RUN_FILE).unlink(missing_ok=True)
         for file in (file for table in TABLES for file in part_files(folder, table)):
             file.unlink()
 
 
 def tidy(folder: Path) -> None:
-    """Take away the temporary files that killed runs have left.
-
-    Raises:
-        InputError: one of the run's files or folders is a link, which might lead anywhere.
-    """
-    for path in (folder / RUN_FILE, *(folder / table for table in TABLES)):
-        files = [file for file in (path, *_own_files(path, _PART), *_own_files(path, _TEMPORARY)) if file.is_symlink()]
-        if files:
-            raise InputError(f"{files[0]}: is a link; petmjx writes and removes only its own files")
+    """Take away the temporary files that killed runs have left; :func:`check_run_folder` was asked."""
     for place in (folder, *(folder / table for table in TABLES)):
-        for file in _own_files(place, _TEMPORARY):
+        for file in _own_files(place, _HIDDEN):
             file.unlink()
 
 

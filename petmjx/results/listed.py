@@ -12,8 +12,8 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from petmjx.basics.arrow_files import open_for_arrow
-from petmjx.basics.bounded import open_regular
+from petmjx.basics.arrow_files import TooMuch, allowed_bytes, decoded_bytes, open_for_arrow, read_within
+from petmjx.basics.bounded import open_regular, size
 from petmjx.basics.errors import InputError
 from petmjx.results.files import MOST_AT_ONCE, OF_WORLDS, digest_of, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
@@ -21,6 +21,14 @@ from petmjx.results.schema import check_version, schema_version_of
 LISTED: Final = "parts"
 """Entry of ``run.json``: table → file name → digest. Files that are not listed there were left by a killed run,
 and are not read."""
+
+
+FREE_BYTES: Final = 256 << 20
+"""Tables of a run may take so many bytes in memory, or as many times their size on disk as other files may: boxes at
+rest, and columns without a value, are packed to a hundredth."""
+
+MOST_TABLE_BYTES: Final = 1 << 40
+"""The machine's memory is the bound of large runs, of which a table is in memory at once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +67,20 @@ class Parts:
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
+        self._check_size(files, columns)
         with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-parts") as pool:
             return list(pool.map(lambda file: self.read(file, columns), files))
+
+    def _check_size(self, files: Sequence[Path], columns: Sequence[str] | None) -> None:
+        """Check that together files take no more memory than such files may. Raises InputError."""
+        needed = there = 0
+        for file in files:
+            self.check(file)
+            with opened(file) as parquet:
+                needed += decoded_bytes(parquet, columns)
+            there += file.stat().st_size
+        if needed > allowed_bytes(there, FREE_BYTES, MOST_TABLE_BYTES):
+            raise InputError(f"{files[0].parent}: its rows would take {size(needed)}, too much for files of their size")
 
     def check_tables(self, tables: Iterable[str]) -> None:
         """Check all files of tables; as :meth:`check`."""
@@ -148,9 +168,18 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
         InputError: missing, damaged, without one of the columns, or of a newer petmjx.
     """
     with opened(file) as parquet:
-        table = parquet.read(None if columns is None else list(columns))
-    check_version(file, schema_version_of(table.schema.metadata))
-    return with_columns(table, file, columns)
+        schema = parquet.schema_arrow
+        check_version(file, schema_version_of(schema.metadata))
+        for name in columns or ():
+            if name not in schema.names:
+                raise InputError(f"{file}: damaged part, it has no column {name}")
+    try:
+        with open_for_arrow(file) as stream:
+            return read_within(stream, columns, free=FREE_BYTES, most=MOST_TABLE_BYTES)
+    except TooMuch as error:
+        raise InputError(f"{file}: damaged part, {error}") from error
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error
 
 
 def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:

@@ -18,7 +18,7 @@ from petmjx.basics.whole import writing
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
-from petmjx.results.described import write_described
+from petmjx.results.described import check_tables_free, write_described
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
@@ -87,16 +87,29 @@ class Loads:
     def __repr__(self) -> str:
         return f"Loads({counted(len(self.plans), 'world')}, {int(self.plans['overloaded'].sum()):,} overloaded)"
 
-    def write(self, folder: str | Path) -> None:
+    def write(self, folder: str | Path, overwrite: bool = False) -> None:
         """Write ``box_loads`` and ``plan_loads``, as Parquet with units and as CSV.
 
+        Args:
+            overwrite: tables that petmjx wrote there before may be replaced.
+
         Raises:
-            InputError: the folder cannot be written.
+            InputError: the folder cannot be written, or a file of these names may not be replaced.
         """
         folder = path_of(folder, "folder")
+        check_loads_free(folder, overwrite)
         with writing(folder):
             tables = (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS))
             write_described(folder, tables)
+
+
+def check_loads_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Check that the tables of loads may be written into a folder; ``inputs`` are files that are read.
+
+    Raises:
+        InputError: as ``petmjx.results.described.check_tables_free``.
+    """
+    check_tables_free(folder, ("box_loads", "plan_loads"), overwrite=overwrite, inputs=inputs)
 
 
 def loads(
@@ -140,10 +153,8 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
         InputError: a plan is missing or differs.
     """
     records = Manifest.read(results.parts, results.info).plans
-    if plans is None and results.held:
-        plans = list(results.held.values())
-    found = find_plans(results.info, records, set(results.worlds["plan_id"]), plans)
-    if plans is None and found.gone:
+    found = find_plans(results, records, set(results.worlds["plan_id"]), plans)
+    if plans is None and found.gone and found.missing:
         gone = printable(found.gone[0])
         raise InputError(f"{results.path}: needs the plans of the run, and {gone} is not there: name them")
     for plan_ids, what in (

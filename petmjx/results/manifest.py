@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -93,10 +93,12 @@ class Manifest:
     Attributes:
         settings: JSON-like: command, simulation, sweep, engine, shard.
         plans: all plans by id, also those of other shards, in the order given.
+        placements: makes the table ``placements`` of the run's own plans; None: it keeps none.
     """
 
     settings: Mapping[str, Any]
     plans: Mapping[str, PlanRecord]
+    placements: Callable[[], pa.Table | None] = lambda: None
 
     @property
     def identity(self) -> dict[str, Any]:

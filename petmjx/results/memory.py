@@ -40,8 +40,8 @@ class MemoryTables(Tables):
     def __init__(self) -> None:
         super().__init__(Path(), MemoryParts(Path(), {}))
 
-    def write_plans(self, plans: pa.Table) -> bool:
-        """Keep the table ``plans``."""
+    def write_plans(self, plans: pa.Table, placements: Callable[[], pa.Table | None] = lambda: None) -> bool:
+        """Keep the table ``plans``. What plans say is with those who have them, or in their files."""
         self.write_part(0, [("plans", plans)])
         return True
 

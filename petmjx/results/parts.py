@@ -15,12 +15,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from petmjx.basics.shield import shielded
 from petmjx.basics.units import FloatArray
 from petmjx.metrics.spec import FORCE_INTERVAL, Column, box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.plans.plan import Plan
 from petmjx.results import histories
 from petmjx.results.counts import COUNTED, WorldCounts
-from petmjx.results.shield import shielded
 from petmjx.results.tables import Tables
 from petmjx.verdict import Attempt, Outcome
 
@@ -252,7 +252,7 @@ class Gathering:
             self._beside, self._pending = _Beside(self._pending, digests), self._pending.following()
 
     def land(self, tables: Tables, *, wait: bool) -> bool:
-        """Let the part count that the thread has written; whether there was one.
+        """Let the part count that the thread has written, and the run's plans; whether there was any.
 
         Args:
             wait: until it is written.
@@ -260,8 +260,9 @@ class Gathering:
         Raises:
             OSError: it could not be written. Its worlds are gathered again, before those that came since.
         """
+        plans = tables.land_placements(wait=wait)
         if self._beside is None or not (wait or self._beside.digests.done()):
-            return False
+            return plans
         pending, digests = self._beside
         error = digests.exception()  # an interrupt while this waits changes nothing
         with shielded(afterwards=True):

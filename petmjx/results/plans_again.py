@@ -1,4 +1,4 @@
-"""The plans of a run, found again in its files: its tables have no sizes of boxes."""
+"""The plans of a run, found again: as it keeps them, or in its files. Its other tables have no sizes of boxes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import bundled_path
 from petmjx.results.manifest import PlanRecord, plan_digest
+from petmjx.results.placements import kept_plans
+from petmjx.results.reader import RunResults
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,30 +35,35 @@ class PlansAgain:
 
 
 def find_plans(
-    info: Mapping[str, Any],
+    run: RunResults,
     records: Mapping[str, PlanRecord],
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlansAgain:
-    """Read the plans of a run, and take those that are what it simulated.
+    """Find the plans of a run, and take those that are what it simulated.
 
     Args:
-        info: the run's ``run.json``.
         records: what the run says of its plans, by id; of a plan without a record any version is taken.
         wanted: ids of the plans to find.
-        given: where they are now; None: the files that the run names.
+        given: where they are now; None: what the run was given or keeps, and else the files that it names.
 
     Raises:
         InputError: ``given`` cannot be used.
     """
     gone: list[str] = []
+    kept: dict[str, Plan] = {}
     if given is None:
-        files = {source: file_again(source) for source in dict.fromkeys(record.source for record in records.values())}
+        kept = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
+        if len(kept) < len(wanted):
+            kept |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in kept])
+        left = [records[plan_id] for plan_id in wanted if plan_id not in kept and plan_id in records]
+        files = {source: file_again(source) for source in dict.fromkeys(record.source for record in left)}
         gone = [source for source, file in files.items() if file is None]
         given = [file for file in files.values() if file is not None]
     read: dict[str, Plan] = {}
     if not isinstance(given, list) or given:
-        read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(info))}
+        read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(run.info))}
+    read |= kept
     there = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
     changed = {name for name, plan in there.items() if name in records and records[name].digest != plan_digest(plan)}
     return PlansAgain(

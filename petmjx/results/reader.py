@@ -23,17 +23,16 @@ from petmjx.options.config import Simulation
 from petmjx.options.run_options import WORLDS
 from petmjx.plans.ordered import Ordered
 from petmjx.plans.plan import Plan
-from petmjx.results.files import RUN_FILE
+from petmjx.results.files import MOST_RUN_FILE_BYTES, RUN_FILE
 from petmjx.results.given import Given
 from petmjx.results.listed import LISTED, Parts
 from petmjx.results.memory import MemoryParts
 from petmjx.results.notebook import worlds_as_html
+from petmjx.results.placements import PLACEMENTS, placements_table
 from petmjx.results.run_file import check_run_file, write_run_file
-from petmjx.results.schema import check_version, plans_schema, schemas
+from petmjx.results.schema import check_version, placements_schema, plans_schema, schemas
+from petmjx.results.tables import Tables
 from petmjx.verdict import Verdict
-
-MOST_RUN_FILE_BYTES: Final = 1 << 30
-"""A million lines about skipped plans take 200 MB."""
 
 FINISHED: Final = "finished"
 """The status of a run that came to its end."""
@@ -103,6 +102,8 @@ class RunResults:
             weakref.finalize(self, temporary.cleanup)
             written = Parts(Path(temporary.name), {})
             written.add(self.parts.write(written.folder))
+            if self.held and (placements := placements_table(self.held.values())) is not None:
+                written.add(Tables(written.folder).files_of(0, [(PLACEMENTS, placements)]))
             write_run_file(self.info | {LISTED: written.digests}, written.folder)
         except OSError as error:
             raise PetmjxError(f"{tempfile.gettempdir()}: cannot write results: {error.strerror or error}") from error
@@ -179,6 +180,14 @@ class RunResults:
         parts = self.parts.table("plans")
         frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
         return frame.astype({name: "Int32" for name in frame.columns if name in ("number", *Ordered._fields)})
+
+    @cached_property
+    def placements(self) -> pd.DataFrame:
+        """One row per box of the plans that were simulated, with all that they say of it. Runs in memory have none:
+        they have the plans, or the files."""
+        parts = self.parts.table(PLACEMENTS)
+        frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
+        return frame
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:

@@ -24,6 +24,7 @@ from petmjx.basics.errors import InputError
 from petmjx.metrics import spec
 from petmjx.metrics.spec import DIMENSIONLESS, TEXT
 from petmjx.options.config import Schedule
+from petmjx.plans.fields import SPARSE
 from petmjx.verdict import Flag, Verdict
 
 SCHEMA_VERSION: Final = 2
@@ -162,6 +163,24 @@ _EXTENT_COLUMNS = (
 )
 """Columns of ``plans``."""
 
+_PLACEMENT_COLUMNS = (
+    *_texts(plan_id="id of the packing plan", item_id="id of the item", article="article of the item"),
+    *_texts(product_group="of the item; null where no item of the plan has one"),
+    *_texts(material="what it is made of; null where the plan says it of no box"),
+    *_texts(kind="box or sheet; null where all are boxes"),
+    *_vector("size", "mm", "extent of the box as it stands", end="_mm"),
+    *_vector("corner", "mm", "front-left-bottom corner", end="_mm"),
+    *_vector("mass_center", "mm", "centre of mass from the middle; null where the plan gives none", end="_mm"),
+    _column("mass_kg", pa.float64(), "kg", "mass"),
+    _column("sequence", pa.int64(), DIMENSIONLESS, "number of the item in the order"),
+    _column("orientation", pa.int8(), DIMENSIONLESS, "1: the item's own length lies along y; null where not given"),
+    *(
+        _column(name, pa.float64(), field.unit, f"{name} of the plan; NaN where not given for a box, null for no box")
+        for name, field in SPARSE.items()
+    ),
+)
+"""Columns of ``placements``: the fields of ``Plan``, in packing order."""
+
 _ORDER_COLUMNS = _counts(
     ordered_boxes="boxes of the plan's order; null where it has none",
     left_out="boxes that were ordered, but are not in the plan",
@@ -208,6 +227,11 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
         plan_id="id of the packing plan", digest="of everything that affects results", source="the file it came from"
     )
     return _schema("plans", [*texts, *_EXTENT_COLUMNS, *_NUMBER, *(_ORDER_COLUMNS if ordered else ())])
+
+
+def placements_schema() -> pa.Schema:
+    """Schema of ``placements``: what the run's plans say of each box, so that the folder needs no files of plans."""
+    return _schema("placements", _PLACEMENT_COLUMNS)
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:

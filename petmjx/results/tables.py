@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pyarrow as pa
 
 from petmjx.basics.errors import InputError
-from petmjx.results.files import OF_WORLDS, appear, copy_file, drop_parts, part_name, part_number, write_table
+from petmjx.results.files import (
+    OF_WORLDS,
+    appear,
+    copy_file,
+    drop_parts,
+    part_name,
+    part_number,
+    write_hidden,
+    write_table,
+)
 from petmjx.results.listed import Parts
 from petmjx.results.sorting import SORTED, Sorted
 
@@ -24,16 +34,44 @@ class Tables:
 
     def __init__(self, folder: Path, parts: Parts | None = None) -> None:
         self._folder = folder
+        self._placements: Future[tuple[Path, str] | None] | None = None
         self.parts = parts or Parts(folder, {})
 
-    def write_plans(self, plans: pa.Table) -> bool:
-        """Write the table ``plans``, beside one with other content; returns whether an equal one was missing."""
+    def write_plans(self, plans: pa.Table, placements: Callable[[], pa.Table | None] = lambda: None) -> bool:
+        """Write the table ``plans``, beside one with other content; returns whether an equal one was missing.
+
+        A thread writes ``placements`` where it is missing, while the first worlds are simulated; it counts once it has
+        landed.
+        """
+        if self._placements is None and not self.parts.files("placements"):
+            thread = ThreadPoolExecutor(1, "petmjx-plans")
+            self._placements = thread.submit(self._write_placements, placements)
+            thread.shutdown(wait=False)
         if [plans] == self.parts.table("plans"):
             return False
         number = self.parts.next_number("plans")
         self.parts = self.parts.without("plans")
         self.write_part(number, [("plans", plans)])
         return True
+
+    def _write_placements(self, placements: Callable[[], pa.Table | None]) -> tuple[Path, str] | None:
+        content = placements()
+        return None if content is None else write_hidden(content, self._folder / "placements" / part_name(0))
+
+    def land_placements(self, *, wait: bool) -> bool:
+        """Let the table count that the thread has written; whether there was one. ``wait``: until it is written."""
+        if self._placements is None or not (wait or self._placements.done()):
+            return False
+        written = self._placements.exception() or self._placements.result()  # an interrupt here changes nothing
+        self._placements = None
+        if isinstance(written, BaseException):
+            raise written
+        if written is not None:
+            hidden, digest = written
+            place = self._folder / "placements" / part_name(0)
+            appear({place: hidden})
+            self.parts.add({place: digest})
+        return written is not None
 
     def write_part(self, number: int, tables: Iterable[tuple[str, pa.Table]]) -> None:
         """Write the tables of a part, by name. None counts before all are there."""

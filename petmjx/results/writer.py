@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from petmjx.basics.errors import InputError, PetmjxError
+from petmjx.basics.shield import shielded
 from petmjx.basics.text import one_line
 from petmjx.basics.units import FloatArray
 from petmjx.plans.ordered import OrderCheck
@@ -19,7 +20,7 @@ from petmjx.plans.plan import Plan
 from petmjx.results.alarm import Alarm
 from petmjx.results.by_place import ByPlace, Places
 from petmjx.results.counts import COUNTED, WorldCounts
-from petmjx.results.files import OF_WORLDS, RUN_FILE, make_room, tidy
+from petmjx.results.files import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
 from petmjx.results.given import Given
 from petmjx.results.going_on import run_there
 from petmjx.results.info import RunFolder, now
@@ -33,7 +34,6 @@ from petmjx.results.reader import FINISHED, RunResults, load_run
 from petmjx.results.recorded import Recorded
 from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
-from petmjx.results.shield import shielded
 from petmjx.results.sorting import SORTED, sort_parts
 from petmjx.results.tables import Tables
 from petmjx.verdict import Attempt, Outcome
@@ -139,11 +139,12 @@ class RunWriter(RunFolder):
                 self.out_dir.mkdir(parents=True, exist_ok=True)
                 if not until_exit.enter_context(locked(self.out_dir)):
                     self.warn("the file system has no locks: petmjx cannot notice another run in the same folder")
+                check_run_folder(self.out_dir, self._overwrite, self._resume)
                 tidy(self.out_dir)
                 if self._resume and (self.out_dir / RUN_FILE).exists():
                     self._go_on()
                 else:
-                    make_room(self.out_dir, self._overwrite)
+                    make_room(self.out_dir)
                     self._tables.drop_others()
                     self._write_plans()
                 self._write_info()
@@ -214,7 +215,7 @@ class RunWriter(RunFolder):
         """Write what is gathered, at the end; returns why it could not be written."""
         with self._lock:
             if self._alarm is not None:
-                self._alarm.off()
+                self._alarm.close()
             with contextlib.suppress(Exception):  # what could not be written is gathered, and tried once more
                 self._land()
             try:
@@ -224,9 +225,9 @@ class RunWriter(RunFolder):
         return None
 
     def _write_plans(self) -> bool:
-        """Write the table ``plans`` if there is none that says the same; returns whether it did."""
-        of_plan = self.orders.of_plan if self.orders else None
-        return self._manifest is not None and self._tables.write_plans(self._manifest.table(of_plan))
+        """Write the plans if there are none that say the same; returns whether it did."""
+        of_plan, manifest = self.orders.of_plan if self.orders else None, self._manifest
+        return manifest is not None and self._tables.write_plans(manifest.table(of_plan), manifest.placements)
 
     @property
     def info(self) -> dict[str, Any]:
@@ -345,14 +346,13 @@ class RunWriter(RunFolder):
                     self._tables.drop_others()
 
     def _time_is_up(self) -> None:
-        """Write what waits though it is no whole part, since no world may finish for long. The lock is held."""
-        with contextlib.suppress(PetmjxError):  # it is tried again, and told with the next part or in the end
-            if self._by_place is not None:
-                self._write_by_place(self._by_place.late(self._seconds_per_part))
-            else:
-                self._land(wait=False)
-                if self._gathering.is_old(self._seconds_per_part):
-                    self._write_part()
+        """Write what waits though it is no whole part, with the lock held. After an error the alarm calls again."""
+        if self._by_place is not None:
+            self._write_by_place(self._by_place.late(self._seconds_per_part))
+        else:
+            self._land(wait=False)
+            if self._gathering.is_old(self._seconds_per_part):
+                self._write_part()
         if self._gathering.waits if self._by_place is None else self._by_place.left():
             self._set_alarm()
 

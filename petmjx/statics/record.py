@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted
 from petmjx.basics.whole import writing
-from petmjx.results.described import Described, write_described
+from petmjx.results.described import Described, check_tables_free, has_keys, write_described
 from petmjx.results.files import text
 from petmjx.results.plain import plain
 from petmjx.statics.named import Criterion, chosen_criteria
@@ -72,7 +71,7 @@ class CriteriaResults:
             InputError: the folder holds such files already and ``overwrite`` is not set, or cannot be written.
         """
         folder = Path(folder)
-        check_folder_free(folder, overwrite)
+        check_criteria_free(folder, overwrite, judged=self.judged is not None)
         with writing(folder):
             info = text(json.dumps(plain(self.info), indent=2, allow_nan=False))
             write_described(folder, self._tables(), {INFO_FILE: info})
@@ -86,14 +85,16 @@ class CriteriaResults:
             yield "thresholds", self.thresholds, described_thresholds()
 
 
-def check_folder_free(folder: Path, overwrite: bool) -> None:
-    """Refuse, before minutes of work, a folder that holds criteria already and may not be replaced, or a file.
+def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
+    """Check, before minutes of work, that the files of criteria may be written into a folder.
+
+    Args:
+        judged: whether they are compared with a run.
+        inputs: files that are read.
 
     Raises:
-        InputError: it is one of these.
+        InputError: as ``petmjx.results.described.check_tables_free``.
     """
-    existing = next(path for path in (folder, *folder.parents) if path.exists())
-    if not existing.is_dir():
-        raise InputError(f"{folder}: cannot be written: {existing} is not a folder")
-    if (folder / INFO_FILE).exists() and not overwrite:
-        raise InputError(f"{folder}: holds criteria already; name another folder with --out, or pass --overwrite")
+    tables = ("boxes", "plans", *(("judged", "thresholds") if judged else ()))
+    others = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
+    check_tables_free(folder, tables, overwrite=overwrite, inputs=inputs, others=others)

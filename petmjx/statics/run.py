@@ -21,11 +21,12 @@ from petmjx.plans.gather import PlanSource, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.plans_again import how_read
 from petmjx.results.reader import RunResults, load_run
+from petmjx.results.sources import source_files
 from petmjx.statics.answers import Answers, answer
 from petmjx.statics.friction import Friction
 from petmjx.statics.judged import best_thresholds, judge
 from petmjx.statics.options import CriteriaOptions
-from petmjx.statics.record import CriteriaResults, check_folder_free
+from petmjx.statics.record import CriteriaResults, check_criteria_free
 from petmjx.statics.tables import boxes_frame, plans_frame
 from petmjx.world.carriers import pallet
 
@@ -74,7 +75,7 @@ def criteria(
     _need_packers()
     if out is not None:
         out = path_of(out, "out")
-        check_folder_free(out, overwrite)
+        check_criteria_free(out, overwrite, judged=run is not None, inputs=source_files(plans, run))
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
     if physics is not None and "carrier" not in options:
         chosen = chosen.changed(carrier=physics.carrier)

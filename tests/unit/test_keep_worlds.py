@@ -33,7 +33,7 @@ def runs(tmp_path: Path) -> tuple[petmjx.RunResults, petmjx.RunResults]:
 def test_all_else_is_the_same(runs: tuple[petmjx.RunResults, petmjx.RunResults]) -> None:
     whole, slim = runs
     pd.testing.assert_frame_equal(whole.worlds, slim.worlds)
-    assert {path.name for path in slim.path.iterdir()} == {"worlds", "plans", "run.json"}
+    assert {path.name for path in slim.path.iterdir()} == {"worlds", "plans", "placements", "run.json"}
     assert slim.boxes_if_kept.empty
     with pytest.raises(petmjx.InputError, match=f"{re.escape(str(slim.path))}: {NOT_KEPT}"):
         _ = slim.boxes

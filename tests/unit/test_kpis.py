@@ -313,7 +313,7 @@ def test_on_a_full_disk_all_files_are_as_they_were(at: int, monkeypatch: pytest.
     monkeypatch.setattr(os, "fsync", full)
     for folder in ("before", "new"):
         with pytest.raises(petmjx.InputError, match=f"{folder}: cannot be written: No space left on device"):
-            write_kpis(rate({"A": tower(1), "B": tower(2)}, assume_stable=True), folder, xlsx=True)
+            write_kpis(rate({"A": tower(1), "B": tower(2)}, assume_stable=True), folder, xlsx=True, overwrite=True)
         calls = itertools.count(1)
     assert {file: file.read_bytes() for file in Path("before").iterdir()} == before
     assert not list(Path("new").iterdir())

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.command_line import only_line, run, write
 from support.plan_files import placement, tower
-from support.runs import leave_unfinished
+from support.runs import keep_nothing, leave_unfinished
 
 import petmjx
 from petmjx.basics.units import STANDARD_GRAVITY
@@ -217,6 +217,8 @@ def test_files(results: petmjx.RunResults) -> None:
 def test_plans_that_are_not_those_of_the_run(results: petmjx.RunResults) -> None:
     articles = table("milk,,1,,,")
     Path("plans.json").rename("moved.json")
+    assert len(petmjx.loads("run", articles).plans) == 3, "the run has kept them"
+    keep_nothing(Path("run"))
     with pytest.raises(petmjx.InputError, match=r"run: needs the plans of the run, and plans\.json is not there: name"):
         petmjx.loads("run", articles)
     assert len(petmjx.loads("run", articles, "moved.json").plans) == 3

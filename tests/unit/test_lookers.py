@@ -6,6 +6,7 @@ import io
 import os
 import pickle
 import signal
+import time
 from collections.abc import Iterator
 from copy import deepcopy
 from typing import Any
@@ -162,3 +163,21 @@ def test_they_end_with_the_run(lookers: Lookers[Any]) -> None:
     for pid in some:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
+
+
+def test_after_ctrl_c_all_that_hang_are_waited_for_a_moment_together(
+    lookers: Lookers[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("petmjx.engines.beside.lookers.INTERRUPTED_S", 2 * LOOK_S)
+    stopped = pids(lookers)
+    for pid in stopped:
+        os.kill(pid, signal.SIGSTOP)
+    for key in range(4):
+        lookers.exchanged(given(raw, key), JOBS, SIM, wait=False)
+    begin = time.monotonic()
+    lookers.hurry()
+    found = dict(lookers.exchanged([], [], SIM, wait=True))
+    assert time.monotonic() - begin < 20  # a loaded machine; each would have had a minute
+    for key in range(4):
+        assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw), "nothing that came is lost"
+    assert pids(lookers) == []

@@ -156,11 +156,12 @@ def test_a_batched_engine_in_the_middle_of_a_run_says_so() -> None:
 
 def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
     warp = pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
-    from petmjx.basics.warp_setup import cache_dir, set_up_warp
+    from petmjx.basics.caches import cache_folder
+    from petmjx.basics.warp_setup import set_up_warp
 
     monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
     warp.init()  # when Warp starts, it puts its version behind the folder's name
-    for users, folder in ((None, str(cache_dir() / "warp")), ("mine", "mine")):
+    for users, folder in ((None, str(cache_folder("warp"))), ("mine", "mine")):
         monkeypatch.setattr(warp.config, "kernel_cache_dir", users)
         set_up_warp()
         set_up_warp()
@@ -172,14 +173,14 @@ def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_cache_of_programs_is_where_the_user_has_it() -> None:
-    from petmjx.basics.warp_setup import cache_dir
+    from petmjx.basics.caches import cache_folder
     from petmjx.engines.batch.setup import MIN_COMPILE_S, set_up_jax
 
     names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
     config: Any = jax.config
     before = {name: getattr(config, name) for name in names}
     try:
-        for users, expected in (("mine", ("mine", 7.0)), (None, (str(cache_dir() / "jax"), MIN_COMPILE_S))):
+        for users, expected in (("mine", ("mine", 7.0)), (None, (str(cache_folder("jax")), MIN_COMPILE_S))):
             for name, value in zip(names, (users, 7.0), strict=True):
                 config.update(name, value)
             set_up_jax()

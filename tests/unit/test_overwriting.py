@@ -61,7 +61,18 @@ def test_tables_without_a_run_are_neither_resumed_nor_replaced(
     options: tuple[str, ...], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "run" / "worlds").mkdir(parents=True)
-    (folder / "run" / "worlds" / "part-00000.parquet").write_bytes(b"mine")
+    part = folder / "run" / "worlds" / "part-00000.parquet"
+    part.write_bytes(b"mine")
+    for overwrite in ((), ("--overwrite",)):
+        assert main(["score", "plans.json", "--out", "run", *(overwrite or options)]) == 2
+        assert f"{part.relative_to(folder)}: was not written by petmjx" in capsys.readouterr().err
+        assert part.read_bytes() == b"mine"
+    part.unlink()
+    assert main(["score", "plans.json", "--out", "run", "--engine", "mujoco"]) == 0
+    (folder / "run" / "run.json").unlink()
+    before = part.read_bytes()
+    capsys.readouterr()
     assert main(["score", "plans.json", "--out", "run", *options]) == 2
     assert "run: holds tables of a run without its run.json, so that it cannot be resumed; " in capsys.readouterr().err
-    assert (folder / "run" / "worlds" / "part-00000.parquet").read_bytes() == b"mine"
+    assert part.read_bytes() == before
+    assert main(["score", "plans.json", "--out", "run", "--engine", "mujoco", "--overwrite"]) == 0

@@ -14,7 +14,7 @@ from support.plans import make_plan, make_world
 
 import petmjx.engines.looked_at as looked_at
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
-from petmjx.engines.base import Engine, Progress
+from petmjx.engines.base import Engine, Progress, says_at_hand
 from petmjx.engines.beside.lookers import Lookers
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.retry import score_worlds
@@ -66,6 +66,7 @@ def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_th
     class InSlices(FailingEngine):
         takes_more = True
 
+        @says_at_hand
         def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
             done = 0
             while done < len(jobs):
@@ -92,6 +93,7 @@ def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_th
 
 def test_what_looks_at_answers_is_waited_for_until_more_are_at_hand() -> None:
     class Answering(FailingEngine):
+        @says_at_hand
         def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
             for outcome in super().run(jobs, sim, progress):
                 assert progress is not None

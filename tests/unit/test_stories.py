@@ -12,7 +12,7 @@ import pytest
 from support.histories import Forgetful, assert_equal, assert_tells
 from support.plan_files import placement, tower
 from support.plans import make_plan, stack
-from support.runs import edit_info, relisted
+from support.runs import edit_info, keep_nothing, relisted
 
 import petmjx
 from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
@@ -135,6 +135,9 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
         assert "\n" not in str(error.value)
 
     refused("run: plan nothing is not among its 2 plans", "nothing", run)
+    assert petmjx.tell("tower", run).outcome.verdict is Verdict.STABLE, "the run has kept it"
+    for folder in (run, swept):
+        keep_nothing(folder)
     refused("run: plan tower came from .*plans.json, which is not there", "tower", run)
     assert petmjx.tell("tower", run, plans=moved).outcome.verdict is Verdict.STABLE
     refused("swept: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Engine, Progress, RunLock
+from petmjx.engines.base import Engine, Progress, RunLock, says_at_hand
 from petmjx.engines.batch.free_bodies import paths
 from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
 from petmjx.engines.batch.outcomes import outcomes
@@ -101,6 +101,7 @@ class MjxJaxEngine(Engine):
         with self._running:
             return paths(bodies, without_skin(sim), self.lanes)
 
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once. The outcomes of a batch come together. If memory runs out, batches are halved.
 
@@ -128,7 +129,8 @@ class MjxJaxEngine(Engine):
                         batch = _load(jobs, some, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)
                     picked = pick(rows, batch.table, batch.worlds, sim)
-                    for outcome in outcomes(picked, batch.jobs, sim, batch.recorder):
+                    for count, outcome in enumerate(outcomes(picked, batch.jobs, sim, batch.recorder), start=1):
+                        progress.at_hand = len(some) - count
                         outcome.job = some[outcome.job]
                         yield outcome
                     alike = alike[len(some) :]

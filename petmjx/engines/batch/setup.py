@@ -7,12 +7,13 @@ programs. If the caller has set it before, it is not changed. Warp: petmjx/basic
 from __future__ import annotations
 
 import functools
+import os
 from typing import Any
 
 import jax
 
+from petmjx.basics.caches import VARIABLES, cache_folder, why_not_written
 from petmjx.basics.machine import jax_devices
-from petmjx.basics.warp_setup import cache_dir
 
 MIN_COMPILE_S = 0.0
 """Programs that compile faster than this are not kept. A run has about a hundred small ones, together some seconds."""
@@ -26,8 +27,8 @@ def set_up_jax() -> None:
     """Start JAX's devices and turn on its persistent compilation cache, unless the user has set one."""
     jax_devices()
     config: Any = jax.config
-    if config.jax_compilation_cache_dir is None:
-        config.update("jax_compilation_cache_dir", str(cache_dir() / "jax"))
+    if config.jax_compilation_cache_dir is None or (VARIABLES["jax"] in os.environ and why_not_written("jax")):
+        config.update("jax_compilation_cache_dir", str(cache_folder("jax")))
         config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_S)
 
 

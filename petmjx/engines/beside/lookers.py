@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 import queue
+import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -31,6 +32,9 @@ MOST_WAITING: Final = 8
 
 LOOK_S: Final = 0.005
 """Longest wait for an answer, s: a signal is noticed after it, or that there is something else to do."""
+
+INTERRUPTED_S: Final = 2.0
+"""After Ctrl-C: how long all of them together are waited for. What is left then is looked at here."""
 
 HANGS_S: Final = 60.0
 """A process that is waited for and has not answered for so long hangs, s. It starts in a few seconds, and a look takes
@@ -61,11 +65,21 @@ class Lookers(Generic[Key]):
     def __init__(self, processes: int) -> None:
         self._lookers = [_Looker[Key]() for _ in range(processes)]
         self._found: list[tuple[Key, Outcome]] = []
+        self._until_s: float | None = None
 
     @classmethod
     def here(cls) -> Lookers[Key]:
         """As many as this machine has CPU threads for."""
         return cls(most_lookers(cpu_threads()))
+
+    def hurry(self) -> None:
+        """The run is about to end: wait no longer than a moment, whatever hangs."""
+        if self._until_s is None:
+            self._until_s = time.monotonic() + INTERRUPTED_S
+
+    def _hangs(self, waits: int) -> bool:
+        """Whether a process that was waited for so often takes too long."""
+        return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
     def exchanged(
         self,
@@ -126,7 +140,7 @@ class Lookers(Generic[Key]):
                 if not wait or until():
                     return
                 waits += 1
-                if waits * LOOK_S < HANGS_S:
+                if not self._hangs(waits):
                     continue
                 answer = None
             wait = False

@@ -10,7 +10,7 @@ from typing import Final
 from petmjx.basics.machine import cpu_threads, device_name
 from petmjx.basics.text import one_line
 from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Engine, Progress
+from petmjx.engines.base import Engine, Progress, says_at_hand
 from petmjx.engines.cpu.free_bodies import paths
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_worlds import MujocoWorlds
@@ -62,6 +62,7 @@ class MujocoEngine(Engine):
     def device(self) -> str:
         return device_name(self.name, self.threads)
 
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
@@ -79,7 +80,11 @@ class MujocoEngine(Engine):
                         pending.add(pool.submit(_simulate, begun, jobs[begun], sim, stop, self.world_timeout_s))
                         begun += 1
                     finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
-                    for outcome in (future.result() for future in finished):
+                    if not finished and progress.pauses:
+                        yield None  # type: ignore[misc]  # who asked for pauses takes it
+                    outcomes = [future.result() for future in finished]
+                    for more, outcome in zip(reversed(range(len(outcomes))), outcomes, strict=True):
+                        progress.at_hand = more
                         progress.worlds_done += 1
                         progress.world_steps += outcome.n_steps
                         yield outcome

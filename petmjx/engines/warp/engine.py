@@ -14,7 +14,7 @@ from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import why_no_warp
 from petmjx.basics.units import FloatArray
 from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock
+from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock, says_at_hand
 from petmjx.engines.batch.picked import pick, prepare_pick
 from petmjx.engines.batch.setup import set_up_jax
 from petmjx.engines.batch.state import Status
@@ -128,6 +128,7 @@ class MjxWarpEngine(Engine):
             _, (_, rollout) = self._kept.popitem()
             rollout.close()
 
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once. Outcomes come as worlds reach their end.
 
@@ -152,7 +153,8 @@ class MjxWarpEngine(Engine):
                 waits = course.waits_for_host
                 try:
                     for outcome in outcomes_of(self._rounds(course), course.sim, course.progress, waits=waits):
-                        del course.asked[outcome.job]
+                        if outcome is not None:  # None: a pause
+                            del course.asked[outcome.job]
                         yield outcome
                 except Exception as error:
                     if not is_out_of_memory(error):
@@ -177,7 +179,8 @@ class MjxWarpEngine(Engine):
             if len(part):
                 progress.message = f"out of device memory, again with {len(part)} of the worlds"
                 for outcome in self._outcomes(self._course([lost[number] for number in part.tolist()], sim, progress)):
-                    outcome.job = int(part[outcome.job])
+                    if outcome is not None:
+                        outcome.job = int(part[outcome.job])
                     yield outcome
 
     @property

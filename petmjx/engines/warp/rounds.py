@@ -62,6 +62,8 @@ def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *
     try:
         with closing(counted() if waits else run_ahead(counted(), MOST_AHEAD)) as each_slice:
             for picked, recorder, jobs, numbers in each_slice:
+                if progress.pauses and at_hand <= 0:
+                    yield None  # type: ignore[misc]  # who asked for pauses takes it
                 for outcome in outcomes(picked, jobs, sim, recorder):
                     outcome.job = numbers[outcome.job]
                     count(-1)

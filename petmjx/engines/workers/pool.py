@@ -14,7 +14,7 @@ from typing import Any
 from petmjx.basics.errors import EngineUnavailable
 from petmjx.basics.machine import package_versions
 from petmjx.basics.text import counted, one_line
-from petmjx.engines.base import GROUP_WORLDS, Engine, Progress, RunLock
+from petmjx.engines.base import GROUP_WORLDS, Engine, Progress, RunLock, says_at_hand
 from petmjx.engines.cost import MEASURED
 from petmjx.engines.failing import failed_outcome
 from petmjx.engines.workers.actor import Hello, Recipe, Report, Worker
@@ -158,6 +158,7 @@ class WorkerPool(Engine):
         finally:
             self._cluster.close()
 
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they do from the engine itself.
 
@@ -193,6 +194,9 @@ class WorkerPool(Engine):
                 if seconds >= START_S and not all(hand.ready for hand in self._hands):
                     self._cluster.check()
                 progress.message = self._message(seconds) or before
+                progress.at_hand = 0
+                if progress.pauses:
+                    yield None  # type: ignore[misc]  # who asked for pauses takes it
                 for hand, ref in self._news():
                     if not hand.ready:
                         self._greet(hand, ref)
@@ -336,7 +340,8 @@ class WorkerPool(Engine):
             highest = key.endswith(_HIGHEST)
             progress.extra[key] = max(before, value) if highest else before + value - old.extra.get(key, 0)
         stream.counted = new
-        for outcome in report.outcomes:
+        for count, outcome in enumerate(report.outcomes, start=1):
+            progress.at_hand = len(report.outcomes) - count
             index = stream.chunk.jobs[outcome.job]
             try:
                 deal.answered(index)

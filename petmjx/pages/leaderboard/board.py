@@ -15,7 +15,8 @@ from petmjx.options.config import Simulation
 from petmjx.packers.compare import ALL_SIZES, PackerComparison
 from petmjx.packers.kpis import KPIS
 from petmjx.packers.load import MISSING
-from petmjx.pages.leaderboard.entries import ORDERS, PLANS, Entry
+from petmjx.pages.leaderboard.entries import Entry
+from petmjx.pages.leaderboard.files import ORDERS, PLANS
 from petmjx.pages.page import page
 from petmjx.pages.report.charts import between, intervals, percent
 from petmjx.pages.report.markup import Content, Markup, element, joined, table

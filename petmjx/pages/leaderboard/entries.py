@@ -6,13 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from petmjx.api import score
 from petmjx.basics.arguments import path_of
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import printable, shown
 from petmjx.packers.load import check_names
+from petmjx.pages.leaderboard.files import PLANS, RUNS
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import pack_orders, write_plans
 from petmjx.plans.samples.packers import PACKERS
@@ -22,11 +23,6 @@ from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
 from petmjx.simulate import Watcher
-
-PLANS: Final = "plans"
-RUNS: Final = "runs"
-ORDERS: Final = "orders.json"
-"""Folders and a file of a leaderboard."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
 """Name of a packer → the watcher of its run."""
@@ -107,7 +103,7 @@ def enter(
             run = score(path, watcher=watcher, **{**options, "out": folder / RUNS / name, "resume": True})
     records = Manifest.read(run.parts, run.info).plans
     ids = dict.fromkeys(run.worlds["plan_id"])
-    plans = find_plans(run.info, records, ids).plans
+    plans = find_plans(run, records, ids).plans
     return Entry(name, run, {plan_id: plans[plan_id] for plan_id in ids if plan_id in plans}, ours)
 
 

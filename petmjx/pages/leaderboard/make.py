@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import re
 import shutil
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -16,20 +14,17 @@ import numpy as np
 from petmjx.basics.arguments import flag_of, list_of, path_of, whole_of
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import printable, shown
-from petmjx.basics.whole import check_free, whole_file, writing
+from petmjx.basics.whole import whole_file, writing
 from petmjx.packers.compare import PackerComparison, compare_packers
 from petmjx.packers.rating import rate
 from petmjx.pages.leaderboard.board import Board, Told, board_page
-from petmjx.pages.leaderboard.entries import ORDERS, PLANS, RUNS, Entry, Watch, enter, keep_plans, named, pack_ours
+from petmjx.pages.leaderboard.entries import Entry, Watch, enter, keep_plans, named, pack_ours
+from petmjx.pages.leaderboard.files import ORDERS, PAGE, PLANS, STORIES, BoardFolder, names_of
 from petmjx.pages.story_page import story_page
 from petmjx.plans.samples.packers import PACKERS
-from petmjx.results.plain import plain
+from petmjx.results.sources import source_files
 from petmjx.story.tell import tell
 from petmjx.verdict import Verdict
-
-PAGE: Final = "index.html"
-DATA: Final = "leaderboard.json"
-STORIES: Final = "stories"
 
 MOST_STORIES: Final = 100
 """Of each packer: a story is a page of 0.1 to 1 MB."""
@@ -74,7 +69,6 @@ def leaderboard(
     flag_of(baselines, "baselines")
     whole_of(stories, "stories", 0, MOST_STORIES)
     folder = path_of(out, "out")
-    check_free(folder / PAGE, overwrite)
     given = packers if isinstance(packers, Mapping) else list_of(packers, "packers", object, "runs or files of plans")
     paths = named(given)  # type: ignore[arg-type]  # what they hold is checked there
     source = None if orders is None else path_of(orders, "orders")
@@ -84,39 +78,31 @@ def leaderboard(
         raise InputError(
             f"{taken}: baselines (--baselines) has a packer of this name; give yours another, as NAME=PATH"
         )
-    check_folder(folder)
+    keeps_orders = source is not None and not _is_same(source, folder / ORDERS)
+    packed = [*(PACKERS if baselines else ()), *paths]
+    names = names_of(packed, stories, keeps_orders)
+    read = source_files(paths, source if keeps_orders else None)
+    files_of_board = BoardFolder(folder, packed, names, read, overwrite)
+    if len(packed) < 2:
+        raise InputError("give at least two packers to rate, or one with baselines (--baselines)")
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        files_of_board.begin()
         entries = _entries(paths, folder, source, baselines, watch, options)
         found = compare_packers({entry.name: entry.run for entry in entries}, orders=source)
+        files_of_board.check()
         files = {entry.name: keep_plans(entry, folder) for entry in entries}
-        if source is not None:
-            _copy(source, folder / ORDERS)
+        if source is not None and keeps_orders:
+            with whole_file(folder / ORDERS) as file:
+                shutil.copyfile(source, file)
         digests = {name: _digest(folder / PLANS / file) for name, file in files.items() if file}
         told = _stories(entries, found, folder / STORIES, stories)
         board = Board(entries, found, rate(found), digests, told, orders=source is not None, stories=stories)
-        for name, text in ((PAGE, board_page(board)), (DATA, json.dumps(plain(board.to_dict()), indent=1) + "\n")):
-            with whole_file(folder / name) as file:
-                file.write_text(text, encoding="utf-8", errors="backslashreplace")
+        with whole_file(folder / PAGE) as file:
+            file.write_text(board_page(board), encoding="utf-8", errors="backslashreplace")
+        kept = [ORDERS] if ORDERS in files_of_board.own and source is not None else []
+        plan_files = [f"{PLANS}/{name}" for name in files.values() if name]
+        files_of_board.finish(board.to_dict(), [PAGE, *kept, *plan_files, *(each.file for each in told)])
     return folder / PAGE
-
-
-def check_folder(folder: Path) -> None:
-    """Check that a folder may become a leaderboard: what is there already is one, or the beginning of one, or nothing.
-
-    Raises:
-        InputError: it is a file, or holds something else.
-    """
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{printable(str(folder))}: is a file; name a folder for the leaderboard")
-    if not folder.is_dir() or (folder / DATA).is_file():
-        return
-    ours = {PAGE, STORIES, PLANS, RUNS, ORDERS}
-    with writing(folder):
-        if other := next((each.name for each in sorted(folder.iterdir()) if each.name not in ours), None):
-            raise InputError(
-                f"{printable(str(folder))}: has {shown(other)} in it; name a new folder for the leaderboard"
-            )
 
 
 def _entries(
@@ -131,17 +117,13 @@ def _entries(
     ours: dict[str, Path] = {}
     if baselines and orders is not None:
         ours = pack_ours(orders, folder)
-    if len(paths) + len(ours) < 2:
-        raise InputError("give at least two packers to rate, or one with baselines (--baselines)")
     first = [enter(name, path, folder, watch, options, ours=True) for name, path in ours.items()]
     return first + [enter(name, path, folder, watch, options) for name, path in paths.items()]
 
 
-def _copy(source: Path, target: Path) -> None:
-    if target.exists() and source.samefile(target):
-        return
-    with whole_file(target) as file:
-        shutil.copyfile(source, file)
+def _is_same(source: Path, target: Path) -> bool:
+    """Whether the board's own file of orders is the one that it is made with."""
+    return source.exists() and target.is_file() and not target.is_symlink() and source.samefile(target)
 
 
 def _digest(file: Path) -> str:
@@ -149,11 +131,7 @@ def _digest(file: Path) -> str:
 
 
 def _stories(entries: Sequence[Entry], found: PackerComparison, folder: Path, most: int) -> list[Told]:
-    """Tell some plans of each packer, each simulated again as its run did; pages of an earlier board are removed."""
-    if folder.is_dir():
-        for page in folder.glob("*.html"):
-            if re.fullmatch(r"\d+-\d+", page.stem):  # as they are named below
-                page.unlink()
+    """Tell some plans of each packer, each simulated again as its run did."""
     folder.mkdir(exist_ok=True)
     told: list[Told] = []
     for number, entry in enumerate(entries, start=1):

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from petmjx.basics.arguments import list_of, path_of
+from petmjx.basics.outputs import check_outputs
 from petmjx.basics.text import counted, printable
 from petmjx.basics.units import MM_PER_M
-from petmjx.basics.whole import check_free, check_writable, whole_file
+from petmjx.basics.whole import check_writable, whole_file
 from petmjx.pages.columns import block, whole
 from petmjx.pages.page import page
 from petmjx.pages.palette import category, ramp
@@ -27,6 +28,7 @@ from petmjx.pages.report.swept import sweep_answers
 from petmjx.pages.report.verdicts import headline, verdict_table
 from petmjx.results.compare import thresholds_of
 from petmjx.results.reader import RunResults
+from petmjx.results.sources import source_files
 from petmjx.world.carriers import floor_z_m
 
 N_CATEGORIES: Final = 21
@@ -47,8 +49,8 @@ def report(
     Args:
         runs: folders of runs, or what ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run`` return.
         out: the HTML file.
-        plans: files or folders with the runs' plans; without, the files that the runs name. Only they have the sizes of
-            boxes, which 3D pictures need.
+        plans: files or folders with the runs' plans; without, what the runs have kept, or else the files that they
+            name.
         overwrite: replace a file that is there.
 
     Returns:
@@ -59,7 +61,7 @@ def report(
             folder is not, or it cannot be written.
     """
     path = path_of(out, "out")
-    check_free(path, overwrite)
+    check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
     check_writable(path)  # now, and not after the work of a large report
     given: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")

@@ -39,7 +39,7 @@ def find_plans_again(run: RunResults, given: Sequence[Path] = ()) -> FoundPlans:
     except InputError as error:
         return FoundPlans({}, str(error))
     wanted = set(run.worlds["plan_id"].unique())
-    found = find_plans(run.info, records, wanted, list(given) or list(run.held.values()) or None)
+    found = find_plans(run, records, wanted, list(given) or None)
     return FoundPlans(found.plans, _note(found, len(wanted)))
 
 
