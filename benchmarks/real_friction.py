@@ -188,11 +188,11 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
 
 
 def _lowest_corner(pos: FloatArray, quat: FloatArray) -> float:
-    """The greatest height of the lowest corner of a load along its path, m."""
+    """The greatest height of the lowest corner of a load along its path, m; 0: it is never above the floor."""
     x, y = quat[:, 1], quat[:, 2]
     w, z = quat[:, 0], quat[:, 3]
     upward = abs(np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1))
-    return float((pos[:, 2] - upward @ (np.array(LOAD_MM) / 2 / MM_PER_M)).max())
+    return max(float((pos[:, 2] - upward @ (np.array(LOAD_MM) / 2 / MM_PER_M)).max()), 0.0)
 
 
 SHELF_DEG: Final = 3.5
