@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
-from petmjx.basics.text import counted
+from petmjx.basics.text import box_label, counted
 from petmjx.results.loads import Loads
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS
@@ -66,7 +66,7 @@ def _table(found: Loads) -> FittedTable:
             f"{row['n_overloaded']:,}",
             f"{row['n_unknown']:,}",
             percent(row["max_load_share"]),
-            f"{row['box']} {row['article']}" if known else "-",
+            box_label(row["box"], row["article"]) if known else "-",
             "-" if force is None else number(force["rest_top_force_n"], "z.0f"),
             "-" if force is None else number(force["strength_n"], ".0f"),
         )
