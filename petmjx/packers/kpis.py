@@ -89,7 +89,7 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
         orders: by id.
     """
     rows: list[dict[str, object]] = []
-    notes = []
+    notes: list[str] = []
     for name, by_id in plans.items():
         odd = OddBoxes()
         for plan_id, plan in by_id.items():

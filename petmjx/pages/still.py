@@ -48,7 +48,7 @@ def still_svg(story: Story) -> str:
     axes = np.concatenate([rotations(history.quat[-1][shown]), boards[1]])
     half = np.concatenate([scene.half_size[shown], boards[2]])
     colours = article_colours(story.plan.articles)
-    names = [*(box_label(box, story.plan.articles[box]) for box in shown), *["carrier"] * len(boards[0])]
+    names = [*(box_label(int(box), story.plan.articles[box]) for box in shown), *["carrier"] * len(boards[0])]
     fills = [*(colours[box] for box in shown), *[hex_of(_LOOK["wood"])] * len(boards[0])]
     points = corners(pos, axes, half)
     low, scale, height = _fitted(story, points)
