@@ -12,7 +12,8 @@ class InputError(PetmjxError):
 
 
 class PlanWarning(UserWarning):
-    """Plans that look as if they followed another convention than petmjx's, such as other units."""
+    """Plans that look as if they followed another convention than petmjx's, such as other units; entries that a
+    leaderboard does not rate."""
 
 
 class EngineUnavailable(PetmjxError):

@@ -48,6 +48,20 @@ def is_text(text: str) -> bool:
     return True
 
 
+UNNAMED: Final = "no article"
+"""What legends call boxes that have no article."""
+
+
+def box_in_words(box: int, article: str) -> str:
+    """ "box 22 (candy-00100723)", "box 22" where it has no article; boxes count from 0 in packing order."""
+    return f"box {box} ({shown(article)})" if article else f"box {box}"
+
+
+def box_label(box: int, article: str) -> str:
+    """ "22 candy-00100723", "22" where it has no article."""
+    return f"{box} {article}" if article else str(box)
+
+
 def number_in(text: str) -> float | None:
     """The number that a file has as text; None if it is none. Python's own reads more: "1_000", and other digits."""
     if not text.isascii() or "_" in text:

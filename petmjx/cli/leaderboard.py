@@ -42,13 +42,23 @@ def leaderboard(
     stories: Annotated[
         int, typer.Option("--stories", metavar="N", min=0, help="Pages to play of N plans of each packer.")
     ] = 3,
+    replays: Annotated[
+        int,
+        typer.Option(
+            "--replays",
+            metavar="N",
+            min=0,
+            help="Plans of each run that are simulated again, to confirm it.",
+        ),
+    ] = 8,
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
     """Rate packers by physics, and write a site about them: one folder that works offline.
 
     It has the rating of each packer with its interval, tests, KPIs, pages to play, the plans, and the command that
-    makes it again. Plans are scored with the options given here; runs are taken as they are.
+    makes it again. Plans are scored with the options given here; runs are taken as they are, unless plans of theirs
+    that are simulated again say otherwise.
     """
     from petmjx.cli.runs import stoppable
     from petmjx.pages.leaderboard.make import board_line
@@ -57,7 +67,15 @@ def leaderboard(
     paths = named_paths(packers, "leaderboard") or packers
     with stoppable():
         page = make(
-            paths, out, orders=orders, baselines=baselines, stories=stories, watch=_bar, overwrite=overwrite, **options
+            paths,
+            out,
+            orders=orders,
+            baselines=baselines,
+            stories=stories,
+            replays=replays,
+            watch=_bar,
+            overwrite=overwrite,
+            **options,
         )
     print(board_line(page))
 

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from petmjx.basics.text import printable
 from petmjx.cli import options as opt
 from petmjx.cli.console import results_console
+from petmjx.options.stacking import Stacking
+
+_LOSSES = Stacking()
+
+
+def _loss(what: str) -> Any:
+    """An option, a share of the strength, named as its parameter."""
+    return typer.Option(metavar="SHARE", help=f"Share of the strength that is lost: {what}.")
 
 
 def loads(
@@ -33,6 +41,16 @@ def loads(
             show_default=False,
         ),
     ] = None,
+    interlocked_loss: Annotated[
+        float, _loss("of a box on whose walls no wall of a box above stands")
+    ] = _LOSSES.interlocked_loss,
+    overhang_loss: Annotated[float, _loss("if all walls hung over nothing")] = _LOSSES.overhang_loss,
+    gap_loss: Annotated[float, _loss("of boxes over gaps between boards of the deck")] = _LOSSES.gap_loss,
+    soft_deck_loss: Annotated[float, _loss("of boxes on boards that bend, 0.21 to 0.27")] = _LOSSES.soft_deck_loss,
+    wall_tolerance_mm: Annotated[
+        float,
+        typer.Option("--wall-tolerance-mm", metavar="MM", help="Walls that are no further apart stand on each other."),
+    ] = _LOSSES.wall_tolerance_mm,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", metavar="DIR", help="Folder for box_loads and plan_loads, as Parquet and CSV."),
@@ -40,9 +58,10 @@ def loads(
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
-    """Say which boxes bear more than they can: force on top at rest / strength.
+    """Say which boxes bear more than they can: force on top / strength, at rest and at the peak.
 
-    A strength is given in newtons, or by McKee's formula from the carton's board. Verdicts stay as they are.
+    A strength is given in newtons, or by McKee's formula from the carton's board. Of it boxes lose a share by how they
+    are stacked: across each other, over edges, over gaps of the deck. Verdicts stay as they are.
     """
     from petmjx.results.loads import check_loads_free
     from petmjx.results.loads import loads as compare
@@ -53,7 +72,14 @@ def loads(
 
     if out is not None:
         check_loads_free(out, overwrite, source_files(run, plans, articles))
-    found = compare(run, articles, plans or None)
+    stacking = {
+        "interlocked_loss": interlocked_loss,
+        "overhang_loss": overhang_loss,
+        "gap_loss": gap_loss,
+        "soft_deck_loss": soft_deck_loss,
+        "wall_tolerance_mm": wall_tolerance_mm,
+    }
+    found = compare(run, articles, plans or None, stacking=stacking)
     if out is not None:
         found.write(out, overwrite)
     if as_json:

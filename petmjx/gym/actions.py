@@ -84,7 +84,8 @@ class Actions:
         self._cells = int(np.ceil(x / cell - 1e-9)), int(np.ceil(y / cell - 1e-9))
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
-        self.count = options.n_candidates if self._grid is None else 2 * options.buffer * len(corners)
+        most = max(options.n_candidates, options.buffer)  # each box of the buffer has its share
+        self.count = most if self._grid is None else 2 * options.buffer * len(corners)
 
     @property
     def asks_physics(self) -> bool:
@@ -157,8 +158,8 @@ class Actions:
         box: NDArray[np.intp],
         turned: NDArray[np.bool_],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) the episode of each chosen place, and the number of its action. Candidates are numbered box after box,
-        the lowest places first; cells by box, turn and cell."""
+        """(c,) the episode of each chosen place, and the number of its action, ``count`` or more where it has none.
+        Candidates are numbered box after box, the lowest places first; cells by box, turn and cell."""
         asked = places.row[chosen]
         row = at[asked]
         if self._grid is not None:
@@ -168,7 +169,28 @@ class Actions:
         corner = places.corner_mm[chosen]
         seen = row * self._options.buffer + box[asked]  # of one box, places along x come first already
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], seen))
-        first = np.searchsorted(row[order], np.arange(int(row.max(initial=0)) + 1))
-        number = np.empty(len(row), np.int64)
-        number[order] = np.arange(len(row)) - first[row[order]]
+        number = np.full(len(row), self.count)
+        kept = order[_in_turn(row[order], seen[order], self.count)]
+        number[kept] = _ranks(row[kept])
         return row, number
+
+
+def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Which places are kept of each episode, where it has more than ``most``: the first of each box, then the second of
+    each, and so on. A box with few places leaves its share to the others.
+
+    Args:
+        row: (c,) episode of each place, rising.
+        seen: (c,) box of each place, rising, no two episodes with the same one; of one box the best places come first.
+
+    Returns:
+        Rising indices.
+    """
+    turn = np.lexsort((seen, _ranks(seen), row))
+    return np.sort(turn[_ranks(row[turn]) < most])
+
+
+def _ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
+    """0, 1, 2, … within each run of equal values; equal values stand side by side."""
+    first = np.flatnonzero(np.diff(of, prepend=-1))
+    return np.arange(len(of)) - np.repeat(first, np.diff(first, append=len(of)))

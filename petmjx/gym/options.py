@@ -34,7 +34,8 @@ class PalletizingOptions:
         buffer: the first so many of them may be placed next.
         actions: ``candidates``: one of the places that are listed with their features; ``cells``: box × orientation ×
             cell of the carrier.
-        n_candidates: places that are listed at most, the lowest ones of each box.
+        n_candidates: places that are listed at most, and at least one for each box of the buffer: the lowest of each
+            box, then the second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
         mask: which actions are legal, beside being on the carrier and not too high: ``geometry`` (all), a criterion of
             docs/criteria.md (``support_75``, … or ``centre``), ``physics``: those that stand when they are tried, or

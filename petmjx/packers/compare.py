@@ -19,12 +19,13 @@ import pandas as pd
 
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted
-from petmjx.packers.kpis import KPIS, kpis_of_runs
+from petmjx.packers.kpis import KPIS, against_orders
 from petmjx.packers.load import MEASURES, MISSING, Run, doubts, opened, plans_of
 from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
 from petmjx.packers.words import pair_in_words
 from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plain import plain
+from petmjx.results.reader import RunResults
 from petmjx.results.shares import DEFAULT_CONFIDENCE, wilson_interval
 from petmjx.verdict import Verdict
 
@@ -32,6 +33,10 @@ SIZE_BINS: Final = (0, 20, 40, 60, 80)
 """Orders by number of boxes: 1 to 20, 21 to 40, …, more than 80."""
 
 ALL_SIZES: Final = "all"
+
+_PAIR_COLUMNS: Final = (
+    "size", "a", "b", "n", "both", "only_a", "only_b", "neither", "difference", "low", "high", "p", "p_holm",
+)  # fmt: skip
 
 SHOWN: Final = (
     ShownColumn("packer", "packer"),
@@ -121,7 +126,8 @@ def compare_packers(
     Args:
         runs: two or more runs or their folders, or packer → run. Without names they have those of their folders.
         confidence: of the intervals.
-        orders: BED-BPP orders of the plans; with them also KPIs, for which the plans are read again.
+        orders: BED-BPP orders of the plans, for which the plans are read again. Boxes are counted against them, orders
+            that nobody packed are missing for all packers, and there are KPIs.
 
     Raises:
         InputError: fewer than two runs, no run in a folder, a sweep, two of one name, unreadable orders; or SciPy is
@@ -129,18 +135,26 @@ def compare_packers(
     """
     if not 0 < confidence < 1:
         raise InputError(f"confidence must be between 0 and 1, got {confidence}")
-    found = opened(runs)
-    plans = plans_of(found)
+    return comparison_of(opened(runs), confidence, None if orders is None else Path(orders))
+
+
+def comparison_of(found: Mapping[str, RunResults], confidence: float, orders: Path | None) -> PackerComparison:
+    """Packers compared by runs that are open; one alone has no pairs.
+
+    Raises:
+        InputError: unreadable orders, or SciPy is missing.
+    """
+    against = None if orders is None else against_orders(found, orders)
+    plans = plans_of(found, against)
     notes = doubts(found, plans)
-    if orders is not None:
-        kpis, without = kpis_of_runs(found, Path(orders))
-        plans, notes = _with_kpis(plans, kpis), [*notes, *without]
+    if against is not None:
+        plans, notes = _with_kpis(plans, against.rows), [*notes, *against.notes]
     sized = plans.assign(size=size_names(plans["order_boxes"]))
     sizes = [ALL_SIZES, *(size for size in _bin_names() if (sized["size"] == size).any())]
     parts = {size: sized if size == ALL_SIZES else sized[sized["size"] == size] for size in sizes}
     packers = [_packer_row(size, name, rows, confidence) for size, rows in parts.items() for name in found]
     pairs = [_pair_row(size, a, b, rows, confidence) for size, rows in parts.items() for a, b in combinations(found, 2)]
-    pair_table = pd.DataFrame(pairs)
+    pair_table = pd.DataFrame(pairs, columns=_PAIR_COLUMNS)
     whole = pair_table["size"] == ALL_SIZES
     pair_table.loc[whole, "p_holm"] = holm(pair_table.loc[whole, "p"].tolist())
     decided = _decided(plans, list(found))
@@ -160,6 +174,7 @@ def compare_packers(
 
 def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
     """With the columns ``KPIS``; kpi_2 is that of the order's target, where that is known."""
+    kpis = kpis[["plan_id", "packer", *KPIS]]
     found = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
     return found.assign(kpi_2=found["kpi_2"].combine_first(plans["kpi_2"]))
 
@@ -206,7 +221,7 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
     low, high = newcombe_interval(counts, confidence)
     test = mcnemar_p(counts) if size == ALL_SIZES else float("nan")
     shares = {"difference": counts.difference, "low": low, "high": high, "p": test, "p_holm": float("nan")}
-    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}
+    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}  # _PAIR_COLUMNS
 
 
 def _standing(rows: pd.DataFrame) -> pd.DataFrame:
@@ -227,4 +242,4 @@ def _decided(plans: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
             part = of[loser].loc[won, ["plan_id", "reason", "order_boxes"]]
             parts.append(part.assign(a=a, b=b, won_by=winner, lost_by=loser))
     columns = ["a", "b", "won_by", "lost_by", "plan_id", "reason", "order_boxes"]
-    return pd.concat(parts, ignore_index=True)[columns]
+    return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)

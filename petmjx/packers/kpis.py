@@ -1,14 +1,19 @@
-"""BED-BPP's KPIs of the plans that packers are compared by (:func:`petmjx.rating.kpis.kpis_of`)."""
+"""Packers' plans against the orders that they were packed from: which boxes are the orders', and BED-BPP's KPIs."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import pandas as pd
 
-from petmjx.basics.text import counted, printable, shown
+from petmjx.basics.text import counted, first_names, printable, shown
+from petmjx.plans.matching import match
+from petmjx.plans.ordered import OddBoxes, counts_of, on_target
+from petmjx.plans.plan import Plan
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import Order
 from petmjx.rating.kpis import kpis_of
@@ -19,40 +24,96 @@ from petmjx.results.reader import RunResults
 KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
 """Columns of which means are shown. kpi_3 is the height, which is there without orders; kpi_6 is for a static check."""
 
+GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
+"""Columns of boxes: of :class:`petmjx.plans.ordered.Ordered`, and those that are as ordered and on the target."""
 
-def kpis_of_runs(runs: Mapping[str, RunResults], file: Path) -> tuple[pd.DataFrame, list[str]]:
-    """The KPIs of the plans of runs, which are read again from their files.
+
+@dataclass(frozen=True, eq=False)
+class Against:
+    """Plans of packers against orders.
+
+    Attributes:
+        sizes: id of each order → its boxes.
+        rows: a row for each plan that has an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null
+            where a KPI has no value).
+        notes: a line on each packer's boxes that are not the orders', on plans without an order, on plans that were
+            not read again, on orders that nobody packed, and on unusable ones.
+    """
+
+    sizes: Mapping[str, int]
+    rows: pd.DataFrame
+    notes: tuple[str, ...] = ()
+
+
+def against_orders(runs: Mapping[str, RunResults], file: Path) -> Against:
+    """The plans of runs, which are read again, against the orders of a file.
 
     Args:
         runs: name of each packer → its run.
         file: BED-BPP orders. An order belongs to the plans with its id.
-
-    Returns:
-        A row a plan: ``plan_id``, ``packer`` and ``KPIS`` (float64; null where a KPI has no value). Then a line on each
-        run of which plans have none, and on unusable orders.
 
     Raises:
         InputError: the file cannot be read.
     """
     unusable: list[str] = []
     orders = dict(read_orders(file, lambda error: unusable.append(str(error))))
-    rows: list[dict[str, object]] = []
-    notes = []
+    plans = {name: _plans_of(run, orders) for name, run in runs.items()}
+    found = compare_with_orders(plans, orders)
+    notes = list(found.notes)
     if unusable:
         notes.append(f"{counted(len(unusable), 'order')} of {printable(str(file))} unusable; the first: {unusable[0]}")
     for name, run in runs.items():
-        wanted = set(run.worlds["plan_id"])
-        found = _rows(run, wanted, orders)
-        rows += [{"packer": name, **row} for row in found]
-        if len(found) < len(wanted):
-            missing = counted(len(wanted) - len(found), "plan")
-            notes.append(f"no KPIs of {missing} of {shown(name)}: not found again, or without an order")
-    table = pd.DataFrame(rows, columns=["plan_id", "packer", *KPIS])
-    return table.astype(dict.fromkeys(KPIS, "float64")), notes
+        ids = dict.fromkeys(run.worlds["plan_id"])
+        if without := [plan_id for plan_id in ids if plan_id not in orders]:
+            first = first_names(without)
+            notes.append(f"no KPIs of {counted(len(without), 'plan')} of {shown(name)}: without an order ({first})")
+        if lost := [plan_id for plan_id in ids if plan_id in orders and plan_id not in plans[name]]:
+            first = first_names(lost)
+            notes.append(
+                f"no KPIs of {counted(len(lost), 'plan')} of {shown(name)}: not found again, so it is not known "
+                f"whether their boxes were ordered ({first})"
+            )
+    packed = {plan_id for run in runs.values() for plan_id in run.worlds["plan_id"]}
+    if left := [order_id for order_id in orders if order_id not in packed]:
+        verb = "is" if len(left) == 1 else "are"
+        boxes = counted(sum(found.sizes[order_id] for order_id in left), "box", "boxes")
+        notes.append(f"{counted(len(left), 'order')} ({boxes}) {verb} packed by nobody: {first_names(left)}")
+    return Against(found.sizes, found.rows, tuple(notes))
 
 
-def _rows(run: RunResults, wanted: set[str], orders: Mapping[str, Order]) -> list[dict[str, object]]:
+def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping[str, Order]) -> Against:
+    """Plans against orders, without a file.
+
+    Args:
+        plans: name of each packer → its plans by id. Those without an order are passed over.
+        orders: by id.
+    """
+    rows: list[dict[str, object]] = []
+    notes: list[str] = []
+    for name, by_id in plans.items():
+        odd = OddBoxes()
+        for plan_id, plan in by_id.items():
+            if (order := orders.get(plan_id)) is None:
+                continue
+            matching = match(plan, order)
+            ordered = counts_of(matching)
+            odd.add(plan, order, matching)
+            as_ordered = int(np.count_nonzero(matching.as_ordered & on_target(plan, order)))
+            kpis = kpis_of(plan, order, matching)
+            goods = (ordered.left_out, ordered.not_ordered, ordered.resized, as_ordered)
+            rows.append(
+                {"packer": name, "plan_id": plan_id}
+                | dict(zip(GOODS, goods, strict=True))
+                | {kpi: kpis[kpi] for kpi in KPIS}
+            )
+        notes += odd.lines(f"of {shown(name)}")
+    table = pd.DataFrame(rows, columns=["plan_id", "packer", *GOODS, *KPIS])
+    sizes = {order_id: len(order.items) for order_id, order in orders.items()}
+    return Against(sizes, table.astype(dict.fromkeys((*GOODS, *KPIS), "float64")), tuple(notes))
+
+
+def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
+    """The plans of a run that have an order, as far as they are found again."""
     records = Manifest.read(run.parts, run.info).plans
-    plans = find_plans(run, records, wanted & orders.keys()).plans
-    each = (kpis_of(plan, orders[plan_id]) for plan_id, plan in plans.items())
-    return [{name: row[name] for name in ("plan_id", *KPIS)} for row in each]
+    wanted = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
+    return find_plans(run, records, wanted).plans

@@ -14,6 +14,7 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, shown
 from petmjx.basics.units import FloatArray
 from petmjx.options.carrier import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
+from petmjx.packers.kpis import Against
 from petmjx.results.reader import RunResults, load_run
 
 LONGEST_NAME: Final = 200
@@ -84,42 +85,62 @@ def check_names(names: Iterable[str]) -> None:
             raise InputError(f"packer {shown(name)!r}: the name must be usable as that of a folder")
 
 
-def plans_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
-    """A row for each order and packer, sorted; orders are those of which any packer has a plan.
+def plans_of(runs: Mapping[str, RunResults], against: Against | None = None) -> pd.DataFrame:
+    """A row for each order and packer, sorted. Orders are those given, and those of which any packer has a plan.
+
+    Args:
+        against: the plans against the orders given; None: no orders are given, and those that runs were compared with
+            are taken, where they were. Where no run was, an order has as many boxes as its largest plan.
 
     Returns:
-        ``plan_id``, ``packer``, ``order_boxes`` (of the order where a run was compared with orders, else of the largest
-        plan), ``verdict`` (also ``missing``), ``reason``, ``margin``, ``digest``, the columns of ``MEASURES``, and
-        ``compared``: the order has a valid verdict from every packer.
+        ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (also ``missing``), ``reason``, ``margin``,
+        ``digest``, the columns of ``MEASURES``; ``as_ordered``: boxes of the plan that were ordered, each once, have
+        the order's size and mass, and are on its target; null where that is not known. ``listed``: the order is one of
+        those that a rating is about. ``compared``: it has a valid verdict from every packer.
     """
-    parts = [_of_run(run).assign(packer=name) for name, run in runs.items()]
-    table = pd.concat(parts, ignore_index=True)
-    every = pd.MultiIndex.from_product([sorted(table["plan_id"].unique()), list(runs)], names=["plan_id", "packer"])
+    table = _worlds_of(runs)
+    sizes = None if against is None else against.sizes
+    ids = sorted({*table["plan_id"], *(sizes or ())})
+    every = pd.MultiIndex.from_product([ids, list(runs)], names=["plan_id", "packer"])
     table = table.set_index(["plan_id", "packer"]).reindex(every).reset_index()
     table["verdict"] = table["verdict"].fillna(MISSING)
     table["reason"] = table["reason"].fillna("")
     by_order = table.groupby("plan_id", sort=False)
-    table["order_boxes"] = table["ordered_boxes"].fillna(table["boxes"])
-    table["order_boxes"] = by_order["order_boxes"].transform("max").astype(np.int64)
+    table["order_boxes"] = by_order["ordered_boxes"].transform("max").fillna(by_order["boxes"].transform("max"))
+    if against is None or sizes is None:
+        table["listed"] = True
+        known = table["ordered_boxes"] - table["left_out"] - table["resized"].fillna(0)
+        table["as_ordered"] = known.fillna(table["boxes"]).clip(upper=table["order_boxes"])
+    else:
+        table["listed"] = table["plan_id"].isin(sizes.keys())
+        table["order_boxes"] = table["plan_id"].map(sizes).fillna(table["order_boxes"])
+        goods = against.rows.set_index(["plan_id", "packer"]).reindex(every).reset_index()
+        table[["left_out", "as_ordered"]] = goods[["left_out", "as_ordered"]]
+    table["order_boxes"] = table["order_boxes"].astype(np.int64)
     area = _target_area_m2(by_order, _carrier(runs))
     with np.errstate(divide="ignore", invalid="ignore"):
         table["kpi_2"] = table["volume_m3"] / (area * table["height_m"])
     table["compared"] = table["verdict"].isin(["stable", "unstable"])
     table["compared"] = table.groupby("plan_id", sort=False)["compared"].transform("all")
-    first = ["plan_id", "packer", "order_boxes", "compared", "verdict", "reason", "margin"]
-    return table[[*first, *MEASURES, "digest"]]
+    first = ["plan_id", "packer", "order_boxes", "listed", "compared", "verdict", "reason", "margin"]
+    return table[[*first, *MEASURES, "as_ordered", "digest"]]
 
 
-def _of_run(run: RunResults) -> pd.DataFrame:
-    """The nominal worlds of a run with what it says of their plans."""
-    worlds = run.worlds[run.worlds["variant"] == 0]
-    table = worlds[["plan_id", "verdict", "reason", "n_boxes"]].rename(columns={"n_boxes": "boxes"})
-    table["margin"] = worlds.get("margin", np.nan)
-    plans = run.plans
-    of_plan = ["digest", "volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out"]
-    table = table.merge(plans[["plan_id", *(n for n in of_plan if n in plans)]], on="plan_id", how="left")
-    table = table.assign(**{name: None for name in of_plan if name not in table})
-    return table.astype(dict.fromkeys(("boxes", *of_plan[1:]), np.float64))
+_OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
+"""Columns of the table ``plans`` of a run; older runs, and those without orders, lack some."""
+
+
+def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
+    """The nominal worlds of runs with what these say of their plans."""
+    of_world = ["plan_id", "verdict", "reason", "n_boxes", "margin"]
+    worlds = [run.worlds[run.worlds["variant"] == 0].reindex(columns=of_world) for run in runs.values()]
+    plans = [run.plans.reindex(columns=["plan_id", "digest", *_OF_PLAN]) for run in runs.values()]
+    joined = [
+        pd.concat(parts, ignore_index=True).assign(packer=np.repeat(list(runs), list(map(len, parts))))
+        for parts in (worlds, plans)
+    ]
+    table = joined[0].rename(columns={"n_boxes": "boxes"}).merge(joined[1], on=["packer", "plan_id"], how="left")
+    return table.astype(dict.fromkeys(("boxes", "margin", *_OF_PLAN), np.float64))
 
 
 def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:

@@ -2,58 +2,67 @@
 
 It is the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not stand counts
 nothing, and so does an order without a plan or with an invalid world; a box that was left out counts nothing either. So
-neither daring plans nor timid ones win.
+neither daring plans nor timid ones win. A box counts once, if it was ordered and has the order's size and mass. With
+orders given, a packer's rating depends on its own plans and the orders alone.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 
 from petmjx.basics.units import FloatArray
-from petmjx.packers.compare import ALL_SIZES, PackerComparison
+from petmjx.packers.compare import PackerComparison
+from petmjx.packers.load import MISSING
 from petmjx.results.shares import wilson_interval
 from petmjx.verdict import Verdict
 
 
 def rate(found: PackerComparison) -> pd.DataFrame:
+    """The rating of each packer, the best first; as :func:`ratings`."""
+    return ratings(found.plans, list(found.runs), found.confidence)
+
+
+def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> pd.DataFrame:
     """The rating of each packer, the best first.
 
     Args:
-        found: packers compared.
+        plans: a row for each order and packer (:func:`petmjx.packers.load.plans_of`); those of orders that are not
+            ``listed`` do not count.
 
     Returns:
-        A row for each packer: ``rank``, from 1, the same for equal ratings; ``packer``; ``rating`` with the bounds
-        ``low`` and ``high`` of its interval (:func:`rating_interval`); ``n_orders``, of which ``n_stable`` stand,
-        ``n_invalid`` have no verdict and ``n_missing`` no plan; ``ordered_boxes``, of which ``standing_boxes`` lie on
-        plans that stand.
+        A row for each packer: ``rank``, from 1, the same for equal ratings; ``packer``; ``rating``, from 0 to 1, with
+        the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`); ``n_orders``, of which ``n_stable``
+        stand, ``n_invalid`` have no verdict and ``n_missing`` no plan; ``ordered_boxes``, of which ``standing_boxes``
+        lie on plans that stand, as they were ordered.
     """
-    names = list(found.runs)
-    plans = found.plans
-    stands = (plans["verdict"] == Verdict.STABLE.value).to_numpy()
-    boxes = plans.assign(standing=np.where(stands, plans["boxes"].fillna(0), 0.0))
-    standing = boxes.pivot(index="plan_id", columns="packer", values="standing")[names].to_numpy(np.float64)
-    ordered = plans.groupby("plan_id")["order_boxes"].max().to_numpy(np.float64)
-    ratings = standing.sum(axis=0) / ordered.sum()
-    low, high = rating_interval(ratings, ordered, found.confidence)
-    rows = []
-    whole = found.packers[found.packers["size"] == ALL_SIZES].set_index("packer")
-    for at, name in enumerate(names):
-        rows.append(
-            {
-                "packer": name,
-                "rating": ratings[at],
-                "low": low[at],
-                "high": high[at],
-                "n_orders": len(ordered),
-                "n_stable": int(stands[(plans["packer"] == name).to_numpy()].sum()),
-                "n_invalid": int(whole.loc[name, "n_invalid"]),
-                "n_missing": int(whole.loc[name, "n_missing"]),
-                "ordered_boxes": int(ordered.sum()),
-                "standing_boxes": int(standing[:, at].sum()),
-            }
-        )
-    table = pd.DataFrame(rows).sort_values(["rating", "packer"], ascending=[False, True], ignore_index=True)
+    listed = plans[plans["listed"]]
+    verdicts, as_ordered, boxes = (
+        listed.pivot(index="plan_id", columns="packer", values=name)[list(packers)]
+        for name in ("verdict", "as_ordered", "order_boxes")
+    )
+    ordered = boxes.max(axis=1).to_numpy(np.float64)
+    stands = (verdicts == Verdict.STABLE.value).to_numpy()
+    standing = np.where(stands, np.minimum(as_ordered.fillna(0).to_numpy(np.float64), ordered[:, None]), 0.0)
+    shares = standing.sum(axis=0) / ordered.sum()
+    low, high = rating_interval(shares, ordered, confidence)
+    table = pd.DataFrame(
+        {
+            "packer": list(packers),
+            "rating": shares,
+            "low": low,
+            "high": high,
+            "n_orders": len(ordered),
+            "n_stable": stands.sum(axis=0),
+            "n_invalid": (verdicts == Verdict.INVALID.value).to_numpy().sum(axis=0),
+            "n_missing": (verdicts == MISSING).to_numpy().sum(axis=0),
+            "ordered_boxes": int(ordered.sum()),
+            "standing_boxes": standing.sum(axis=0).astype(int),
+        }
+    )
+    table = table.sort_values(["rating", "packer"], ascending=[False, True], ignore_index=True)
     table.insert(0, "rank", table["rating"].rank(method="min", ascending=False).astype(int))
     return table
 

@@ -25,6 +25,7 @@ _COUNTS: Final = {
     "boxes": "boxes placed; in packers the mean",
     "left_out": "boxes left out; in packers the mean",
     "order_boxes": "boxes of the order",
+    "as_ordered": "boxes that were ordered, each once, with the order's size and mass, on its target; null: not known",
 }
 _NUMBERS: Final = {
     "share": "share of the compared orders whose plan stands",
@@ -54,6 +55,7 @@ DESCRIBED: Final[Described] = {
     "height_m": ("m", "highest top of the plan; in packers the mean"),
     **{name: (DIMENSIONLESS, meaning) for name, meaning in (_COUNTS | _NUMBERS).items()},
     **{name: (TEXT, meaning) for name, meaning in _TEXTS.items()},
+    "listed": (DIMENSIONLESS, "whether the order is one of those given; true for all where none are given"),
     "compared": (DIMENSIONLESS, "whether the order has a valid verdict from every packer"),
 }
 """Every column of every table. Of KPIs and measures ``packers`` has the means."""

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.basics.text import box_label
 from petmjx.basics.units import FloatArray
 from petmjx.pages.page import escaped
 from petmjx.pages.palette import article_colours, hex_of, look, rgb_of
@@ -47,7 +48,7 @@ def still_svg(story: Story) -> str:
     axes = np.concatenate([rotations(history.quat[-1][shown]), boards[1]])
     half = np.concatenate([scene.half_size[shown], boards[2]])
     colours = article_colours(story.plan.articles)
-    names = [*(f"{box} {story.plan.articles[box]}" for box in shown), *["carrier"] * len(boards[0])]
+    names = [*(box_label(int(box), story.plan.articles[box]) for box in shown), *["carrier"] * len(boards[0])]
     fills = [*(colours[box] for box in shown), *[hex_of(_LOOK["wood"])] * len(boards[0])]
     points = corners(pos, axes, half)
     low, scale, height = _fitted(story, points)

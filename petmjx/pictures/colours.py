@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.text import counted
+from petmjx.basics.text import UNNAMED, counted
 from petmjx.basics.units import FloatArray
 from petmjx.pages.palette import RAMP_COLOURS, Rgb, article_colours, ramp, rgb_of
 from petmjx.pictures.options import Colour
@@ -86,10 +86,12 @@ def colouring(story: Story, colour: Colour) -> Colouring:
     """The colours of a story's boxes. Scales are the same for all of its frames."""
     if colour is Colour.ARTICLE:
         each = article_colours(story.plan.articles)
-        shades = {name: rgb_of(shade) for name, shade in zip(story.plan.articles, each, strict=True)}
+        shades = {name or UNNAMED: rgb_of(shade) for name, shade in zip(story.plan.articles, each, strict=True)}
         if len(shades) <= MOST_NAMED:
             return Colouring(story, colour, names=tuple(shades.items()))
-        return Colouring(story, colour, note=f"a colour for each of {counted(len(shades), 'article')}")
+        return Colouring(
+            story, colour, note=f"a colour for each of {counted(len(shades.keys() - {UNNAMED}), 'article')}"
+        )
     if colour is Colour.PLANNED:
         return Colouring(story, colour, names=(("as planned", GHOST),))
     return Colouring(story, colour, _scale(story, colour))

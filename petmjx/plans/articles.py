@@ -313,8 +313,8 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
         if outside.any():
             box, axis = np.argwhere(outside)[0].tolist()
             where, size = f", placement {box}: {COM_FIELDS[axis]}", plan.item_size_mm[box, axis]
-            name = shown(plan.articles[box])
-            raise InputError(f"{where} of article {name} is {offset[box, axis]:g}, not inside the box of {size:g} mm")
+            name = f" of article {shown(plan.articles[box])}" if plan.articles[box] else ""
+            raise InputError(f"{where}{name} is {offset[box, axis]:g}, not inside the box of {size:g} mm")
         own = plan.item_com_mm
         offset = np.where(own.any(axis=1, keepdims=True), own, offset)
         changes["mass_center_mm"] = com_along_axes(offset, plan.turned)

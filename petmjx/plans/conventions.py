@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from petmjx.basics.errors import PlanWarning
-from petmjx.basics.text import counted, shown, three_digits
+from petmjx.basics.text import box_in_words, counted, shown, three_digits
 from petmjx.basics.units import LENGTHS_MM, MASSES_KG, FloatArray
 from petmjx.plans.given import ANCHORS
 from petmjx.plans.plan import Plan
@@ -361,5 +361,4 @@ def _what_is_odd(plan: Plan, odd: PlanWarnings, way: Convention) -> str:
 
 def _box(plan: Plan, box: int) -> str:
     """ "box 22 (candy-00100723)"; boxes count from 0 in packing order."""
-    article = shown(plan.articles[box])
-    return f"box {box} ({article})" if article else f"box {box}"
+    return box_in_words(box, plan.articles[box])

@@ -1,31 +1,31 @@
-"""Plans compared with the orders that they were packed from: what was left out, and what nobody ordered.
-
-Boxes are distinguished by ``id`` and ``article`` together (by ``article`` alone in plans without ids), and counted.
-``sequence`` says nothing, since packers renumber boxes.
+"""Plans compared with the orders that they were packed from: what was left out, what nobody ordered, and what has
+another size or mass than was ordered (petmjx.plans.matching says which box is which).
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, printable, shown
+from petmjx.plans.matching import SIZE_TOLERANCE_MM, Matching, match
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples.order_files import read_orders
+from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
 
 MOST_LISTED: Final = 10_000
 """Plans, orders or errors that are named one by one; all are counted."""
 
 MOST_ARTICLES: Final = 5
 """Articles that a line names."""
-
-_Goods = Counter[tuple[str, str]]
-"""(id, article) → number of boxes."""
 
 
 class Ordered(NamedTuple):
@@ -35,11 +35,13 @@ class Ordered(NamedTuple):
         ordered_boxes: of the order.
         left_out: ordered, but not in the plan.
         not_ordered: in the plan, but not ordered.
+        resized: ordered and in the plan, but with another size or mass.
     """
 
     ordered_boxes: int
     left_out: int
     not_ordered: int
+    resized: int = 0
 
 
 @dataclass
@@ -48,7 +50,8 @@ class OrderCounts:
 
     Attributes:
         orders: usable orders of the file.
-        ordered_boxes, left_out, not_ordered: boxes, as in :class:`Ordered`, of all plans that have an order.
+        ordered_boxes, left_out, not_ordered, resized: boxes, as in :class:`Ordered`, of all plans that have an order.
+        matched_by_size: boxes without id and article of these plans, which are matched by size and mass.
         plans_leaving_out: plans that leave out at least one box.
         plans_without_order: plans of which the file has no usable order.
         orders_without_plan, boxes_without_plan: orders that have no usable plan, and their boxes; None: not known,
@@ -65,6 +68,8 @@ class OrderCounts:
     orders_without_plan: int | None = 0
     boxes_without_plan: int | None = 0
     unusable_orders: int = 0
+    resized: int = 0
+    matched_by_size: int = 0
 
 
 @dataclass
@@ -122,19 +127,22 @@ def check_orders(
     n_orders, n_taken_with_plan = 0, 0
     for order_id, order in read_orders(path, None if strict else left_aside):
         n_orders += 1
-        goods: _Goods = Counter((item.item_id, item.article) for item in order.items)
-        digest.update(repr((order_id, sorted(goods.items()))).encode("utf-8", "backslashreplace"))
+        digest.update(repr((order_id, sorted(map(_ordered_goods, order.items)))).encode("utf-8", "backslashreplace"))
         plan, taken = by_id.get(order_id), takes(order_id)
         counts.orders += taken
         if plan is not None:
-            ordered = _compare(plan, goods, check.lines if taken else None)
-            check.of_plan[order_id] = ordered
+            matching = match(plan, order)
+            ordered = check.of_plan[order_id] = counts_of(matching)
             if taken:
                 n_taken_with_plan += 1
                 counts.ordered_boxes += ordered.ordered_boxes
                 counts.left_out += ordered.left_out
                 counts.not_ordered += ordered.not_ordered
+                counts.resized += ordered.resized
+                counts.matched_by_size += int(np.count_nonzero(matching.by_size))
                 counts.plans_leaving_out += ordered.left_out > 0
+                if ordered[1:] != (0, 0, 0):
+                    _list(check.lines, f"plan {shown(plan.plan_id)}: {difference_in_words(plan, order, matching)}")
         elif taken and all_plans:
             counts.orders_without_plan = (counts.orders_without_plan or 0) + 1
             counts.boxes_without_plan = (counts.boxes_without_plan or 0) + len(order.items)
@@ -148,42 +156,125 @@ def check_orders(
     return check
 
 
-def _compare(plan: Plan, wanted: _Goods, lines: list[str] | None) -> Ordered:
-    """The counts of one plan; a line is added where it differs from its order."""
-    if not any(plan.item_ids):
-        wanted = _without_ids(wanted)
-    there: _Goods = Counter(zip(plan.item_ids, plan.articles, strict=True))
-    missing, extra = wanted - there, there - wanted
-    ordered = Ordered(wanted.total(), missing.total(), extra.total())
-    parts = []
-    if missing:
+def counts_of(matching: Matching) -> Ordered:
+    """A plan's boxes and its order's, as counts."""
+    not_ordered, resized = (int(np.count_nonzero(each)) for each in (matching.not_ordered, matching.resized))
+    return Ordered(matching.n_items, matching.left_out, not_ordered, resized)
+
+
+def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
+    """What of a plan is not as it was ordered: "2 of 9 ordered boxes are left out (2 × jam)"; empty: nothing."""
+    ordered, parts = counts_of(matching), []
+    if ordered.left_out:
+        missing = set(range(len(order.items))) - set(matching.item.tolist())
         verb = "is" if ordered.left_out == 1 else "are"
         boxes = counted(ordered.ordered_boxes, "ordered box", "ordered boxes")
-        parts.append(f"{ordered.left_out:,} of {boxes} {verb} left out ({_goods_in_words(missing)})")
-    if extra:
+        with_ids = any(plan.item_ids)
+        names = [_name_of_item(order.items[item], with_ids) for item in sorted(missing)]
+        parts.append(f"{ordered.left_out:,} of {boxes} {verb} left out ({_in_words(names)})")
+    if ordered.not_ordered:
         verb = "was" if ordered.not_ordered == 1 else "were"
-        parts.append(f"{counted(ordered.not_ordered, 'box', 'boxes')} {verb} not ordered ({_goods_in_words(extra)})")
-    if parts and lines is not None:
-        _list(lines, f"plan {shown(plan.plan_id)}: {'; '.join(parts)}")
-    return ordered
+        names = [_name_of_box(plan, box) for box in np.flatnonzero(matching.not_ordered).tolist()]
+        parts.append(f"{counted(ordered.not_ordered, 'box', 'boxes')} {verb} not ordered ({_in_words(names)})")
+    if ordered.resized:
+        verb = "has another size or mass" if ordered.resized == 1 else "have other sizes or masses"
+        names = []
+        for box in np.flatnonzero(matching.resized).tolist():
+            item = order.items[matching.item[box]]
+            names.append(f"{_name_of_box(plan, box)}: {_measures_of_box(plan, box)} for {_measures_of_item(item)}")
+        boxes = counted(ordered.resized, "box", "boxes")
+        parts.append(f"{boxes} {verb} than ordered ({_in_words(names, '; ')})")
+    return "; ".join(parts)
 
 
-def _without_ids(goods: _Goods) -> _Goods:
-    """Goods by their articles alone, for plans of tables that have no ids."""
-    found: _Goods = Counter()
-    for (_, article), number in goods.items():
-        found["", article] += number
-    return found
+def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
+    """(n,) which boxes of a plan are on the order's target, wherever the plan has its origin: all of a plan that has
+    room on it, also turned; else those whose middles are over the target with its corner in the origin."""
+    extent = np.array(TARGET_EXTENT_MM[order.target], float)
+    low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
+    across = high.max(axis=0) - low.min(axis=0)
+    if any((across <= each + SIZE_TOLERANCE_MM).all() for each in (extent, extent[::-1])):
+        return np.ones(plan.n_boxes, bool)
+    middle = (low + high) / 2
+    return np.asarray(((middle >= 0) & (middle <= extent)).all(axis=1))
 
 
-def _goods_in_words(goods: _Goods) -> str:
-    """ "2 × bread-00105329, 1 × carton (77)": articles, with ids that they do not hold."""
-    names = [
-        f"{number:,} × {shown(article)}" + ("" if item_id in article else f" ({shown(item_id)})")
-        for (item_id, article), number in goods.items()
-    ]
-    more = [f"{counted(len(names) - MOST_ARTICLES, 'more article')}"] if len(names) > MOST_ARTICLES else []
-    return ", ".join([*names[:MOST_ARTICLES], *more])
+@dataclass(eq=False)
+class OddBoxes:
+    """What of many plans is not as it was ordered: boxes of each kind, and the first of them in words."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    first: dict[str, str] = field(default_factory=dict)
+
+    def add(self, plan: Plan, order: Order, matching: Matching) -> None:
+        """Count one more plan."""
+        kinds = {
+            "not_ordered": matching.not_ordered,
+            "resized": matching.resized,
+            "by_size": matching.by_size,
+            "off_target": ~on_target(plan, order) & (matching.item >= 0),
+        }
+        for kind, boxes in kinds.items():
+            if not (some := np.flatnonzero(boxes).tolist()):
+                continue
+            self.counts[kind] += len(some)
+            if kind not in self.first:
+                words = f"plan {shown(plan.plan_id)}, {_name_of_box(plan, some[0])}"
+                if kind == "resized":
+                    item = order.items[matching.item[some[0]]]
+                    words += f": {_measures_of_box(plan, some[0])} for {_measures_of_item(item)}"
+                self.first[kind] = words
+
+    def lines(self, whose: str = "") -> Iterator[str]:
+        """A line on each kind of which there are some; ``whose``: "of NAME", a packer."""
+        for kind, one, many in (
+            ("not_ordered", "was not ordered", "were not ordered"),
+            ("resized", "has another size or mass than ordered", "have other sizes or masses than ordered"),
+            ("off_target", "is not on the order's target", "are not on their orders' targets"),
+            ("by_size", "has neither id nor article", "have neither id nor article"),
+        ):
+            if number := self.counts[kind]:
+                boxes = f"{counted(number, 'box', 'boxes')} {whose}".strip()
+                first = "matched by size and mass" if kind == "by_size" else f"the first: {self.first[kind]}"
+                yield f"{boxes} {one if number == 1 else many}; {first}"
+
+
+def _ordered_goods(item: Item) -> tuple[object, ...]:
+    return (item.item_id, item.article, item.length_mm, item.width_mm, item.height_mm, item.weight_kg)
+
+
+def _name_of_item(item: Item, with_id: bool) -> str:
+    return _name(item.item_id if with_id else "", item.article) or _measures_of_item(item)
+
+
+def _name_of_box(plan: Plan, box: int) -> str:
+    return _name(plan.item_ids[box], plan.articles[box]) or _measures_of_box(plan, box)
+
+
+def _name(item_id: str, article: str) -> str:
+    """ "bread-00105329", "carton (77)": an article, with an id that it does not hold; "" where there is neither."""
+    if not article:
+        return shown(item_id)
+    return shown(article) + ("" if item_id in article else f" ({shown(item_id)})")
+
+
+def _measures_of_box(plan: Plan, box: int) -> str:
+    return _measures_in_words(plan.item_size_mm[box].tolist(), float(plan.mass_kg[box]))
+
+
+def _measures_of_item(item: Item) -> str:
+    return _measures_in_words((item.length_mm, item.width_mm, item.height_mm), item.weight_kg)
+
+
+def _measures_in_words(sizes_mm: Iterable[float], kg: float) -> str:
+    return f"{' × '.join(f'{size:g}' for size in sizes_mm)} mm, {kg:g} kg"
+
+
+def _in_words(names: Iterable[str], between: str = ", ") -> str:
+    """ "2 × bread-00105329, 1 × carton (77)"."""
+    counts = [f"{number:,} × {name}" for name, number in Counter(names).items()]
+    more = [counted(len(counts) - MOST_ARTICLES, "more article")] if len(counts) > MOST_ARTICLES else []
+    return between.join([*counts[:MOST_ARTICLES], *more])
 
 
 def _list(lines: list[str], line: str) -> None:

@@ -6,7 +6,7 @@ says where petmjx has columns of its own.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -23,6 +23,8 @@ from petmjx.options.config import Simulation
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.conventions import warn
 from petmjx.plans.gather import PlanSource, gather_plans
+from petmjx.plans.matching import Matching, match
+from petmjx.plans.ordered import OddBoxes, counts_of, on_target
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
@@ -110,26 +112,36 @@ def kpis(
             f"have no id in common{first}"
         )
     stability = Stability.assumed() if assume_stable else read_stability(_as_list(run), rated.values())
-    frame = _frame(rated, wanted, stability)
-    notes = (*read.notes, *_notes(by_id, wanted), *stability.notes, *_unknown(frame, stability))
+    matchings = {plan_id: match(plan, wanted[plan_id]) for plan_id, plan in rated.items()}
+    frame = _frame(rated, wanted, matchings, stability)
+    odd = _odd_boxes(rated, wanted, matchings)
+    notes = (*read.notes, *_notes(by_id, wanted), *odd, *stability.notes, *_unknown(frame, stability))
     return Kpis(frame, _summary(frame, wanted.values()), tuple(notes), tuple(skipped), by_id, wanted)
 
 
-def kpis_of(plan: Plan, order: Order) -> dict[str, Any]:
-    """The columns of one plan that do not depend on its stability."""
+def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
+    """The columns of one plan that do not depend on its stability.
+
+    Args:
+        matching: its boxes and the order's, where they are matched already.
+    """
+    matching = matching or match(plan, order)
+    ordered = counts_of(matching)
     extent = TARGET_EXTENT_MM[order.target]
     support = direct_support(plan.corner_mm, plan.size_mm, extent)
     tops = plan.corner_mm[:, 2] + plan.size_mm[:, 2]
     height_mm, area = float(tops.max()), extent[0] * extent[1]
     volumes = plan.size_mm.prod(axis=1)
-    counts = plan.corner_mm[:, 2] <= SCORED_HEIGHT_MM
+    counts = (plan.corner_mm[:, 2] <= SCORED_HEIGHT_MM) & matching.as_ordered & on_target(plan, order)
     below = tops <= SCORED_HEIGHT_MM
     return {
         "plan_id": plan.plan_id,
         "target": order.target,
         "n_ordered": len(order.items),
         "n_boxes": plan.n_boxes,
-        "kpi_1": (len(order.items) - plan.n_boxes) / len(order.items),
+        "n_not_ordered": ordered.not_ordered,
+        "n_resized": ordered.resized,
+        "kpi_1": ordered.left_out / ordered.ordered_boxes,
         "kpi_2": float(volumes.sum()) / (area * height_mm) if height_mm > 0 else None,
         "kpi_3": height_mm / MM_PER_M,
         "kpi_4": float(support.share.mean()),
@@ -156,8 +168,10 @@ def _their_height(tops_mm: np.ndarray[Any, np.dtype[np.float64]]) -> float:
     return round(float(read[read <= SCORED_HEIGHT_MM].max(initial=0.0)) / MM_PER_M, 3)
 
 
-def _frame(rated: Mapping[str, Plan], orders: Mapping[str, Order], stability: Stability) -> pd.DataFrame:
-    frame = pd.DataFrame([kpis_of(plan, orders[plan_id]) for plan_id, plan in rated.items()])
+def _frame(
+    rated: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching], stability: Stability
+) -> pd.DataFrame:
+    frame = pd.DataFrame([kpis_of(plan, orders[name], matchings[name]) for name, plan in rated.items()])
     ids = frame["plan_id"]
     frame["kpi_6"] = stability.column(stability.their_rule, ids)
     frame["verdict"] = [stability.verdicts.get(plan_id) for plan_id in ids]
@@ -205,6 +219,16 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
         these = f"{counted(len(without_plan), 'order')} ({boxes})"
         notes.append(f"{these} {verb} as not stable in the ratings ({first_names(without_plan)})")
     return notes
+
+
+def _odd_boxes(
+    plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
+) -> Iterator[str]:
+    """A line on boxes that are not the orders', with the first plan that has some, and on boxes known by size alone."""
+    odd = OddBoxes()
+    for name, matching in matchings.items():
+        odd.add(plans[name], orders[name], matching)
+    return odd.lines()
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:

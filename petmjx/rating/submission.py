@@ -17,6 +17,7 @@ from typing import Any, Final
 
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, printable, shown
+from petmjx.plans.matching import match
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import Placement, write_plans
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
@@ -131,6 +132,7 @@ def write_submission(
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
     """What keeps a plan from being submitted. Gives each placement the item of the order that it is."""
+    _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
     for index, wanted in enumerate(order.items):
@@ -142,7 +144,8 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
         same = free.get((item["id"], item["article"]))
         if not same:
             again = "is there more often than it was ordered" if same is not None else "was not ordered"
-            yield f", box {box}: item {shown(item['article'])} ({shown(item['id'])}) {again}"
+            name = f" {shown(item['article'])} ({shown(item['id'])})" if item["article"] or item["id"] else ""
+            yield f", box {box}: item{name} {again}"
             continue
         by_number = [index for index in same if order.numbers[index] == item["sequence"]]
         index = (by_number or same)[0]
@@ -160,6 +163,19 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
         item.update(_as_ordered(ordered, order.numbers[index]))
     if choice is not None:
         yield from _sequence_faults(taken, choice, len(plan.articles))
+
+
+def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
+    """Give boxes without id and article the names of the items that they are by size and mass."""
+    unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
+    if not unnamed:
+        return
+    items = match(plan, order).item
+    has_ids = any(plan.item_ids)
+    for box in unnamed:
+        if (at := int(items[box])) >= 0:
+            item = order.items[at]
+            placements[box]["item"].update(article=item.article, id=item.item_id if has_ids else "")
 
 
 def _sequence_faults(taken: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:

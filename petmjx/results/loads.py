@@ -1,10 +1,14 @@
-"""How much of their strength boxes of a run bear at rest: ``petmjx.loads``. The verdicts stay as they are."""
+"""How much of their strength boxes of a run bear, at rest and at the peak: ``petmjx.loads``. Verdicts stay as they are.
+
+The strength of a box is what it bears in a press, times factors for how it is stacked (petmjx.plans.walls,
+petmjx.options.stacking). Interlayer sheets are no boxes.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,14 +18,19 @@ import pandas as pd
 from petmjx.basics.arguments import path_of
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, first_names, printable, shown
+from petmjx.basics.units import MM_PER_M, FloatArray
 from petmjx.basics.whole import writing
+from petmjx.options.carrier import Carrier, OwnCarrier, extent_m
+from petmjx.options.stacking import Stacking
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.gather import PathArgument, PlanSource
 from petmjx.plans.plan import Plan
+from petmjx.plans.walls import walls_of
 from petmjx.results.described import check_tables_free, write_described
 from petmjx.results.manifest import Manifest
 from petmjx.results.plans_again import find_plans
 from petmjx.results.reader import RunResults, load_run
+from petmjx.world.carriers import pallet
 
 _MOST_NAMED: Final = 8
 """Articles that a note names."""
@@ -34,8 +43,14 @@ _BOX_UNITS: Final = {
     "rest_top_force_n": ("N", "force on top of the box at rest"),
     "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: not known"),
     "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: not known"),
-    "strength_n": ("N", "what the box bears; null: not known"),
+    "max_top_force_n": ("N", "largest sampled force on top of the box, also while it is placed or shaken"),
+    "press_strength_n": ("N", "what the box bears between plates; null: not known"),
+    "wall_factor": ("1", "by how far walls of the boxes on it stand on its own"),
+    "overhang_factor": ("1", "by how far its walls hang over nothing"),
+    "deck_factor": ("1", "by gaps and bending of the deck that it stands on"),
+    "strength_n": ("N", "what the box bears as it is stacked: press_strength_n times the three; null: not known"),
     "load_share": ("1", "rest_top_force_n / strength_n"),
+    "peak_share": ("1", "max_top_force_n / strength_n"),
     "load_share_low": ("1", "rest_top_force_low_n / strength_n"),
     "load_share_high": ("1", "rest_top_force_high_n / strength_n"),
 }
@@ -43,9 +58,9 @@ _PLAN_UNITS: Final = {
     "plan_id": _BOX_UNITS["plan_id"],
     "variant": _BOX_UNITS["variant"],
     "verdict": ("", "verdict of the simulation; loads do not change it"),
-    "overloaded": ("1", "whether a box bears more than it can; null: not known, since strengths are missing"),
-    "n_boxes": ("1", "boxes of the plan"),
-    "n_overloaded": ("1", "boxes that bear more than they can"),
+    "overloaded": ("1", "whether a box bears more than it can at rest; null: not known, since strengths are missing"),
+    "n_boxes": ("1", "boxes of the plan, without sheets"),
+    "n_overloaded": ("1", "boxes that bear more than they can at rest"),
     "n_unknown": ("1", "boxes whose strength or load is not known"),
     "surely_overloaded": ("1", "whether the least force on a box is more than it can bear; null: not known"),
     "possibly_overloaded": ("1", "whether the most force on a box is more than it can bear; null: not known"),
@@ -54,16 +69,24 @@ _PLAN_UNITS: Final = {
     "max_load_share": ("1", "largest load_share of a box"),
     "box": ("1", "the box that has it"),
     "article": ("", "its article"),
+    "overloaded_at_peak": ("1", "whether the largest force on a box is more than it can bear; null: not known"),
+    "n_overloaded_at_peak": ("1", "boxes on which it is"),
+    "max_peak_share": ("1", "largest peak_share of a box"),
+    "peak_box": ("1", "the box that has it"),
+    "peak_article": ("", "its article"),
 }
 
 _SHARES: Final = {
     "rest_top_force_n": "load_share",
     "rest_top_force_low_n": "load_share_low",
     "rest_top_force_high_n": "load_share_high",
+    "max_top_force_n": "peak_share",
 }
-"""Forces on boxes, and what share of the strength they are; the last two where a run has intervals."""
+"""Forces on boxes, and what share of the strength they are; the second and third where a run has intervals."""
 
-_OVER: Final = dict(zip(("overloaded", "surely_overloaded", "possibly_overloaded"), _SHARES.values(), strict=True))
+_OVER: Final = dict(
+    zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
+)
 """What is said of worlds where a box has a share above 1."""
 
 
@@ -74,15 +97,19 @@ class Loads:
     Attributes:
         run: the run's folder.
         boxes: a row a box of each world: ``load_share`` and what it is made of.
-        plans: a row a world: ``overloaded``, and the box that bears most of its strength. Where the run has intervals
-            of forces, ``surely_overloaded`` and ``possibly_overloaded``, too.
-        notes: a line on a run that is not finished, and one on articles without strength.
+        plans: a row a world: ``overloaded`` at rest and ``overloaded_at_peak``, and the boxes that bear most of their
+            strength then. Where the run has intervals of forces, also ``surely_overloaded`` and
+            ``possibly_overloaded``.
+        notes: a line on a run that is not finished, one on articles without strength, and one on forces at rest after a
+            drive with film.
+        stacking: by how much the way in which boxes are stacked weakens them.
     """
 
     run: Path
     boxes: pd.DataFrame
     plans: pd.DataFrame
     notes: tuple[str, ...]
+    stacking: Stacking = field(default_factory=Stacking)
 
     def __repr__(self) -> str:
         return f"Loads({counted(len(self.plans), 'world')}, {int(self.plans['overloaded'].sum()):,} overloaded)"
@@ -116,34 +143,42 @@ def loads(
     run: str | Path | RunResults,
     articles: PathArgument | Articles | None = None,
     plans: PlanSource | None = None,
+    *,
+    stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the forces on boxes at rest with what the boxes can bear.
+    """Compare the forces on boxes, at rest and the largest, with what the boxes can bear as they are stacked.
+
+    ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
     Args:
         run: a run's folder, or what ``petmjx.score`` returned.
         articles: table of strengths (``petmjx.plans.articles.read_articles``). For boxes that it does not cover, the
             plan's own values count, or the table of the run. None: those alone.
-        plans: the plans of the run, for sizes and product groups; None: the files that the run names.
+        plans: the plans of the run, for sizes, places and product groups; None: the files that the run names.
+        stacking: how much of their strength boxes lose as they are stacked, or some of its fields
+            (``petmjx.options.stacking.Stacking``).
 
     Raises:
-        InputError: no run, an unusable table of articles, no strength at all, or plans that are not those of the run.
+        InputError: no run, an unusable table of articles or option, no strength at all, or plans that are not those of
+            the run.
     """
+    losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
     results = run if isinstance(run, RunResults) else load_run(run)
     if articles is None:
         strengths = Articles({}, {})
     else:
         strengths = articles if isinstance(articles, Articles) else read_articles(path_of(articles, "articles"))
     of_run = _plans_of(results, plans)
-    known, missing = _strengths(of_run.values(), strengths)
+    known, missing = _strengths(of_run.values(), strengths, losses, results.carrier)
     if articles is None and known["strength_n"].isna().all():
         raise InputError(f"{results.path}: the plans have no strengths (strength_n): give a table of articles")
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
     boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
-    boxes = boxes.merge(known, on=["plan_id", "box"], how="left", validate="many_to_one")
+    boxes = boxes.merge(known, on=["plan_id", "box"], how="inner", validate="many_to_one")
     boxes = boxes.assign(**{share: boxes[force] / boxes["strength_n"] for force, share in shares.items()})
     boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
-    notes = (*results.doubts("the run"), *_notes(missing))
-    return Loads(results.path, boxes, _of_worlds(results, boxes), notes)
+    notes = (*results.doubts("the run"), *_notes(missing), *_film_notes(results))
+    return Loads(results.path, boxes, _of_worlds(results, boxes), notes, losses)
 
 
 def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:
@@ -166,25 +201,46 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     return found.plans
 
 
-def _strengths(plans: Iterable[Plan], articles: Articles) -> tuple[pd.DataFrame, Counter[str]]:
-    """The strength of each box, and the articles that have none with their numbers of boxes."""
-    rows: dict[str, list[Any]] = {"plan_id": [], "box": [], "strength_n": []}
+_STRENGTH: Final = ("press_strength_n", "wall_factor", "overhang_factor", "deck_factor", "strength_n")
+
+
+def _strengths(
+    plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
+) -> tuple[pd.DataFrame, Counter[str]]:
+    """The strength of each box that is no sheet, and the articles that have none with their numbers of boxes."""
+    parts: list[pd.DataFrame] = []
     missing: Counter[str] = Counter()
     for plan in plans:
         groups = plan.product_groups or ("",) * plan.n_boxes
         sizes = plan.size_mm[:, :2].tolist()
         materials = plan.materials or ("",) * plan.n_boxes
-        own = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n
+        strength_n = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n.copy()
         names = zip(plan.articles, groups, materials, strict=True)
+        sheets = plan.sheets
         for box, (article, group, material) in enumerate(names):
-            said = articles.find(article, group, material).strength
-            strength_n = float(own[box]) if said is None else said.of_box(*sizes[box])
-            if np.isnan(strength_n):
+            if (said := articles.find(article, group, material).strength) is not None:
+                strength_n[box] = said.of_box(*sizes[box])
+            if np.isnan(strength_n[box]) and not sheets[box]:
                 missing[article] += 1
-            rows["plan_id"].append(plan.plan_id)
-            rows["box"].append(box)
-            rows["strength_n"].append(strength_n)
-    return pd.DataFrame(rows).astype({"box": "int32", "strength_n": "float64"}), missing
+        factors = _factors(plan, losses, carrier)
+        columns = dict(zip(_STRENGTH, (strength_n, *factors, strength_n * np.prod(factors, axis=0)), strict=True))
+        table = pd.DataFrame({"plan_id": plan.plan_id, "box": np.arange(plan.n_boxes, dtype=np.int32), **columns})
+        parts.append(table[~sheets])
+    if not parts:
+        empty = dict.fromkeys(_STRENGTH, "float64")
+        return pd.DataFrame(columns=["plan_id", "box", *_STRENGTH]).astype({"box": "int32", **empty}), missing
+    return pd.concat(parts, ignore_index=True), missing
+
+
+def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) what is left of each box's strength: by walls that do not meet, by those that hang over, by the deck."""
+    extent, boards = extent_m(carrier), pallet(carrier)
+    extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
+    walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
+    perimeter_mm = 2 * plan.size_mm[:, :2].sum(axis=1)
+    gaps = walls.on_deck & (walls.over_gaps * perimeter_mm > losses.wall_tolerance_mm)
+    deck = np.where(gaps, 1 - losses.gap_loss, 1.0) * np.where(walls.on_deck, 1 - losses.soft_deck_loss, 1.0)
+    return 1 - losses.interlocked_loss * (1 - walls.met), 1 - losses.overhang_loss * walls.hanging, deck
 
 
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
@@ -196,24 +252,44 @@ def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
         **{f"unknown_{name}": boxes[share].isna() for name, share in said.items()},
     )
     counts = marked.groupby(key, sort=False, as_index=False).sum()
-    known = boxes.dropna(subset="load_share")
-    largest = known.loc[known.groupby(key, sort=False)["load_share"].idxmax()]
-    largest = largest[[*key, "box", "article", "load_share"]].rename(columns={"load_share": "max_load_share"})
-    worlds = results.worlds[[*key, "verdict", "n_boxes"]]
-    found = worlds.merge(counts, on=key, how="left").merge(largest, on=key, how="left")
+    numbers = boxes.groupby(key, sort=False).size().rename("n_boxes").reset_index()
+    found = results.worlds[[*key, "verdict"]].merge(numbers, on=key, how="left").merge(counts, on=key, how="left")
+    found = found.fillna({"n_boxes": 0, **{name: 0 for name in counts if name not in key}})
+    found = found.astype({"n_boxes": "int32", **{name: "int64" for name in counts if name not in key}})
+    for share, names in (("load_share", ("box", "article")), ("peak_share", ("peak_box", "peak_article"))):
+        known = boxes.dropna(subset=share)
+        largest = known.loc[known.groupby(key, sort=False)[share].idxmax(), [*key, "box", "article", share]]
+        largest.columns = pd.Index([*key, *names, f"max_{share}"])
+        found = found.merge(largest, on=key, how="left")
     for name in said:
         over = (found[f"n_{name}"] > 0).astype("boolean")
         over[(found[f"n_{name}"] == 0) & (found[f"unknown_{name}"] > 0)] = pd.NA
         found[name] = over
     found["n_unknown"] = found["unknown_overloaded"]
-    found["box"] = found["box"].astype("Int32")
+    found = found.astype({"box": "Int32", "peak_box": "Int32"})
     return found[[name for name in _PLAN_UNITS if name in found]]
 
 
-def _notes(missing: Mapping[str, int]) -> list[str]:
+def _notes(missing: Counter[str]) -> list[str]:
     if not missing:
         return []
-    most = sorted(missing, key=lambda name: (-missing[name], name))
-    verb = "has" if len(most) == 1 else "have"
-    boxes = counted(sum(missing.values()), "box", "boxes")
-    return [f"{counted(len(most), 'article')} of {boxes} {verb} no strength: {first_names(most, _MOST_NAMED)}"]
+    notes = []
+    if most := sorted(missing.keys() - {""}, key=lambda name: (-missing[name], name)):
+        verb = "has" if len(most) == 1 else "have"
+        boxes = counted(sum(missing[name] for name in most), "box", "boxes")
+        notes.append(f"{counted(len(most), 'article')} of {boxes} {verb} no strength: {first_names(most, _MOST_NAMED)}")
+    if unnamed := missing[""]:
+        verb = "has" if unnamed == 1 else "have"
+        notes.append(f"{counted(unnamed, 'box', 'boxes')} without article {verb} no strength")
+    return notes
+
+
+def _film_notes(results: RunResults) -> list[str]:
+    """What to think of forces at rest of worlds that were shaken in film."""
+    wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
+    turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
+    if not (turns > 0).any() or "profile" not in results.worlds:
+        return []
+    return [
+        "film presses boxes together, and friction between them moves forces at rest from layer to layer after a drive"
+    ]

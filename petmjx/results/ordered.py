@@ -37,7 +37,10 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
     if block is None:
         return None
     of_plan: dict[str, Ordered] = {}
-    for part in Parts.of(folder, info).table("plans", ("plan_id", *Ordered._fields)):
+    parts = Parts.of(folder, info)
+    columns = {name for file in parts.files("plans") for name in parts.read(file).column_names}
+    needed = (name for name in Ordered._fields if name in columns or name not in Ordered._field_defaults)
+    for part in parts.table("plans", ("plan_id", *needed)):
         rows = part.to_pylist()
         values = {row.pop("plan_id"): row for row in rows}
         of_plan |= {plan_id: Ordered(**row) for plan_id, row in values.items() if row["ordered_boxes"] is not None}

@@ -28,7 +28,12 @@ class _Read(BaseModel):
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
-_ORDER_FIELDS: Final[dict[str, Any]] = {name: (kind, ...) for name, kind in get_type_hints(OrderCounts).items()}
+_NEWER_FIELDS: Final = ("resized", "matched_by_size")
+"""Fields of ``OrderCounts`` that runs of petmjx 0.2 do not have."""
+
+_ORDER_FIELDS: Final[dict[str, Any]] = {
+    name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()
+}
 _OrderCounts = create_model("_OrderCounts", __base__=_Read, **_ORDER_FIELDS)
 """All of ``OrderCounts``, none of it left out."""
 

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
-from petmjx.basics.text import counted
+from petmjx.basics.text import box_label, counted
 from petmjx.results.loads import Loads
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS
@@ -28,6 +28,9 @@ def load_tables(found: Loads, out: str | None = None) -> Iterator[RenderableType
     boxes = counted(int(found.plans["n_overloaded"].sum()), "box", "boxes")
     what = counted(len(found.plans), "world" if (found.plans["variant"] > 0).any() else "plan")
     yield line(f"{over:,} of {what} overloaded ({boxes}), {unknown:,} not known")
+    if peak := int(found.plans["overloaded_at_peak"].sum()):
+        boxes = counted(int(found.plans["n_overloaded_at_peak"].sum()), "box", "boxes")
+        yield line(f"{peak:,} of {what} overloaded at the peak ({boxes})")
     if "surely_overloaded" in found.plans:
         surely, possibly = (int(found.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
         yield line(f"{surely:,} surely, {possibly:,} possibly: by the least and the most force that statics allows")
@@ -48,6 +51,7 @@ def _table(found: Loads) -> FittedTable:
         TableColumn("over"),
         TableColumn("not\nknown", spare=2),
         TableColumn("largest\nload"),
+        TableColumn("at\npeak", spare=3),
         TableColumn("of box", "left", least=8, spare=1),
         TableColumn("rest\nforce N", spare=3),
         TableColumn("strength\nN", spare=4),
@@ -66,7 +70,8 @@ def _table(found: Loads) -> FittedTable:
             f"{row['n_overloaded']:,}",
             f"{row['n_unknown']:,}",
             percent(row["max_load_share"]),
-            f"{row['box']} {row['article']}" if known else "-",
+            percent(row["max_peak_share"]),
+            box_label(row["box"], row["article"]) if known else "-",
             "-" if force is None else number(force["rest_top_force_n"], "z.0f"),
             "-" if force is None else number(force["strength_n"], ".0f"),
         )

@@ -35,12 +35,18 @@ def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
     if counts["not_ordered"]:
         verb = _verb(counts["not_ordered"], "was", "were")
         odd.append(f"{counted(counts['not_ordered'], 'box', 'boxes')} in plans {verb} not ordered")
+    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 do not know
+        differ = "has another size or mass" if resized == 1 else "have other sizes or masses"
+        odd.append(f"{counted(resized, 'box', 'boxes')} {differ} than ordered")
     if counts["plans_without_order"]:
         odd.append(f"{counted(counts['plans_without_order'], 'plan')} {_verb(counts['plans_without_order'])} no order")
     if odd:
         yield line(f"{'; '.join(odd)}, in run.json", style="yellow")
     else:
         yield line(f"plans leave out none of {ordered}")
+    if unnamed := counts.get("matched_by_size", 0):
+        boxes = counted(unnamed, "box", "boxes")
+        yield line(f"{boxes} without id and article {_verb(unnamed, 'is', 'are')} matched by size and mass")
     if counts["orders_without_plan"] is None:
         yield line("orders without a plan are not counted with --limit: not all plans were read")
 

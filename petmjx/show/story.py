@@ -72,7 +72,7 @@ def _boxes_table(story: Story) -> FittedTable:
     for box in [*first, *(box for box in pressed if box not in first)]:
         table.add(
             str(box),
-            plan.articles[box],
+            plan.articles[box] or "-",
             "first to fail" if box in first else "most pressed",
             f"{plan.mass_kg[box]:.2f}",
             number(np.abs(boxes.shift_m[box]).max(), ".1f", factor=1000.0),

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
+from petmjx.basics.text import box_label
 from petmjx.basics.units import FloatArray
 from petmjx.results.shares import ALL_PLANS
 from petmjx.show.layout import FittedTable, TableColumn, number, percent
@@ -163,7 +164,7 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
             f"{row['direction_deg']:g}",
             number(row[column]) + "".join(f" {text[0]}" for mark, text in _DOUBTS.items() if marks[mark][place]),
             str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}",
-            "" if pd.isna(row["box"]) else f"{int(row['box'])} {row['article']}",
+            "" if pd.isna(row["box"]) else box_label(int(row["box"]), row["article"]),
         )
     return table
 

@@ -10,7 +10,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from petmjx.basics.text import counted, shown, three_digits
+from petmjx.basics.text import box_label, counted, shown, three_digits
 from petmjx.results.reader import RunResults, told_apart
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.orders import order_lines
@@ -237,9 +237,8 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
     left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
     articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
     for row in worlds.to_dict("records"):
-        first = (
-            "" if pd.isna(row["culprit"]) else f"{row['culprit']} {articles.get((row['plan_id'], row['culprit']), '')}"
-        )
+        culprit = row["culprit"]
+        first = "" if pd.isna(culprit) else box_label(culprit, articles.get((row["plan_id"], culprit), ""))
         verdict = str(row["verdict"])
         placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
         table.add(

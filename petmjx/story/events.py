@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from petmjx.basics.text import counted, shown
+from petmjx.basics.text import box_in_words, counted, shown
 from petmjx.basics.units import MM_PER_M
 from petmjx.story.tell import Story
 from petmjx.story.words import first_box_in_words
@@ -42,8 +42,8 @@ def headline(story: Story) -> str:
 
 
 def box_name(story: Story, box: int) -> str:
-    """ "box 22 (candy-00100723)"; boxes count from 0 in packing order."""
-    return f"box {box} ({shown(story.plan.articles[box])})"
+    """ "box 22 (candy-00100723)", with the id where there is no article; boxes count from 0 in packing order."""
+    return box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])
 
 
 def _subject(story: Story, box: int) -> str:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from petmjx.basics.text import shown
+from petmjx.basics.text import box_in_words, shown
 from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.engines.looked_at import NEAR_M as _NEAR_M
 from petmjx.engines.looked_at import leaning_boxes
@@ -137,11 +137,11 @@ def first_box_in_words(story: Story) -> str:
     if box < 0:
         return ""
     when = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
-    name = shown(story.plan.articles[box])
+    name = "B" + box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])[1:]
     gap_mm = _gap_mm(story, box)
     planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
     signs = " and ".join(_signs(story, box)) or "crossed a limit"
-    return f"Box {box} ({name}) {planned}failed first:{when} it {signs}."
+    return f"{name} {planned}failed first:{when} it {signs}."
 
 
 def _gap_mm(story: Story, box: int) -> float:

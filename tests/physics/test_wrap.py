@@ -148,3 +148,48 @@ def test_film_between_boxes_and_a_carrier_that_moves_adds_no_momentum() -> None:
     ]
     speed = (moments[1] - moments[0]) / (history.time_s[last] - history.time_s[first]) / scene.total_mass
     assert speed == pytest.approx(0.5 * STANDARD_GRAVITY * 0.1, rel=0.02)
+
+
+def test_after_a_drive_with_film_friction_at_sides_bears_part_of_the_weight() -> None:
+    """Forces on tops alone are not the weight above; with those at the sides between two layers, which are slivers that
+    boxes have sunk by, they are, but for what the film itself bears by friction (docs/wrap.md)."""
+    size, rows, layers, kg = (400.0, 400.0, 250.0), (3, 2), 4, 8.0
+    per_layer = rows[0] * rows[1]
+    boxes: list[Box] = [
+        (size, (400.0 * x, 400.0 * y, 250.0 * z), kg)
+        for z in range(layers)
+        for x in range(rows[0])
+        for y in range(rows[1])
+    ]
+    options = {"check": Check.STATIC, "carrier": "epal-1", "wrap": {"turns": 4, "force_n": 50}}
+    sim = Simulation(**options)
+    scene = build_scene(make_plan(boxes=boxes), sim)
+    pulse = np.concatenate((np.linspace(0.0, 0.7, 25), np.full(175, 0.7), np.linspace(0.7, 0.0, 25), np.zeros(75)))
+    acceleration = np.zeros((len(pulse), 3))
+    acceleration[:, 0] = STANDARD_GRAVITY * pulse
+    job = Job(
+        scene, Drive(Excitation("test", "acceleration", acceleration), rest_s=0.4), record=Record(0.1, details=True)
+    )
+    (outcome,) = MujocoEngine(1).run([job], sim)
+    assert outcome.verdict is Verdict.STABLE
+    assert outcome.history is not None
+    contacts = outcome.history.contacts
+    assert contacts is not None
+    last = (contacts.frame == contacts.frame.max()) & (contacts.body >= 0).all(axis=1)
+    layer = contacts.body // per_layer
+    film_n = film_of(scene).hold.reshape(layers, per_layer).sum(axis=1)
+    for upper in range(1, layers):
+        across = last & (layer.min(axis=1) == upper - 1) & (layer.max(axis=1) == upper)
+        sign = np.where(layer[across, 1] == upper, 1.0, -1.0)
+        up_n = sign * contacts.force[across, 2]
+        on_top = np.abs(contacts.normal[across, 2]) > 0.7
+        weight_n = (layers - upper) * per_layer * kg * STANDARD_GRAVITY
+        tops_n = float(np.sum(outcome.boxes.rest_top_force_n.reshape(layers, per_layer)[upper - 1]))
+        assert up_n[on_top].sum() == pytest.approx(tops_n, rel=0.02)
+        # what is left is what the film bears of the layers above, far below what it could
+        assert abs(up_n.sum() - weight_n) < 0.1 * film_n[upper:].sum()
+        level_m = 0.25 * upper
+        slivers = contacts.point[across, 2][~on_top]
+        assert (np.abs(slivers - level_m) < 1e-3).all()
+        pressed_n = np.abs((contacts.force[across] * contacts.normal[across]).sum(axis=1))[~on_top].sum()
+        assert abs(up_n[~on_top].sum()) <= sim.physics.box_friction[0] * pressed_n + 1e-6

@@ -44,10 +44,12 @@ def order(n: int = 3, **second: Any) -> dict[str, Any]:
 def order_of(plan: Plan, *more: str, without: int = 0) -> dict[str, Any]:
     """An order of a plan's boxes, without the last ones, and with one box more of each of these articles."""
     kept = slice(plan.n_boxes - without)
-    goods = [*zip(plan.item_ids[kept], plan.articles[kept], strict=True), *((name, name) for name in more)]
+    sizes, masses = plan.item_size_mm[kept].tolist(), plan.mass_kg[kept].tolist()
+    goods = list(zip(plan.item_ids[kept], plan.articles[kept], sizes, masses, strict=True))
+    goods += [(name, name, (600, 400, 220), 6.296) for name in more]
     items = {
-        str(k): placement(sequence=k, id=item_id, article=article)["item"]
-        for k, (item_id, article) in enumerate(goods, 1)
+        str(k): placement(sequence=k, size=size, id=item_id, article=article, **{"weight/kg": kg})["item"]
+        for k, (item_id, article, size, kg) in enumerate(goods, 1)
     }
     return {"item_sequence": items, "properties": {"target": "euro-pallet"}}
 

@@ -24,6 +24,7 @@ import petmjx.gym
 from benchmarks.episodes import SETTINGS, episodes
 from petmjx.basics.errors import InputError
 from petmjx.engines.choose import make_engine
+from petmjx.gym.actions import _in_turn
 from petmjx.gym.env import PalletizingEnv
 from petmjx.gym.vector import PalletizingVectorEnv
 from petmjx.loop.orders import KG_PER_M3, Orders
@@ -169,6 +170,49 @@ def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             on_top(**wrong)
+
+
+@pytest.mark.parametrize("mask", ["geometry", "support_75", "centre"])
+@pytest.mark.parametrize(("buffer", "most"), [(2, 3), (5, 32), (8, 20), (12, 6)])
+def test_each_box_of_the_buffer_has_its_share_of_candidates(mask: str, buffer: int, most: int) -> None:
+    """Its lowest places, as many as an equal share, or all that it has; the table is full where there are enough."""
+    options = {"look_ahead": buffer + 2, "buffer": buffer, "mask": mask, "cell_mm": 200, "engine": "mujoco"}
+    cut, whole = (PalletizingEnv(**options, n_candidates=count, threads=1) for count in (most, 20_000))
+    rng = np.random.default_rng(buffer)
+    (observed, _), (everything, _) = (env.reset(seed=3) for env in (cut, whole))
+    for _ in range(4):
+        size = len(observed["action_mask"])
+        assert size == max(most, buffer)
+        lists = [each["candidates"][each["action_mask"] == 1] for each in (observed, everything)]
+        kept, all_of = ([places[places[:, 0] == box] for box in range(buffer)] for places in lists)
+        assert len(lists[0]) == min(size, len(lists[1]))
+        for few, many in zip(kept, all_of, strict=True):
+            assert len(few) >= min(len(many), size // buffer)
+            np.testing.assert_array_equal(few, many[: len(few)])
+        action = int(rng.integers(len(lists[0])))
+        (same,) = np.flatnonzero((lists[1] == lists[0][action]).all(axis=1))
+        observed, *_ = cut.step(action)
+        everything, _, over, *_ = whole.step(int(same))
+        if over:
+            break
+
+
+def test_what_a_box_does_not_need_goes_to_the_others() -> None:
+    """Shares are those of pouring: one place more for every box that still has one, until there is no room."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        most, boxes = int(rng.integers(1, 40)), int(rng.integers(1, 8))
+        counts = rng.integers(0, 20, (4, boxes)) * rng.integers(0, 2, (4, boxes))
+        seen = np.repeat(np.arange(4 * boxes), counts.ravel())
+        kept = _in_turn(seen // boxes, seen, most)
+        poured = np.zeros_like(counts)
+        for row, of in enumerate(counts):
+            while poured[row].sum() < min(most, of.sum()):
+                for box in np.flatnonzero(poured[row] < of):
+                    poured[row, box] += poured[row].sum() < most
+        np.testing.assert_array_equal(np.bincount(seen[kept], minlength=4 * boxes), poured.ravel())
+        first = np.searchsorted(seen, seen[kept])
+        assert (kept - first < poured.ravel()[seen[kept]]).all()  # of each box the best ones
 
 
 def test_random_episodes_in_all_settings_show_no_fault() -> None:

@@ -193,7 +193,7 @@ def test_mckee_takes_the_sizes_of_the_plan(results: petmjx.RunResults) -> None:
     found = petmjx.loads("run", table(",confectionery,,5,4,5"), plans="plans.json")
     boxes = found.boxes.set_index(["plan_id", "box"])
     assert boxes.loc[("one", 0), "strength_n"] == pytest.approx(5.87 * 5 * math.sqrt(4 * 2000) / 5)
-    assert boxes.loc[("falls", 0), "strength_n"] == pytest.approx(5.87 * 5 * math.sqrt(4 * 1200) / 5)
+    assert boxes.loc[("falls", 0), "press_strength_n"] == pytest.approx(5.87 * 5 * math.sqrt(4 * 1200) / 5)
     assert boxes["strength_n"].isna().sum() == 2  # milk and jam
 
 

@@ -293,6 +293,9 @@ def test_shards_whose_table_has_lost_its_columns_are_not_merged(orders: Path, tm
 @pytest.mark.usefixtures("in_tmp_path")
 def test_orders_of_plans_without_ids_are_told_apart_by_article() -> None:
     (plan,) = read(row(), row(sequence=2))
-    items = {str(number): {**tower(1)[0]["item"], "article": "carton", "id": str(number)} for number in (1, 2, 3)}
+    length, width, height = plan.item_size_mm[0].tolist()
+    sizes = {"length/mm": length, "width/mm": width, "height/mm": height, "weight/kg": float(plan.mass_kg[0])}
+    item = {**tower(1)[0]["item"], "article": "carton", **sizes}
+    items = {str(number): {**item, "id": str(number)} for number in (1, 2, 3)}
     orders = {"A": {"item_sequence": items, "properties": {"target": "euro-pallet"}}}
-    assert check_orders(write(Path("orders.json"), orders), [plan]).of_plan["A"] == (3, 1, 0)
+    assert check_orders(write(Path("orders.json"), orders), [plan]).of_plan["A"] == (3, 1, 0, 0)

@@ -126,3 +126,19 @@ def test_orders_are_numbered_as_they_were(real_data: Path) -> None:
     """The submission's check compares numbers of the order with the sequence of items."""
     for _, order in read_orders(real_data / "5_bed-bpp.json"):
         assert order.numbers == tuple(range(1, len(order.items) + 1))
+
+
+def test_boxes_without_names_are_submitted_as_the_items_that_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    other = placement((0, 0, 440), (300, 200, 100), sequence=3, article="jam", id="7")
+    plan = [*tower(2), other]
+    bare = [json.loads(json.dumps(each)) for each in plan]
+    for each in bare:
+        each["item"] |= {"article": "", "id": ""}
+    assert submit({"A": bare}, {"A": order_for(plan)}) == 0
+    (file,) = Path("s").glob("*_doe_x_offline3dbp.json")
+    items = [each["item"] for each in json.loads(file.read_text())["A"]]
+    assert [(item["article"], item["id"]) for item in items] == [("donut-00101843", "00101843")] * 2 + [("jam", "7")]
+    capsys.readouterr()
+    bare[2]["item"]["weight/kg"] = 9
+    assert submit({"A": bare}, {"A": order_for(plan)}) == 2
+    assert "box 2: item was not ordered" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from petmjx.packers.kpis import KPIS
 from petmjx.packers.load import MISSING
 from petmjx.pages.leaderboard.entries import Entry
 from petmjx.pages.leaderboard.files import ORDERS, PLANS
+from petmjx.pages.leaderboard.replays import Sample
 from petmjx.pages.page import page
 from petmjx.pages.report.charts import between, intervals, percent
 from petmjx.pages.report.markup import Content, Markup, element, joined, table
@@ -30,7 +31,8 @@ MOST_SENTENCES: Final = 15
 
 RATING: Final = (
     "Rating: boxes on plans that stand in the simulation, as a share of all boxes ordered. Plans that fall, orders "
-    "without a plan, plans without a valid simulation, and boxes that were left out score nothing."
+    "without a plan, plans without a valid simulation, and boxes that were left out score nothing, nor do boxes that "
+    "were not ordered, or not so often, or with another size or mass, or that are not on the order's target."
 )
 
 _MEANS: Final = {
@@ -65,6 +67,8 @@ class Board:
         digests: packer → SHA-256 of the file of its plans in the folder; packers whose plans were not found lack one.
         orders: whether the board was made with orders.
         stories: most stories of a packer.
+        options: of the simulation, with which the board is made again.
+        samples: of the entries of which it simulated plans again; also of those that it does not rate.
     """
 
     entries: Sequence[Entry]
@@ -74,6 +78,8 @@ class Board:
     told: Sequence[Told]
     orders: bool
     stories: int
+    options: Simulation
+    samples: Sequence[Sample]
 
     def to_dict(self) -> dict[str, Any]:
         """The board as plain values."""
@@ -87,6 +93,8 @@ class Board:
             "sentences": self.found.sentences,
             "plans_sha256": self.digests,
             "stories": [vars(each) for each in self.told],
+            "simulated_again": [each.to_dict() for each in self.samples],
+            "refused": [{"packer": each.packer, "why": each.refusal} for each in self.samples if each.refusal],
             "notes": self.notes,
         }
 
@@ -94,7 +102,13 @@ class Board:
     def notes(self) -> list[str]:
         """Reasons to doubt the board, one line each."""
         lost = [entry.name for entry in self.entries if entry.name not in self.digests]
-        lines = list(self.found.notes)
+        lines = [each.refusal or each.note for each in self.samples if each.refusal or each.note]
+        lines += self.found.notes
+        if not self.orders:
+            lines.append(
+                "made without orders (--orders): what was ordered is taken from the packers' own plans and runs, so "
+                "the rating of one depends on the others"
+            )
         if lost:
             lines.append(f"the plans of {', '.join(lost)} were not found again: no stories, and no file of plans")
         return lines
@@ -109,7 +123,7 @@ class Board:
         words += ["--stories", str(self.stories), "-o", "../again"]
         config = self.entries[0].run.info.get("config", {})
         words += ["--engine", str(config.get("engine", "auto"))]
-        for name, value in _changed(config.get("simulation", {}), Simulation().model_dump(mode="json")):
+        for name, value in _changed(self.options.model_dump(mode="json"), Simulation().model_dump(mode="json")):
             words += ["--set", f"{name}={_toml(value)}"]
         return shlex.join(words)
 
@@ -168,7 +182,21 @@ def _rating(board: Board) -> Markup:
     heads = ["rank", "packer", "rating", f"{level} interval", "plans that stand", "no plan", "invalid"]
     chart = figure(f"Rating with {level} intervals", intervals("Rating", drawn))
     notes = [element("p", note, class_="note") for note in board.notes]
-    return joined(element("p", RATING, class_="hint"), *notes, table(heads, rows, texts=2), chart)
+    return joined(
+        element("p", RATING, class_="hint"), *notes, _again_in_words(board), table(heads, rows, texts=2), chart
+    )
+
+
+def _again_in_words(board: Board) -> Content:
+    """Which entries came as runs, and how many of their plans were simulated again."""
+    parts = [
+        f"{counted(len(each.replays), 'plan')} of {printable(each.packer)}"
+        for each in board.samples
+        if each.replays and not each.refusal
+    ]
+    if not parts:
+        return None
+    return element("p", f"Simulated again by this board, drawn at random: {', '.join(parts)}.", class_="hint")
 
 
 def _luck(board: Board) -> Markup:

@@ -37,12 +37,14 @@ class Entry:
         run: its run.
         plans: its plans by id, as far as they were found again.
         ours: whether it is a packer of petmjx.
+        scored: whether the board has just simulated all of its plans itself.
     """
 
     name: str
     run: RunResults
     plans: Mapping[str, Plan]
     ours: bool = False
+    scored: bool = False
 
 
 def named(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, Path]:
@@ -96,15 +98,17 @@ def enter(
     Raises:
         InputError: unusable plans or options, or the run that is there is another one.
     """
+    scored = False
     if (path / RUN_FILE).is_file():
         run = load_run(path)
     else:
+        scored = not (folder / RUNS / name / RUN_FILE).exists()
         with nullcontext() if watch is None else watch(name) as watcher:
             run = score(path, watcher=watcher, **{**options, "out": folder / RUNS / name, "resume": True})
     records = Manifest.read(run.parts, run.info).plans
     ids = dict.fromkeys(run.worlds["plan_id"])
     plans = find_plans(run, records, ids).plans
-    return Entry(name, run, {plan_id: plans[plan_id] for plan_id in ids if plan_id in plans}, ours)
+    return Entry(name, run, {plan_id: plans[plan_id] for plan_id in ids if plan_id in plans}, ours, scored)
 
 
 def keep_plans(entry: Entry, folder: Path) -> str:

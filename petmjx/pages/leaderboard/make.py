@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 from typing import Any, Final
@@ -15,13 +16,20 @@ from petmjx.basics.arguments import flag_of, list_of, path_of, whole_of
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import printable, shown
 from petmjx.basics.whole import whole_file, writing
-from petmjx.packers.compare import PackerComparison, compare_packers
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.packers.compare import PackerComparison, comparison_of
+from petmjx.packers.load import opened
 from petmjx.packers.rating import rate
 from petmjx.pages.leaderboard.board import Board, Told, board_page
 from petmjx.pages.leaderboard.entries import Entry, Watch, enter, keep_plans, named, pack_ours
 from petmjx.pages.leaderboard.files import ORDERS, PAGE, PLANS, STORIES, BoardFolder, names_of
+from petmjx.pages.leaderboard.replays import Replay, Sample, sample_entry
 from petmjx.pages.story_page import story_page
+from petmjx.plans.conventions import warn
+from petmjx.plans.samples.order_files import read_orders
 from petmjx.plans.samples.packers import PACKERS
+from petmjx.results.shares import DEFAULT_CONFIDENCE
 from petmjx.results.sources import source_files
 from petmjx.story.tell import tell
 from petmjx.verdict import Verdict
@@ -37,6 +45,7 @@ def leaderboard(
     orders: str | PathLike[str] | None = None,
     baselines: bool = False,
     stories: int = 3,
+    replays: int = 8,
     watch: Watch | None = None,
     overwrite: bool = False,
     **options: Any,
@@ -47,14 +56,18 @@ def leaderboard(
 
     The folder has ``index.html``, ``leaderboard.json`` with the same numbers, the pages of stories, and everything that
     is needed to make it again: ``plans/`` and ``orders.json``, and the command in the page. Plans are scored into
-    ``runs/`` there; what was scored already is not simulated again.
+    ``runs/`` there; what was scored already is not simulated again, but for ``replays`` of them: an entry whose run
+    they contradict is not rated, and a ``PlanWarning`` says so.
 
     Args:
         packers: name → a run's folder, or plans. Without given names they are named as their folders and files.
         out: the folder.
-        orders: BED-BPP orders of the plans: what was left out and KPIs are counted with them.
+        orders: BED-BPP orders of the plans. The rating is about these orders, and there are KPIs. Without them the
+            orders are those of which any packer has a plan, so a packer's rating depends on the others.
         baselines: also pack the orders with each of petmjx's packers.
         stories: how many plans of each packer get a page. Plans that fall while another packer's stands come first.
+        replays: how many plans of each entry that the board did not just score it simulates again, drawn at random,
+            with the options given, or those that all runs have.
         watch: packer → what follows its run, entered before and left after it.
         overwrite: replace a leaderboard that is there.
         options: of ``petmjx.score``, for plans that are scored.
@@ -63,11 +76,12 @@ def leaderboard(
         The path of ``index.html``.
 
     Raises:
-        InputError: fewer than two packers, unusable plans, runs or options, or the folder cannot be written or holds
-            something that is no leaderboard.
+        InputError: fewer than two packers, unusable plans, runs or options, no packer whose run its replays confirm, or
+            the folder cannot be written or holds something that is no leaderboard.
     """
     flag_of(baselines, "baselines")
     whole_of(stories, "stories", 0, MOST_STORIES)
+    whole_of(replays, "replays", 0)
     folder = path_of(out, "out")
     given = packers if isinstance(packers, Mapping) else list_of(packers, "packers", object, "runs or files of plans")
     paths = named(given)  # type: ignore[arg-type]  # what they hold is checked there
@@ -88,21 +102,82 @@ def leaderboard(
     with writing(folder):
         files_of_board.begin()
         entries = _entries(paths, folder, source, baselines, watch, options)
-        found = compare_packers({entry.name: entry.run for entry in entries}, orders=source)
+        rated = _rated(entries, folder, source, options, stories, replays)
         files_of_board.check()
-        files = {entry.name: keep_plans(entry, folder) for entry in entries}
+        files = {entry.name: keep_plans(entry, folder) for entry in rated.entries}
         if source is not None and keeps_orders:
             with whole_file(folder / ORDERS) as file:
                 shutil.copyfile(source, file)
         digests = {name: _digest(folder / PLANS / file) for name, file in files.items() if file}
-        told = _stories(entries, found, folder / STORIES, stories)
-        board = Board(entries, found, rate(found), digests, told, orders=source is not None, stories=stories)
+        board = Board(
+            rated.entries,
+            rated.found,
+            rate(rated.found),
+            digests,
+            rated.told,
+            orders=source is not None,
+            stories=stories,
+            options=rated.options,
+            samples=rated.samples,
+        )
         with whole_file(folder / PAGE) as file:
             file.write_text(board_page(board), encoding="utf-8", errors="backslashreplace")
         kept = [ORDERS] if ORDERS in files_of_board.own and source is not None else []
         plan_files = [f"{PLANS}/{name}" for name in files.values() if name]
-        files_of_board.finish(board.to_dict(), [PAGE, *kept, *plan_files, *(each.file for each in told)])
+        files_of_board.finish(board.to_dict(), [PAGE, *kept, *plan_files, *(story.file for story in rated.told)])
+    warn(sample.refusal for sample in rated.samples if sample.refusal)
     return folder / PAGE
+
+
+@dataclass(frozen=True, eq=False)
+class _Rated:
+    """The entries that are rated, and how they compare; of the others only their samples are there.
+
+    Attributes:
+        options: of the simulation, which the board has.
+        samples: of all entries that were simulated again.
+    """
+
+    entries: Sequence[Entry]
+    found: PackerComparison
+    told: Sequence[Told]
+    options: Simulation
+    samples: Sequence[Sample]
+
+
+def _rated(
+    entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
+) -> _Rated:
+    """Compare the entries whose runs are confirmed by what the board simulates again: samples, and stories."""
+    opened({entry.name: entry.run for entry in entries})
+    of_simulation, of_run, _ = sorted_options(options, Confidence)
+    sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
+    wanted = None if orders is None else {order_id for order_id, _ in read_orders(orders, lambda error: None)}
+    samples = {
+        entry.name: Sample(entry.name, "", exact=True)
+        if entry.scored
+        else sample_entry(entry, replays, sim, run_options, wanted)
+        for entry in entries
+    }
+    while True:
+        left = [entry for entry in entries if not samples[entry.name].refusal]
+        if not left:
+            lines = "; ".join(sample.refusal for sample in samples.values())
+            raise InputError(f"no packer is left to rate: {lines}")
+        found = comparison_of({entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders)
+        told, seen = _stories(left, found, folder / STORIES, stories)
+        samples |= {name: samples[name].with_replays(more) for name, more in seen.items()}
+        if not any(samples[entry.name].refusal for entry in left):
+            kept = [sample for name, sample in samples.items() if sample.replays or sample.fault]
+            return _Rated(left, found, told, sim, [each for each in kept if each.engine or each.refusal])
+
+
+def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
+    """The options of the board: those given; else those of its runs, if all have the same."""
+    settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
+    if of_simulation or not isinstance(settings[0], Mapping) or any(each != settings[0] for each in settings):
+        return Simulation(**of_simulation)
+    return Simulation.read(settings[0])
 
 
 def _entries(
@@ -130,10 +205,15 @@ def _digest(file: Path) -> str:
     return hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def _stories(entries: Sequence[Entry], found: PackerComparison, folder: Path, most: int) -> list[Told]:
-    """Tell some plans of each packer, each simulated again as its run did."""
+def _stories(
+    entries: Sequence[Entry], found: PackerComparison, folder: Path, most: int
+) -> tuple[list[Told], dict[str, list[Replay]]]:
+    """Tell some plans of each packer, each simulated again as its run did. Also what that says of the verdicts of each
+    packer's run."""
     folder.mkdir(exist_ok=True)
     told: list[Told] = []
+    seen: dict[str, list[Replay]] = {}
+    claimed = found.plans.set_index(["packer", "plan_id"])["verdict"]
     for number, entry in enumerate(entries, start=1):
         for plan_id in worth_telling(found, entry.name, entry.plans)[:most]:
             story = tell(plan_id, entry.run, plans=[entry.plans[plan_id]])
@@ -141,7 +221,9 @@ def _stories(entries: Sequence[Entry], found: PackerComparison, folder: Path, mo
             with whole_file(file) as page:
                 page.write_text(story_page(story), encoding="utf-8", errors="backslashreplace")
             told.append(Told(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
-    return told
+            replay = Replay.of(plan_id, str(claimed[entry.name, plan_id]), story.outcome)
+            seen.setdefault(entry.name, []).append(replay)
+    return told, seen
 
 
 def worth_telling(found: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:

@@ -9,6 +9,7 @@ import { rgbOf, shareOf } from "./colours.js";
 import { decimals } from "./decimals.js";
 import { make, makeSvg } from "./dom.js";
 import { bounds } from "./ended.js";
+import { goodsOf } from "./names.js";
 import { Replay } from "./replay.js";
 import { clamped } from "./vectors.js";
 import { createViewer } from "./viewer.js";
@@ -120,7 +121,8 @@ export class Card {
         (Number.isNaN(rest[box]) ? "" : `, ${decimals(rest[box], 0)} N at rest`) +
         (Number.isNaN(drop[box]) ? "" : `, dropped at ${decimals(drop[box], 2)} s`);
     const size = sides[box].map((side) => decimals(side, 0)).join(" × ");
-    return `Box ${box}${first}: ${article[box]} (item ${item[box]}), ${size} mm, ${decimals(mass[box], 2)} kg; ${ended}.`;
+    const goods = goodsOf(article[box], item[box]);
+    return `Box ${box}${first}: ${goods && `${goods}, `}${size} mm, ${decimals(mass[box], 2)} kg; ${ended}.`;
   }
 
   table() {

@@ -1,6 +1,7 @@
 // What colours mean: for each way of colouring the colours of boxes at a time, and a legend.
 
 import { make, makeSvg } from "./dom.js";
+import { NO_ARTICLE } from "./names.js";
 import { clamped } from "./vectors.js";
 
 const NOT_KNOWN = "#8a8f98";
@@ -68,7 +69,8 @@ function articleLegend(boxes) {
   const item = ([article, { colour, count }]) => {
     const swatch = makeSvg("svg", { class: "swatch", viewBox: "0 0 1 1", "aria-hidden": "true" });
     swatch.append(makeSvg("rect", { width: 1, height: 1, fill: colour }));
-    return make("li", {}, swatch, make("span", {}, count > 1 ? `${article} (${count})` : article));
+    const name = article || NO_ARTICLE;
+    return make("li", {}, swatch, make("span", {}, count > 1 ? `${name} (${count})` : name));
   };
   return make("ul", { tabindex: "0", "aria-label": "Colours of articles" }, ...ranked.map(item));
 }

@@ -16,8 +16,8 @@ export function showNumbers(list, box, info, frames, time) {
   const shift = now("shift_mm");
   const tilt = now("tilt_deg");
   const rows = [
-    ["article", boxes.article[box]],
-    ["item", boxes.item[box]],
+    ["article", boxes.article[box] || "–"],
+    ["item", boxes.item[box] || "–"],
     ["size", `${boxes.size_mm[box].join(" × ")} mm`],
     ["mass", fixed(boxes.mass_kg[box], 2, "kg")],
     ["packed as", `${box} of ${boxes.article.length}, from 0`],

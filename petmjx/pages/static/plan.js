@@ -70,7 +70,8 @@ export class PlanView {
     if (first >= 0) {
       const when = this.rows.arrays.sign?.[row];
       const at = Number.isFinite(when) ? ` at ${when.toFixed(2)} s` : "";
-      line.append(` Box ${first} (${this.rows.text("article", row)}) failed first${at}.`);
+      const article = this.rows.text("article", row);
+      line.append(` Box ${first}${article ? ` (${article})` : ""} failed first${at}.`);
     }
     const { boxes, placed } = this.rows.arrays;
     if (placed && placed[row] < boxes[row]) line.append(` ${placed[row]} of ${boxes[row]} boxes were placed.`);

@@ -6,6 +6,7 @@ import { colourings, rgbOf } from "./colours.js";
 import { byId, make } from "./dom.js";
 import { Frames } from "./frames.js";
 import { listenToKeys } from "./keys.js";
+import { labelOf } from "./names.js";
 import { showNumbers } from "./numbers.js";
 import { Player, SPEEDS } from "./player.js";
 import { Timeline } from "./timeline.js";
@@ -37,7 +38,7 @@ class StoryPage {
   fillLists() {
     const { boxes } = this.info;
     const option = (value, text) => make("option", { value }, text);
-    byId("box").append(option(-1, "none"), ...boxes.article.map((article, box) => option(box, `${box} ${article}`)));
+    byId("box").append(option(-1, "none"), ...boxes.article.map((article, box) => option(box, labelOf(box, article))));
     byId("speed").append(...SPEEDS.map((speed) => option(speed, `${speed}×`)));
     byId("speed").value = this.player.speed;
     for (const [key, { title }] of Object.entries(this.colourings)) byId("colour").append(option(key, title));
@@ -156,7 +157,7 @@ class StoryPage {
 
   placeLabels() {
     const { first, boxes } = this.info;
-    const name = (box) => `${box} ${boxes.article[box]}`;
+    const name = (box) => labelOf(box, boxes.article[box]);
     if (first) this.placeLabel(byId("label-first"), first.box, `first to fail: ${name(first.box)}`);
     const other = first && first.box === this.chosen ? -1 : this.chosen;
     this.placeLabel(byId("label-chosen"), other, other < 0 ? "" : name(other));
