@@ -312,9 +312,9 @@ tests/unit/test_choose.py.
 CPU threads: one thread of two virtual EPYC cores, physics ``pallet``: scores of generated plans of 5 to 80 boxes and
 third-party ones of 16 to 241, static checks, both schedules, scores with confidence, placed exactly and by hand,
 EUMOS's drives and search, tilts, placement errors. Plans in which a box tips over as soon as it is let go are fitted to
-shelf packings of 24 boxes (tests/unit/test_falling_plans.py), and film to EUMOS's drives of 8, 20 and 44 boxes with 1 to
-16 turns, each beside the same without film. Other plans that fall early take less, large ones that collapse up to five
-times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated
+shelf packings of 24 boxes (tests/unit/test_falling_plans.py), and film to EUMOS's drives of 8, 20 and 44 boxes with 1
+to 16 turns, each beside the same without film. Other plans that fall early take less, large ones that collapse up to
+five times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated
 again with finer steps are not estimated.
 
 Devices: one H100 without start and compilation, adaptive if nothing else is said: 10,003 generated plans, 4,000 with
