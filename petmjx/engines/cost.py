@@ -229,7 +229,7 @@ class ThreadCosts:
         placing_s = (at_rest + self.overhead_s) * (SOFT_STARTS + work.share * work._placing_steps)
         fallen = np.minimum(boxes + FALL_BOXES, np.asarray(work.boxes, dtype=float))
         falling_s = self.rest_s * fallen**REST_POWER + self.overhead_s + self.fall_s * fallen**2
-        return placing_s + self.landing_s * landings + work.fall_steps * falling_s
+        return np.asarray(placing_s + self.landing_s * landings + work.fall_steps * falling_s)
 
     def driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
         """(n,) time of a drive of each plan, s. steps: of the drive."""
