@@ -18,6 +18,7 @@ from petmjx.engines.retry import score_worlds
 from petmjx.engines.worlds import World
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import RunOptions
+from petmjx.plans.loose import placed_shares
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.recorded import Recorded
@@ -156,7 +157,12 @@ class Nominal(Study):
             sim=sim,
             everything=plans,
             plans=own,
-            work=Work(sim, [plan.n_boxes for plan in own], carried=int(sim.placing.carries)),
+            work=Work(
+                sim,
+                [plan.n_boxes for plan in own],
+                carried=int(sim.placing.carries),
+                placed_share=placed_shares(own),
+            ),
             n_worlds=len(own),
             amount=counted(len(own), "plan"),
         )

@@ -13,6 +13,7 @@ from petmjx.basics.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.engines.cost import Work, rest_steps
 from petmjx.history import Record
 from petmjx.options.config import Check, Schedule
+from petmjx.plans.loose import placed_shares
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.study import MAX_WORLDS
@@ -254,6 +255,8 @@ class SweepPlan(Design):
             carried=self._carried,
             drives=self.n_variants - nominal if profiles else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
+            filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes,
+            placed_share=placed_shares(self.plans),
         )
 
     @property

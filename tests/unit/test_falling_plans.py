@@ -1,0 +1,171 @@
+"""Estimates of plans that fall, and of pallets in film: what tips over is seen in the plan, and what it costs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.plans import Box, make_plan
+
+from petmjx.engines.choose import choose
+from petmjx.engines.cost import FALL_BOXES, FALL_STEPS, MEASURED, SOFT_STARTS, STEP_SHARE, Work
+from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.options.run_options import RunOptions
+from petmjx.plans.loose import MOST_LOOKED_AT, first_loose, placed_shares
+from petmjx.plans.plan import Plan
+from petmjx.plans.samples import generate_one
+from petmjx.plans.samples.orders import draw_order
+from petmjx.plans.validate import parse_plan
+from petmjx.study import Nominal
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.grid import SweepPlan
+from petmjx.sweeps.ready import find_sweep
+
+SIM = Simulation()
+CPU = MEASURED.mujoco
+
+
+def boxes(*places: tuple[float, float, float], size: tuple[float, float, float] = (400.0, 300.0, 200.0)) -> Plan:
+    made: list[Box] = [(size, place, 6.0) for place in places]
+    return make_plan(boxes=made)
+
+
+@pytest.mark.parametrize(
+    ("plan", "box"),
+    [
+        (boxes((0, 0, 0), (0, 0, 200)), 2),
+        (boxes((0, 0, 0), (190, 0, 200)), 2),
+        (boxes((0, 0, 0), (210, 0, 200)), 1),
+        (boxes((0, 0, 0), (0, 160, 200), (0, 160, 400)), 1),
+        (boxes((0, 0, 0), (600, 0, 0), (300, 0, 200)), 3),  # a bridge
+        (boxes((0, 0, 0), (300, 0, 200), (600, 0, 0)), 1),  # of which the second pier comes too late
+        (boxes((0, 0, 0), (210, 0, 230)), 1),  # whatever gap there is
+        (boxes((0, 0, 0), (0, 0, 700)), 2),
+        (boxes((0, 0, 50)), 1),
+    ],
+)
+def test_the_first_box_that_tips_over(plan: Plan, box: int) -> None:
+    assert first_loose(plan) == box
+
+
+def test_a_lower_neighbour_bears_nothing() -> None:
+    """A box over a taller and a lower one tips towards the lower one."""
+    sizes = ((300.0, 300.0, 200.0), (300.0, 300.0, 150.0), (500.0, 300.0, 100.0))
+    for x, box in ((100.0, 2), (0.0, 3)):
+        plan = make_plan(boxes=[(sizes[0], (0, 0, 0), 5), (sizes[1], (300, 0, 0), 5), (sizes[2], (x, 0, 200), 5)])
+        assert first_loose(plan) == box
+
+
+def test_where_the_mass_is() -> None:
+    plan = boxes((0, 0, 0), (150, 0, 200))
+    shifted = Plan.from_boxes(
+        "p",
+        size_mm=plan.size_mm,
+        corner_mm=plan.corner_mm,
+        mass_kg=plan.mass_kg,
+        com_length_mm=[0, 100],
+        com_width_mm=[0, 0],
+        com_height_mm=[0, 0],
+    )
+    assert (first_loose(plan), first_loose(shifted)) == (2, 1)
+
+
+def test_of_many_plans_some_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr("petmjx.plans.loose.first_loose", lambda plan: seen.append(plan.plan_id) or 0)  # type: ignore[func-returns-value]
+    plans = [boxes((0, 0, 0), (0, 0, 200))] * (3 * MOST_LOOKED_AT)
+    assert placed_shares(plans).tolist() == [0.5] * len(plans)
+    assert len(seen) == MOST_LOOKED_AT
+    assert placed_shares([]).tolist() == []
+
+
+def test_a_fall_worked_out_by_hand() -> None:
+    """Twenty boxes of which the tenth tips over: the placing of ten, and the fall with seven more."""
+    work = Work(SIM, [20], placed_share=[0.5])
+    placing = 0.5 * STEP_SHARE[Schedule.ADAPTIVE] * work.fixed_steps[0]
+    assert work.steps.tolist() == pytest.approx([SOFT_STARTS + placing + FALL_STEPS])
+    placed, fallen = 10, 10 + FALL_BOXES
+    at_rest_s = (CPU.rest_s * placed**1.25 / 2.25 + CPU.overhead_s) * (SOFT_STARTS + placing)
+    falling_s = CPU.rest_s * fallen**1.25 + CPU.overhead_s + CPU.fall_s * fallen**2
+    expected_s = at_rest_s + CPU.landing_s * placed**3 / 3 + FALL_STEPS * falling_s
+    assert MEASURED.seconds(work, 1)["mujoco"] == pytest.approx(expected_s)
+    # what stands costs as before, and so does what is not known, and a world that goes on after a drop
+    for other in (
+        Work(SIM, [20], placed_share=[1.0]),
+        Work(SIM, [20]),
+        Work(SIM.changed(early_stop=False), [20], placed_share=[0.5]),
+    ):
+        assert MEASURED.seconds(other, 1)["mujoco"] == MEASURED.seconds(Work(SIM, [20]), 1)["mujoco"]
+    static = Simulation(check=Check.STATIC)
+    assert Work(static, [20], placed_share=[0.5]).steps.tolist() == Work(static, [20]).steps.tolist()
+    # what does not stand is not shaken
+    shaken = Work(SIM, [20, 20], drives=8, drive_steps=500, placed_share=[0.5, 1.0])
+    assert shaken.shaken.tolist() == [0, 8]
+
+
+def shelves(number: int) -> Plan:
+    """Boxes in rows, by falling height, each layer on top of the tallest box below: most of them stand on little."""
+    x = y = z = row = layer = 0.0
+    made: list[Box] = []
+    for item in sorted(draw_order(3, number).items, key=lambda item: -item.height_mm)[:24]:
+        length, width, height = item.length_mm, item.width_mm, item.height_mm
+        if x + length > 1200:
+            x, y, row = 0.0, y + row, 0.0
+        if y + width > 800:
+            x, y, z, layer, row = 0.0, 0.0, z + layer, 0.0, 0.0
+        made.append(((length, width, height), (x, y, z), item.weight_kg))
+        x, row, layer = x + length, max(row, width), max(layer, height)
+    return make_plan(f"shelf-{number}", made)
+
+
+def test_auto_takes_the_faster_engine_for_plans_that_fall() -> None:
+    """200 plans of shelves: C MuJoCo takes many times as long as for as many that stand."""
+    plans = [shelves(number % 20) for number in range(200)]
+    work = Nominal(SIM, plans, RunOptions()).work
+    assert (work.share < 1).mean() > 0.9
+    seconds, if_they_stood = (MEASURED.seconds(each, 2) for each in (work, Work(SIM, work.boxes)))
+    assert seconds["mujoco"] > 4 * if_they_stood["mujoco"]
+
+    def chosen(expected: dict[str, float]) -> str:
+        return choose(expected, 2, why_no_gpu=lambda: "no GPU", why_no_kernel=lambda: None)[0]
+
+    assert (chosen(if_they_stood), chosen(seconds)) == ("mujoco", "mjx-warp-cpu")
+
+
+RECORDED = (("mujoco", 12.46, 30404), ("mjx-warp-cpu", 2.77, 29945))
+"""Engine, CPU time in s, and steps: plans 20 to 35 of ``shelves``, all of which fall; the median of three runs without
+compilation. One thread of two cores that other programs kept busy: plans that stand took 1.3 times as long as
+expected there."""
+
+
+@pytest.mark.parametrize(("engine", "cpu_s", "steps"), RECORDED)
+def test_estimates_of_falling_plans_are_within_a_factor_of_two(engine: str, cpu_s: float, steps: int) -> None:
+    plans = [shelves(number) for number in range(20, 36)]
+    work = Nominal(SIM, plans, RunOptions()).work
+    start_s = MEASURED.seconds(Work(SIM, []), 1)[engine]
+    assert 1 / 2 < (MEASURED.seconds(work, 1)[engine] - start_s) / cpu_s < 2
+    assert 1 / 2 < work.steps.sum() / (steps + SOFT_STARTS * len(plans)) < 2
+
+
+def test_good_packers_are_not_taken_for_bad_ones() -> None:
+    plans = []
+    for index in range(20):
+        plan_id, placements = generate_one(index, 21, packer="balanced")
+        plans.append(parse_plan(plan_id, "test", placements, len(placements), {}))
+    np.testing.assert_array_equal(placed_shares(plans), 1.0)
+
+
+def test_film_makes_steps_of_a_drive_dearer_on_c_mujoco() -> None:
+    """Its forces are worked out in Python there, step by step."""
+    plans = [boxes((0, 0, 0), (0, 0, 200))]
+    bare, filmed = (
+        SweepPlan(load_sweep(find_sweep(name), plans_given=True), plans).work()
+        for name in ("eumos-search", "wrap-search")
+    )
+    assert (bare.filmed, filmed.filmed) == (False, True)
+    steps = float((filmed.shaken * filmed.drive_steps).sum())
+    unfilmed = Work(filmed.sim, filmed.boxes, filmed.placements, drives=filmed.drives, drive_steps=filmed.drive_steps)
+    more_s = {
+        name: MEASURED.seconds(filmed, 1)[name] - MEASURED.seconds(unfilmed, 1)[name]
+        for name in ("mujoco", "mjx-warp-cpu")
+    }
+    assert more_s == pytest.approx({"mujoco": steps * CPU.film_s, "mjx-warp-cpu": 0.0})
