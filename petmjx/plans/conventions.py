@@ -301,14 +301,15 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     odd = np.maximum(gap, overlap)
-    share = np.count_nonzero(above & (odd > DEFAULT_TOLERANCE_MM)) / max(np.count_nonzero(above), 1)
+    share = int((above & (odd > DEFAULT_TOLERANCE_MM)).sum()) / max(int(above.sum()), 1)
     return bool(share >= least_share and odd.max() > _SMALL_MM)
 
 
 def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:
     """Whether all boxes are on the carrier if its middle is the origin."""
-    none = way is None or way.read is None
-    corner, size = (plan.corner_mm, plan.size_mm) if none else way.layout_of(plan)
+    corner, size = plan.corner_mm, plan.size_mm
+    if way is not None and way.read is not None:
+        corner, size = way.layout_of(plan)
     half = np.array(extent_mm) / 2 + DEFAULT_TOLERANCE_MM
     on_it = (corner[:, :2] >= -half).all() and ((corner + size)[:, :2] <= half).all()
     return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())

@@ -108,7 +108,7 @@ def _in_order(bearing: Bearing) -> Bearing:
     if before.all():
         return bearing
     return Bearing(
-        bearing.boxes, *(values[before] for values in (bearing.upper, bearing.lower, bearing.low, bearing.high))
+        bearing.boxes, bearing.upper[before], bearing.lower[before], bearing.low[before], bearing.high[before]
     )
 
 
@@ -167,9 +167,10 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         if len(rows):
             passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
             wait(bearing.lower[contact] * n + key[rows] % n, passed)
-    key, part = (np.concatenate(arrays) for arrays in zip(*done, strict=True)) if done else (boxes, np.zeros((0, 3)))
-    order = np.argsort(key)
-    return key[order] // n, key[order] % n, part[order]
+    all_keys = np.concatenate([boxes[:0], *(key for key, _ in done)])
+    order = np.argsort(all_keys)
+    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in done)])[order]
+    return all_keys[order] // n, all_keys[order] % n, sums
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
