@@ -175,8 +175,10 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
     """(p, 3) sums from each box's first pair on."""
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(part, axis=0)])
-    sums: FloatArray = total[1:] - np.repeat(total[begins[:-1]], np.diff(begins), axis=0)
+    sums, count = part.copy(), np.diff(begins)
+    for k in range(1, int(count.max(initial=0))):  # each box for itself: its sums do not depend on company
+        later = begins[:-1][count > k] + k
+        sums[later] += sums[later - 1]
     return sums
 
 

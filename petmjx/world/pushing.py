@@ -100,22 +100,24 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, wanted: Floa
     second = np.add.reduceat(np.einsum("cki,ckj->cij", to_cone, to_cone), begins)
     plane: FloatArray = np.asarray(np.linalg.solve(second, wanted[..., None])[..., 0], np.float64)
     value, projected, slope = energy(plane)
-    before = np.inf
+    before, goes_on = np.full(len(plane), np.inf), np.ones(len(plane), bool)
     for _ in range(_MOST_STEPS):
         rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - wanted
-        worst = np.abs(rest).max(initial=0.0)
-        if worst <= _EXACT or before / 2 <= worst <= _ENOUGH:
+        off = np.abs(rest).max(axis=1)
+        # each box stops for itself: its forces do not depend on company
+        goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
+        if not goes_on.any():
             break
-        before = worst
+        before = off
         second = np.add.reduceat(np.einsum("cki,ckl,clj->cij", to_cone, slope, to_cone), begins)
         second[:, [0, 1, 2], [0, 1, 2]] += _RIDGE * (1 + np.trace(second, axis1=1, axis2=2))[:, None]
         step: FloatArray = np.asarray(-np.linalg.solve(second, rest[..., None])[..., 0], np.float64)
         fall = (step * rest).sum(axis=1)
-        share = np.ones(len(plane))
+        share = goes_on.astype(float)
         for _ in range(_MOST_HALVINGS):
             further = plane + share[:, None] * step
             new, new_projected, new_slope = energy(further)
-            worse = new > value + 1e-4 * share * fall + 1e-15 * np.abs(value)
+            worse = goes_on & (new > value + 1e-4 * share * fall + 1e-15 * np.abs(value))
             if not worse.any():
                 break
             share[worse] /= 2
