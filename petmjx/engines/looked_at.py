@@ -96,16 +96,16 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
     for k in valid:
         outcome = outcomes[k]
         plan, built = by_plan[scenes[k], outcome.n_placed, in_order and not jobs[k].has_errors]
-        edges_m = {"plan_edge_m": plan.least}
-        outcome.plan_edge_m, outcome.plan_edge_box = _least(plan.least)
+        plan_edge_m, rest_edge_m = plan.least, outcome.boxes.rest_edge_m
+        outcome.plan_edge_m, outcome.plan_edge_box = _least(plan_edge_m)
         outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step, nearest_m = built
         near = [nearest_m, *map(_nearest_m, plan)]
-        edge_m = np.array([outcome.build_edge_m, *plan.by_weight, *plan.by_load])
+        edge_m = np.concatenate([[outcome.build_edge_m], *plan])
         if k in of_rest:
-            edges_m["rest_edge_m"] = of_rest[k].least
-            outcome.rest_edge_m, outcome.rest_edge_box = _least(of_rest[k].least)
+            rest_edge_m = of_rest[k].least
+            outcome.rest_edge_m, outcome.rest_edge_box = _least(rest_edge_m)
             near += map(_nearest_m, of_rest[k])
-        outcome.boxes = replace(outcome.boxes, **edges_m)
+        outcome.boxes = replace(outcome.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
         contradicts = (edge_m < 0) if outcome.verdict is Verdict.STABLE else (edge_m >= 0)
         if np.fmin.reduce(near) <= KNIFE_EDGE_M or (contradicts & (np.abs(edge_m) <= NEAR_M)).any():
             outcome.flags |= Flag.KNIFE_EDGE

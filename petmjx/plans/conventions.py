@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.basics.errors import PlanWarning
 from petmjx.basics.text import box_in_words, counted, shown, three_digits
@@ -46,6 +47,9 @@ _LEAST_FILLED: Final = 0.3
 
 _MM3_PER_M3: Final = 1e9
 
+_MOST_ROUNDS: Final = 5
+"""Times that turned boxes are gone through; most rows are read rightly after two."""
+
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""
 
@@ -61,6 +65,7 @@ class Convention:
         read: corners and sizes as petmjx has them. None: they are not what differs.
         least_odd: floating boxes and overlaps that a plan has at least, if its lowest box does not float.
         of_turned: ``read`` is about boxes that an orientation says are turned; the others are as petmjx has them.
+        of_some: only about those of which it takes overlaps away.
         least_share: share of the boxes above the carrier that float or overlap at least, by more than ``_SMALL_MM`` one
             of them.
     """
@@ -70,6 +75,7 @@ class Convention:
     read: Callable[[FloatArray, FloatArray], _Layout] | None = None
     least_odd: int = 2
     of_turned: bool = False
+    of_some: bool = False
     least_share: float = 0.0
 
     def layout_of(self, plan: Plan) -> _Layout:
@@ -78,8 +84,8 @@ class Convention:
         corner, size = self.read(plan.corner_mm, plan.size_mm)
         if not self.of_turned:
             return corner, size
-        turned = plan.turned[:, None]
-        return np.where(turned, corner, plan.corner_mm), np.where(turned, size, plan.size_mm)
+        turned = _overlapping_less(plan, size) if self.of_some else plan.turned
+        return np.where(turned[:, None], corner, plan.corner_mm), np.where(turned[:, None], size, plan.size_mm)
 
 
 def _scaled(unit: str, sizes: bool) -> Convention:
@@ -99,6 +105,10 @@ def _anchored(anchor: str, looks: str) -> Convention:
 
 
 CENTRES: Final = _anchored("centre", "coordinates look like those of centres, not of corners")
+_TURNED: Final = (
+    "lengths and widths of boxes that an orientation says are turned look swapped",
+    "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
+)
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
 """If y and z are swapped, at least this share of the boxes above the carrier float or overlap. Where rows are flush in
@@ -107,13 +117,8 @@ _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this are of sheets, rounded heights or careless packers, and of no convention."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
-    Convention(
-        "lengths and widths of boxes that an orientation says are turned look swapped",
-        "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
-        lambda corner, size: (corner, size[:, [1, 0, 2]]),
-        least_odd=1,
-        of_turned=True,
-    ),
+    Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
+    Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), of_turned=True, of_some=True),
     CENTRES,
     _anchored("base-centre", "x and y look like those of centres, not of corners"),
     _anchored("far-corner", "coordinates look like those of the corners with the largest x, y and z"),
@@ -296,19 +301,43 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
     return left.n_floating + left.n_overlapping_pairs <= n_odd // 10
 
 
+def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
+    """(n,) turned boxes that overlap fewer others with another size, (n, 3) mm: one after the other, as long as some
+    do."""
+    chosen, sizes, low = np.zeros(plan.n_boxes, bool), plan.size_mm.copy(), plan.corner_mm
+    turned = np.flatnonzero(plan.turned & (plan.size_mm != size).any(axis=1))
+
+    def overlaps(box: int, extent: FloatArray) -> int:
+        common = np.minimum(low + sizes, low[box] + extent) - np.maximum(low, low[box])
+        reaches = (common > DEFAULT_TOLERANCE_MM).all(axis=1)
+        reaches[box] = False
+        return int(np.count_nonzero(reaches))
+
+    for _ in range(_MOST_ROUNDS):
+        before = chosen.copy()
+        for box in turned.tolist():
+            other = plan.size_mm[box] if chosen[box] else size[box]
+            if overlaps(box, other) < overlaps(box, sizes[box]):
+                chosen[box], sizes[box] = not chosen[box], other
+        if np.array_equal(before, chosen):
+            break
+    return chosen
+
+
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
     """Whether so many of the boxes above the carrier float or overlap, and not all by little."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     odd = np.maximum(gap, overlap)
-    share = np.count_nonzero(above & (odd > DEFAULT_TOLERANCE_MM)) / max(np.count_nonzero(above), 1)
+    share = int((above & (odd > DEFAULT_TOLERANCE_MM)).sum()) / max(int(above.sum()), 1)
     return bool(share >= least_share and odd.max() > _SMALL_MM)
 
 
 def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:
     """Whether all boxes are on the carrier if its middle is the origin."""
-    none = way is None or way.read is None
-    corner, size = (plan.corner_mm, plan.size_mm) if none else way.layout_of(plan)
+    corner, size = plan.corner_mm, plan.size_mm
+    if way is not None and way.read is not None:
+        corner, size = way.layout_of(plan)
     half = np.array(extent_mm) / 2 + DEFAULT_TOLERANCE_MM
     on_it = (corner[:, :2] >= -half).all() and ((corner + size)[:, :2] <= half).all()
     return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())

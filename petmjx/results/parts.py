@@ -81,7 +81,9 @@ class Row:
         culprit = outcome.culprit if outcome.culprit >= 0 else None
         cells = {"plan_id": plan.plan_id, "variant": variant, "schedule": schedule}
         cells |= {name: getattr(outcome, name) for name in (*_OF_OUTCOME, *(metric.name for metric in world_metrics()))}
-        cells |= {metric.name: None for metric in world_metrics() if metric.numbers and cells[metric.name] < 0}
+        cells |= {
+            metric.name: None for metric in world_metrics() if metric.numbers and getattr(outcome, metric.name) < 0
+        }
         cells |= {"culprit": culprit, **params}
         values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]
         values.append(np.full((n, len(FORCE_INTERVAL)), np.nan) if interval_n is None else interval_n)

@@ -44,10 +44,10 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
         values[metric.attribute] = np.stack(columns, axis=1) if len(columns) > 1 else columns[0]
     values["dropped"] = values["dropped"] > 0
     cells: dict[str, Any] = {name: row[name] for name in ("n_boxes", "n_placed", "solver", "attempt")}
-    for metric in world_metrics():
-        value = row.get(metric.name)  # a run of an earlier version may not have it
-        nothing = -1 if metric.numbers else math.nan
-        cells[metric.name] = nothing if value is None else value
+    for of_world in world_metrics():
+        value = row.get(of_world.name)  # a run of an earlier version may not have it
+        nothing = -1 if of_world.numbers else math.nan
+        cells[of_world.name] = nothing if value is None else value
     return Outcome(
         job=0,
         verdict=Verdict(row["verdict"]),

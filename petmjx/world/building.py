@@ -108,7 +108,7 @@ def _in_order(bearing: Bearing) -> Bearing:
     if before.all():
         return bearing
     return Bearing(
-        bearing.boxes, *(values[before] for values in (bearing.upper, bearing.lower, bearing.low, bearing.high))
+        bearing.boxes, bearing.upper[before], bearing.lower[before], bearing.low[before], bearing.high[before]
     )
 
 
@@ -167,15 +167,18 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         if len(rows):
             passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
             wait(bearing.lower[contact] * n + key[rows] % n, passed)
-    key, part = (np.concatenate(arrays) for arrays in zip(*done, strict=True)) if done else (boxes, np.zeros((0, 3)))
-    order = np.argsort(key)
-    return key[order] // n, key[order] % n, part[order]
+    all_keys = np.concatenate([boxes[:0], *(key for key, _ in done)])
+    order = np.argsort(all_keys)
+    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in done)])[order]
+    return all_keys[order] // n, all_keys[order] % n, sums
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
     """(p, 3) sums from each box's first pair on."""
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(part, axis=0)])
-    sums: FloatArray = total[1:] - np.repeat(total[begins[:-1]], np.diff(begins), axis=0)
+    sums, count = part.copy(), np.diff(begins)
+    for k in range(1, int(count.max(initial=0))):  # each box for itself: its sums do not depend on company
+        later = begins[:-1][count > k] + k
+        sums[later] += sums[later - 1]
     return sums
 
 
@@ -194,49 +197,52 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
         return
     for between in bearing.levels:
         np.logical_or.at(pulled, bearing.lower[between], pulled[bearing.upper[between]])
+    count, n = np.diff(begins), len(pulled)
     above = np.argsort(bearing.lower, kind="stable")
-    lowest = np.searchsorted(bearing.lower[above], np.arange(len(pulled) + 1))
-    forces: dict[int, FloatArray] = {}
+    n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
+    above = above[np.count_nonzero(bearing.lower == CARRIER) :]
+    key = np.repeat(np.arange(n), count) * n + step  # in order
+    # the forces at contacts of boxes that are gone through, one for each of their loads
+    size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
+    first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
     level = bearing.level[boxes]
     for number in np.unique(level).tolist():
         some = boxes[level == number]
-        for box in some.tolist():
-            pairs = slice(begins[box], begins[box + 1])
-            steps = step[pairs]
-            total = np.where((steps >= box)[:, None], weights[box], 0.0)
-            for contact_above in above[lowest[box] : lowest[box + 1]].tolist():
-                upper = bearing.upper[contact_above]
-                of_upper = slice(begins[upper], begins[upper + 1])
-                pushed = forces.get(contact_above)
-                if pushed is None:
-                    pushed = load[of_upper] @ bearing.shares[contact_above].T
-                last = np.searchsorted(step[of_upper], steps, side="right") - 1
-                total += np.where((last >= 0)[:, None], pushed[last], 0.0)
-            load[pairs] = total
-        _push(bearing, some, begins, load, forces)
+        pairs, owner = _spans(count, some), np.repeat(some, count[some])
+        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[_spans(n_above, owner)]
+        upper = bearing.upper[contact]
+        last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
+        placed = last >= begins[upper]
+        rows, contact, upper, last = rows[placed], contact[placed], upper[placed], last[placed]
+        through = pulled[upper]
+        passed = np.zeros((len(rows), 3))
+        passed[through] = forces[(first[contact] + last - begins[upper])[through]]
+        passed[~through] = np.einsum("cij,cj->ci", bearing.shares[contact[~through]], load[last[~through]])
+        load[pairs] = np.where((step[pairs] >= owner)[:, None], weights[owner], 0.0)
+        np.add.at(load, pairs[rows], passed)
+        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), _spans(bearing.n_supports, owner)
+        place = first[contact] + (pairs - begins[owner])[rows]
+        forces[place] = _pushed(bearing, owner, load[pairs], rows, contact)
 
 
-def _push(bearing: Bearing, boxes: IntArray, begins: IntArray, load: FloatArray, forces: dict[int, FloatArray]) -> None:
-    """Note the (s, 3) forces at each contact of boxes under all their s loads."""
-    pairs, times = _spans(np.diff(begins), boxes), np.diff(begins)[boxes]
-    owner = np.repeat(boxes, times)  # of each load
-    supports = bearing.n_supports[owner]
-    rows = np.repeat(np.arange(len(pairs)), supports)
-    contact = _spans(bearing.n_supports, owner)
-    under = load[pairs[rows]]
-    force = np.where((supports == 1)[rows, None], under, np.einsum("cij,cj->ci", bearing.shares[contact], under))
+def _pushed(bearing: Bearing, owner: IntArray, load: FloatArray, rows: IntArray, contact: IntArray) -> FloatArray:
+    """(k, 3) the forces at contacts under loads.
+
+    Args:
+        owner: (p,) whose loads they are; ``load``: (p, 3).
+        rows: (k,) which load presses at each contact; ``contact``: (k,) the contacts, all of each load's box.
+    """
+    under, several = load[rows], (bearing.n_supports[owner] > 1)[rows]
+    force = np.where(several[:, None], np.einsum("cij,cj->ci", bearing.shares[contact], under), under)
     low, high = bearing.low[contact], bearing.high[contact]
-    pulled = np.zeros(len(pairs), bool)
-    pulled[rows[pulls(force, low, high, under[:, 0]) & (supports > 1)[rows]]] = True
+    pulled = np.zeros(len(owner), bool)
+    pulled[rows[several & pulls(force, low, high, under[:, 0])]] = True
     if pulled.any():
         some = pulled[rows]
         number = (np.cumsum(pulled) - 1)[rows[some]]
-        force[some] = bearing.pushed(load[pairs[pulled]], owner[pulled], number, low[some], high[some])
-    order = np.argsort(contact, kind="stable")
-    cuts = np.flatnonzero(np.diff(contact[order])) + 1
-    for some in np.split(order, cuts) if len(order) else []:
-        forces[int(contact[some[0]])] = force[some]
+        force[some] = bearing.pushed(load[pulled], owner[pulled], number, low[some], high[some])
+    return force
 
 
 def _spans(count: IntArray, chosen: IntArray) -> IntArray:

@@ -83,7 +83,7 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
     wanted = np.concatenate([np.ones((len(load), 1)), (load[:, 1:] / load[:, :1] - origin) / scale], axis=1)
     plane = _planes(to_cone, owner, begins, wanted)
     projected, _ = _projected(np.einsum("cij,cj->ci", to_cone, plane[owner]))
-    force = np.einsum("cji,cj->ci", to_cone, projected)
+    force: FloatArray = np.einsum("cji,cj->ci", to_cone, projected)
     force[:, 1:] = origin[owner] * force[:, :1] + scale[owner] * force[:, 1:]
     force *= load[owner, :1]
     return force
@@ -97,26 +97,27 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, wanted: Floa
         value = np.add.reduceat((projected**2).sum(axis=1), begins) / 2 - (plane * wanted).sum(axis=1)
         return value, projected, slope
 
-    plane = np.linalg.solve(np.add.reduceat(np.einsum("cki,ckj->cij", to_cone, to_cone), begins), wanted[..., None])[
-        ..., 0
-    ]
+    second = np.add.reduceat(np.einsum("cki,ckj->cij", to_cone, to_cone), begins)
+    plane: FloatArray = np.asarray(np.linalg.solve(second, wanted[..., None])[..., 0], np.float64)
     value, projected, slope = energy(plane)
-    before = np.inf
+    before, goes_on = np.full(len(plane), np.inf), np.ones(len(plane), bool)
     for _ in range(_MOST_STEPS):
         rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - wanted
-        worst = np.abs(rest).max(initial=0.0)
-        if worst <= _EXACT or before / 2 <= worst <= _ENOUGH:
+        off = np.abs(rest).max(axis=1)
+        # each box stops for itself: its forces do not depend on company
+        goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
+        if not goes_on.any():
             break
-        before = worst
+        before = off
         second = np.add.reduceat(np.einsum("cki,ckl,clj->cij", to_cone, slope, to_cone), begins)
         second[:, [0, 1, 2], [0, 1, 2]] += _RIDGE * (1 + np.trace(second, axis1=1, axis2=2))[:, None]
-        step = -np.linalg.solve(second, rest[..., None])[..., 0]
+        step: FloatArray = np.asarray(-np.linalg.solve(second, rest[..., None])[..., 0], np.float64)
         fall = (step * rest).sum(axis=1)
-        share = np.ones(len(plane))
+        share = goes_on.astype(float)
         for _ in range(_MOST_HALVINGS):
             further = plane + share[:, None] * step
             new, new_projected, new_slope = energy(further)
-            worse = new > value + 1e-4 * share * fall + 1e-15 * np.abs(value)
+            worse = goes_on & (new > value + 1e-4 * share * fall + 1e-15 * np.abs(value))
             if not worse.any():
                 break
             share[worse] /= 2

@@ -271,6 +271,20 @@ def test_sizes_as_boxes_stand_beside_an_orientation_are_named(seed: int) -> None
     assert gathered(pd.DataFrame(right).assign(plan_id="A", article="d", sequence=range(len(right)))) == []
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_sizes_as_boxes_stand_in_some_of_the_turned_boxes_are_named(seed: int) -> None:
+    """Those of the upper layers, or every second one; the others have the item's own."""
+    rng = np.random.default_rng(seed)
+    right = brickwork(rng, 3)
+    height = right[0]["height_mm"]
+    mistaken = [
+        wrong if (box["z_mm"] >= height if seed % 2 else k % 2) else box
+        for k, (box, wrong) in enumerate(zip(right, as_they_stand(right), strict=True))
+    ]
+    (line,) = gathered(Plan.from_boxes("A", mistaken))
+    assert "that an orientation says are turned look swapped: in plan A " in line
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_right_plans_whose_rows_are_flush_in_y_are_not_suspected(seed: int) -> None:
     """Rows of boxes that touch in y from the edge on; upper layers with gaps of sheets, or a few boxes lifted or
