@@ -78,7 +78,8 @@ class ScriptLines:
 
     def __init__(self, write: Callable[[str], object] | None = None, line_s: float = LINE_S) -> None:
         self._write, self._line_s = write, line_s
-        self._done, self._total, self._ended = 0, 0, threading.Event()
+        self._done, self._ended = 0, threading.Event()
+        self._total: int | None = None
 
     def begin(self, start: RunStart) -> None:
         self._done, self._ended = 0, threading.Event()

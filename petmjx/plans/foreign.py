@@ -67,7 +67,7 @@ def _zip_kind(begin: bytes) -> str:
     return "is a ZIP archive: unpack it"
 
 
-def separator_mark(header: bytes) -> str | None:
+def separator_mark(header: bytes | bytearray) -> str | None:
     """What is wrong with a first row that is Excel's mark of the separator; None: it is none."""
     if not _SEPARATOR_MARK.fullmatch(header):
         return None
