@@ -7,14 +7,15 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
-from petmjx.basics.arguments import instance_of, path_of
+from petmjx.basics.arguments import flag_of, instance_of, path_of
 from petmjx.basics.checked import Checked, got
 from petmjx.basics.errors import InputError
-from petmjx.notebook import notebook_bar
+from petmjx.notebook import ScriptLines, notebook_bar
 from petmjx.option_types import ScoreOptions, SweepOptions
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import Confidence, RunOptions, sorted_options
@@ -50,15 +51,26 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
     return decorate
 
 
-def _watcher(given: Watcher | None) -> Watcher | None:
-    """The watcher of a run: in a notebook a progress bar, unless another watcher is given.
+@contextmanager
+def _watching(given: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
+    """The watcher of a run: the one that is given; else in a notebook a progress bar, and with ``progress`` lines on
+    standard error elsewhere.
 
     Raises:
         InputError: it cannot follow a run.
     """
+    flag_of(progress, "progress")
     if given is not None and not all(callable(getattr(given, name, None)) for name in ("begin", "world_done")):
         raise InputError(f"watcher must have the methods begin and world_done, {got(given)}")
-    return given if given is not None or "IPython" not in sys.modules else notebook_bar()
+    bar = given if given is not None or "IPython" not in sys.modules else notebook_bar()
+    if bar is not None or not progress:
+        yield bar
+        return
+    lines = ScriptLines()
+    try:
+        yield lines
+    finally:
+        lines.end()
 
 
 def _intervals(options: RunOptions) -> Intervals | None:
@@ -77,7 +89,11 @@ def _intervals(options: RunOptions) -> Intervals | None:
 
 @_takes_options(Simulation, Confidence, RunOptions)
 def score(
-    plans: PlanSource | None = None, *, watcher: Watcher | None = None, **options: Unpack[ScoreOptions]
+    plans: PlanSource | None = None,
+    *,
+    watcher: Watcher | None = None,
+    progress: bool = False,
+    **options: Unpack[ScoreOptions],
 ) -> RunResults:
     """Simulate each plan and say whether it stands, and with ``confidence`` how sure that is.
 
@@ -87,6 +103,7 @@ def score(
         plans: a file, a folder, several of them, a data frame with a row a box, a plan, a list of plans or a
             ``PlanSet``; None: the bundled samples.
         watcher: follows the run. Without one, notebooks show a progress bar.
+        progress: in a script, say on standard error how far the run is, every few seconds.
         options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
 
     Returns:
@@ -97,18 +114,19 @@ def score(
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    watcher = _watcher(watcher)
     of_simulation, of_run, of_confidence = sorted_options(options, Confidence)
     run, sure = RunOptions(**of_run), Confidence(**of_confidence)
     if sure.confidence is None:
         sim = Simulation(**of_simulation)
-        return simulate(partial(Nominal, sim), sim, plans, run, watcher, _intervals(run))
+        with _watching(watcher, progress) as follows:
+            return simulate(partial(Nominal, sim), sim, plans, run, follows, _intervals(run))
     from petmjx.sweeps.confidence import confidence_sweep
     from petmjx.sweeps.study import SweepStudy
 
     asked = confidence_sweep(sure.confidence, sure.errors, of_simulation)
     ask = partial(SweepStudy, asked, confidence=sure.confidence)
-    return simulate(ask, asked.simulation, plans, run, watcher, _intervals(run))
+    with _watching(watcher, progress) as follows:
+        return simulate(ask, asked.simulation, plans, run, follows, _intervals(run))
 
 
 @_takes_options(Simulation, RunOptions)
@@ -117,6 +135,7 @@ def sweep(
     plans: PlanSource | None = None,
     *,
     watcher: Watcher | None = None,
+    progress: bool = False,
     batching: Batching | None = None,
     **options: Unpack[SweepOptions],
 ) -> RunResults:
@@ -126,6 +145,7 @@ def sweep(
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
         plans: as for :func:`score`; they replace those that the file names. None: the file's.
         watcher: follows the run. Without one, notebooks show a progress bar.
+        progress: in a script, say on standard error how far the run is, every few seconds.
         batching: how many states and worlds are held in memory; changes no result.
         options: fields of ``petmjx.Simulation``, which replace those of the file, and of ``petmjx.RunOptions``.
 
@@ -141,7 +161,6 @@ def sweep(
     from petmjx.sweeps.ready import find_sweep
     from petmjx.sweeps.study import SweepStudy
 
-    watcher = _watcher(watcher)
     if batching is not None:
         instance_of(batching, "batching", Batching, "a Batching")
     of_simulation, of_run = sorted_options(options)
@@ -149,4 +168,5 @@ def sweep(
     if plans is None and isinstance(asked.plans, tuple):
         plans = list(asked.plans)
     run, ask = RunOptions(**of_run), partial(SweepStudy, asked, batching=batching)
-    return simulate(ask, asked.simulation, plans, run, watcher, _intervals(run))
+    with _watching(watcher, progress) as follows:
+        return simulate(ask, asked.simulation, plans, run, follows, _intervals(run))

@@ -1,16 +1,22 @@
-"""The progress of a run in a notebook: a bar below the cell, which the results then follow."""
+"""The progress of a run that Python started: in a notebook a bar below the cell, else lines on standard error."""
 
 from __future__ import annotations
 
 import html
 import sys
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Final
 
 from petmjx.basics.pace import Pace
+from petmjx.basics.text import printable
 from petmjx.simulate import RunStart
 from petmjx.study import FinishedWorld
+
+LINE_S: Final = 5.0
+"""Time between two lines of a script, s."""
 
 REFRESH_S: Final = 0.25
 """Least time between two drawings of the bar, s. Each goes to the browser."""
@@ -60,6 +66,54 @@ class NotebookBar:
         about = f"{start.size}; engine {start.choice.name} ({start.choice.reason})"
         bar = f'<progress{value} style="width: 16em"></progress> {html.escape(", ".join(parts))}'
         return f"<div><div>{html.escape(about)}</div><div>{bar}</div></div>"
+
+
+class ScriptLines:
+    """Watches a run from a script: a line at its beginning, one every ``LINE_S`` seconds, and a last one, by a thread:
+    they come while no world ends, too.
+
+    Args:
+        write: takes each line; by default standard error.
+    """
+
+    def __init__(self, write: Callable[[str], object] | None = None, line_s: float = LINE_S) -> None:
+        self._write, self._line_s = write, line_s
+        self._done, self._ended = 0, threading.Event()
+        self._total: int | None = None
+
+    def begin(self, start: RunStart) -> None:
+        self._done, self._ended = 0, threading.Event()
+        self._total = None if start.total is None else start.total - start.recorded
+        self._pace, self._progress = Pace(self._total, start.what), start.progress
+        self._say(f"{start.size}; engine {start.choice.name} ({start.choice.reason})")
+        threading.Thread(target=self._follow, args=(self._ended,), name="petmjx-lines", daemon=True).start()
+
+    def world_done(self, world: FinishedWorld) -> None:
+        self._done += 1
+        if self._done == self._total:
+            self.end()
+
+    def end(self) -> None:
+        """Say how far the run came, once; nothing follows."""
+        if not self._ended.is_set():
+            self._ended.set()
+            self._say_pace()
+
+    def _follow(self, ended: threading.Event) -> None:
+        while not ended.wait(self._line_s):
+            self._say_pace()
+
+    def _say_pace(self) -> None:
+        self._pace.update(self._done)
+        message = "" if self._done == self._total else self._progress.message
+        self._say(", ".join(filter(None, (*self._pace.words, message))))
+
+    def _say(self, line: str) -> None:
+        with suppress(OSError, ValueError, AttributeError):  # standard error is closed, or there is none
+            if self._write is not None:
+                self._write(line)
+            else:
+                print(printable(line), file=sys.stderr, flush=True)
 
 
 def notebook_bar() -> NotebookBar | None:

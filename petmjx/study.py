@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import counted, duration, rounded
 from petmjx.engines.base import Engine, Progress
 from petmjx.engines.cost import Work
@@ -151,7 +152,9 @@ class Nominal(Study):
 
     def __init__(self, sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
         if len(plans) > MAX_WORLDS and not options.allow_large:
-            raise InputError(f"{len(plans):,} plans, more than {MAX_WORLDS:,}: pass --yes to confirm")
+            raise InputError(
+                f"{len(plans):,} plans, more than {MAX_WORLDS:,}: pass {option('--yes', 'True', python='allow_large')}"
+            )
         own = [plan for plan in plans if options.takes(plan.plan_id)]
         super().__init__(
             sim=sim,

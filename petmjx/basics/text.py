@@ -18,7 +18,12 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(each if each.isprintable() else _ESCAPES.get(each, f"\\u{ord(each):04x}") for each in text)
+    return "".join(each if each.isprintable() else _ESCAPES.get(each, _escaped(ord(each))) for each in text)
+
+
+def _escaped(code: int) -> str:
+    """ "\\xe4" for a byte that is no UTF-8, which Python has as a lone surrogate; else "\\u001b"."""
+    return f"\\x{code - 0xDC00:02x}" if 0xDC80 <= code <= 0xDCFF else f"\\u{code:04x}"
 
 
 def shown(text: str) -> str:

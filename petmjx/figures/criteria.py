@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import counted
 from petmjx.figures.paper import POINTS, WIDTH_IN
 from petmjx.pages.palette import OKABE_ITO
@@ -30,7 +31,7 @@ def draw_criteria(found: CriteriaResults) -> Any:
     from matplotlib.figure import Figure
 
     if found.judged is None or not len(found.judged):
-        raise InputError("no figure of these criteria: they were not compared with a run (--run DIR, run=…)")
+        raise InputError(f"no figure of these criteria: they were not compared with a run ({option('--run')})")
     judged = found.judged
     figure = Figure(figsize=(WIDTH_IN, ROW_IN * len(judged) + 1.0), facecolor="white", layout="constrained")
     for number, (axes, (name, label)) in enumerate(zip(figure.subplots(1, 3, sharey=True), PANELS, strict=True)):

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import counted, printable, shown
 from petmjx.figures.paper import POINTS, WIDTH_IN
 from petmjx.pages.palette import category
@@ -52,7 +53,7 @@ def draw_answers(run: RunResults) -> Any:
     """
     summary = run.summary
     if summary is None:
-        raise InputError(f"{run.path}: no figure of this run; sweeps and scores with --confidence have one")
+        raise InputError(f"{run.path}: no figure of this run; sweeps and scores with {option('--confidence')} have one")
     if "axis" in summary:
         return _shares(summary)
     if "profile" in summary:

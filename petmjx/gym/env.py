@@ -45,6 +45,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self.episodes = Episodes(1, {"engine": "mujoco", **options})
+        self._ended = True
         self.observation_space: Any
         self.observation_space, self.action_space = spaces_of(self.episodes)
 
@@ -54,15 +55,19 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         """Begin an episode; with the same seed the same one."""
         super().reset(seed=seed)
         self.episodes.begin(_FIRST, [self.np_random])
+        self._ended = False
         return self._observed(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Put a box onto the pallet. An action that the mask excludes changes nothing."""
         if not self.action_space.contains(action):
             raise InputError(f"action must be a whole number from 0 to {self.episodes.n_actions - 1}, {got(action)}")
+        if self._ended:
+            raise InputError("the episode has ended, or none has begun: call reset")
         stepped = self.episodes.step(_FIRST, np.array([action], np.int64))
         terms = {f"reward_{name}": float(values[0]) for name, values in stepped.terms.items()}
         ends = bool(stepped.terminated[0]), bool(stepped.truncated[0])
+        self._ended = any(ends)
         return self._observed(), float(stepped.reward[0]), *ends, self._info() | terms
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import one_line
 from petmjx.basics.units import FloatArray
 from petmjx.options.config import Simulation
@@ -85,7 +86,7 @@ def play(story: Story, speed: float = 1.0) -> None:
     try:
         window = mujoco.viewer.launch_passive(model, data, key_callback=player.press)
     except Exception as error:
-        raise InputError(f"--viewer: MuJoCo's viewer cannot open its window: {one_line(error)}") from error
+        raise InputError(f"{option('--viewer')}: MuJoCo's viewer cannot open its window: {one_line(error)}") from error
     with window:
         for flag in (mujoco.mjtVisFlag.mjVIS_CONTACTPOINT, mujoco.mjtVisFlag.mjVIS_CONTACTFORCE):
             window.opt.flags[flag] = True
@@ -104,7 +105,9 @@ def check_display() -> None:
         InputError: there is no display.
     """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise InputError("--viewer: no display here (DISPLAY is not set); --html, --mp4 and --png need none")
+        raise InputError(
+            f"{option('--viewer')}: no display here (DISPLAY is not set); pages, films and pictures need none"
+        )
 
 
 def viewer_model(story: Story) -> tuple[Any, Any]:

@@ -25,6 +25,7 @@ from petmjx.basics.checked import read_toml, reason
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import number_in, printable, shown
 from petmjx.plans.fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, kind, listed
+from petmjx.plans.foreign import number_hint, other_encoding, separator_mark
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
 from petmjx.plans.plan import Plan
 from petmjx.plans.unpack import read_text_bytes
@@ -207,7 +208,8 @@ def _number(where: str, field: str, value: Any) -> float:
         number = math.nan
     if not (low < number <= high or (low and number == low)):
         least = f"≥ {low:g}" if low else "> 0"
-        raise InputError(f"{where}: {field} must be a number {least} and at most {high:g}, got {_got(value)}")
+        hint = number_hint(value) if isinstance(value, str) else ""
+        raise InputError(f"{where}: {field} must be a number {least} and at most {high:g}, got {_got(value)}{hint}")
     return number
 
 
@@ -236,8 +238,12 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
     try:
         text = data.decode()
     except UnicodeDecodeError:
-        raise InputError(f"{name}: is not UTF-8 text") from None
+        line = next(number for number, row in enumerate(data.split(b"\n"), start=1) if not _is_utf8(row))
+        cell = data.split(b"\n")[line - 1].decode("utf-8", "surrogateescape")
+        raise InputError(f"{name}: row {line} is not UTF-8 text{other_encoding(cell)}") from None
     header = text.partition("\n")[0]
+    if (mark := separator_mark(header.encode())) is not None:
+        raise InputError(f"{name}: {mark}")
     delimiter = max(",;\t", key=header.count)
     number = 0
     try:
@@ -251,6 +257,14 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
         unclosed = "unexpected end of data" in str(error)
         why = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
         raise InputError(f"{name}: row {number + 1}: {why}") from None
+
+
+def _is_utf8(data: bytes | bytearray) -> bool:
+    try:
+        data.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
 
 
 def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], delimiter: str) -> dict[str, Any]:

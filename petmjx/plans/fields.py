@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.text import counted, is_text, shortened, shown
 from petmjx.basics.units import FloatArray
+from petmjx.plans.foreign import number_hint, other_encoding
 
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0
@@ -81,7 +82,7 @@ def text_fault(field: str, value: object) -> str | None:
         return f"{field} must be a string, got {kind(value)}"
     if len(value) > LONGEST_NAME:
         return f"{field} must have at most {LONGEST_NAME:,} characters, got {len(value):,}"
-    return None if is_text(value) else f"{field} is not UTF-8 text"
+    return None if is_text(value) else f"{field} is not UTF-8 text{other_encoding(value)}"
 
 
 def plan_id_fault(value: str) -> str | None:
@@ -89,7 +90,7 @@ def plan_id_fault(value: str) -> str | None:
     if not value:
         return "the plan id must be text and not empty"
     if not is_text(value):
-        return "the plan id is not UTF-8 text"
+        return f"the plan id is not UTF-8 text{other_encoding(value)}"
     if len(value) > LONGEST_NAME:
         return f"the plan id must have at most {LONGEST_NAME:,} characters, got {len(value):,}"
     return None
@@ -98,7 +99,7 @@ def plan_id_fault(value: str) -> str | None:
 def number_fault(field: str, value: object) -> str | None:
     """What is wrong with a finite number; None if it is fine."""
     if type(value) not in _NUMBERS:
-        return f"{field} must be a number, got {kind(value)}"
+        return f"{field} must be a number, got {kind(value)}{number_hint(value) if isinstance(value, str) else ''}"
     try:
         finite = math.isfinite(value)  # type: ignore[arg-type]  # a JSON number, as just checked
     except OverflowError:

@@ -21,6 +21,7 @@ from petmjx.options.run_options import Anchor
 from petmjx.plans.apart import WORTH_BYTES, PieceOptions, ReadEntry, read_in_pieces
 from petmjx.plans.conventions import warn, with_conventions
 from petmjx.plans.fields import LONGEST_NAME, Unread
+from petmjx.plans.foreign import separator_mark
 from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet
 from petmjx.plans.given import Given
 from petmjx.plans.plan import Plan
@@ -41,6 +42,8 @@ MOST_LINES: Final = 100_000
 """Of a file, this many unusable entries are listed one by one; what else is unusable is counted."""
 FRAME: Final = "data frame"
 """What a data frame is called in messages."""
+_COLUMNS: Final = ("plan_id", "sequence", "article", "length", "width", "height", "weight", "x_mm", "y_mm", "z_mm")
+"""By which a table is known whose name does not say that it is one."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
 
 
@@ -262,6 +265,10 @@ class _Loading:
             if entries is not None:
                 self._take_all(source, entries)
                 return
+        named = source.lower().endswith((".json", ".json.gz"))
+        if not damaged and not named and (kind := _kind_of_text(data)) is not None:
+            self._skip(source, None, f"{source}: {kind}")
+            return
         try:
             for entry in scan_plans(data):
                 n_entries += 1
@@ -335,6 +342,18 @@ class _Loading:
         if plan_id is not None:
             plan_id = printable(plan_id) if len(plan_id) <= LONGEST_NAME else shown(plan_id)
         self.found.skipped.append(Skipped(source, plan_id, message, number))
+
+
+def _kind_of_text(data: bytearray) -> str | None:
+    """What text is that does not begin as JSON does, in a file whose name says nothing; None: it begins so."""
+    first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
+    if not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null")):
+        return None
+    if b"\0" in data[: 1 << 12]:
+        return "is no text: plans are JSON, or tables in CSV or Parquet"
+    if separator_mark(first) is not None or sum(name.encode() in first for name in _COLUMNS) > len(_COLUMNS) // 2:
+        return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"
+    return "is text of another kind: plans are JSON, or tables whose names end in .csv, .tsv or .parquet"
 
 
 def _orders_message(source: str, first: str, n_orders: int) -> str:

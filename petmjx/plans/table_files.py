@@ -14,8 +14,9 @@ import pyarrow.parquet as pq
 
 from petmjx.basics.arrow_files import TooMuch, open_for_arrow, read_within
 from petmjx.basics.checked import reason
-from petmjx.basics.text import counted
+from petmjx.basics.text import counted, is_text, shown
 from petmjx.plans.columns import as_column
+from petmjx.plans.foreign import other_encoding, separator_mark
 from petmjx.plans.table import LostRow, Table, TableError, sorted_columns
 
 _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
@@ -42,12 +43,20 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     header = _FIRST_LINE.match(data)[0]  # type: ignore[index]  # matches any text
     if not header.strip():
         raise TableError("the file is empty" if not data.strip() else "has no header with the names of the columns")
+    if (mark := separator_mark(header)) is not None:
+        raise TableError(mark)
     delimiter = max(_DELIMITERS, key=lambda mark: header.count(mark.encode()))
     try:
         names = next(csv.reader([header.decode("utf-8", "surrogateescape")], delimiter=delimiter), [])
     except csv.Error as error:
         raise TableError(f"not CSV: {reason(error)}") from error
-    where, unread = sorted_columns(names)
+    try:
+        where, unread = sorted_columns(names)
+    except TableError as error:
+        for number, name in enumerate(names, start=1):
+            if not is_text(name):  # it may be one of those that are missing
+                raise TableError(f"row 1, column {number}: the name is not UTF-8 text{other_encoding(name)}") from error
+        raise
     if not data[len(header) :].strip():
         raise TableError("holds no plan")
     reader = _CsvReader(delimiter, names, where["plan_id"])
@@ -130,13 +139,27 @@ class _CsvReader:
         """UTF-8 text in which every quotation mark is closed in its line; other lines are lost."""
         kept, damaged = [], []
         for number, line in enumerate(data.split(b"\n"), start=1):
-            fault = None if number == 1 else _line_fault(line)
+            fault = None if number == 1 else self._line_fault(line)
             if fault is None:
                 kept.append(line)
                 continue
             damaged.append(number)
             self._add_lost(number, line.decode("utf-8", "surrogateescape"), fault)
         return bytearray(b"\n").join(kept), np.array(damaged, dtype=np.int64)
+
+    def _line_fault(self, line: bytearray) -> str | None:
+        """Why a line cannot be a row of its own; None: it may be one."""
+        if not _is_utf8(line):
+            text = line.decode("utf-8", "surrogateescape")
+            try:
+                fields = next(csv.reader([text], delimiter=self._delimiter), [])
+            except csv.Error:
+                fields = []
+            for name, field in zip(self._names, fields, strict=False):
+                if not is_text(field):
+                    return f"{shown(name.strip())} is not UTF-8 text{other_encoding(field)}"
+            return f"is not UTF-8 text{other_encoding(text)}"
+        return "has an unclosed quotation mark" if line.count(b'"') % 2 else None
 
     def _plan_of(self, line: str) -> str | None:
         """The plan id in a row that cannot be read; None where it has too few fields for one."""
@@ -153,13 +176,6 @@ def _is_utf8(data: bytearray) -> bool:
     except UnicodeDecodeError:
         return False
     return True
-
-
-def _line_fault(line: bytearray) -> str | None:
-    """Why a line cannot be a row of its own; None: it may be one."""
-    if not _is_utf8(line):
-        return "is not UTF-8 text"
-    return "has an unclosed quotation mark" if line.count(b'"') % 2 else None
 
 
 def read_parquet(path: Path) -> Table:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from petmjx.basics.bounded import FREE_BYTES, MOST_BYTES, MOST_RATIO, read_regular, size
+from petmjx.plans.foreign import foreign_kind
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"
 _GZIP_CHUNK: Final = 1 << 14
@@ -29,6 +30,8 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
         data, fault = _gunzip(data)
     if data.startswith(_UTF16_MARKS) and b"\0" in data[2:4]:
         return bytearray(), "is UTF-16 text; plans must be UTF-8"
+    if (kind := foreign_kind(data)) is not None:
+        return bytearray(), kind
     if data.startswith(_UTF8_MARK):
         del data[: len(_UTF8_MARK)]
     return data, fault

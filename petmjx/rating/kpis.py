@@ -17,6 +17,7 @@ import pandas as pd
 
 from petmjx.basics.arguments import flag_of, path_of
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import counted, first_names
 from petmjx.basics.units import MM_PER_M
 from petmjx.options.config import Simulation
@@ -96,7 +97,7 @@ def kpis(
     flag_of(assume_stable, "assume_stable")
     orders = path_of(orders, "orders")
     if assume_stable and run:
-        raise InputError("give either runs or assume_stable (--assume-stable): a run already says which plans stand")
+        raise InputError(f"give either runs or {option('--assume-stable')}: a run already says which plans stand")
     read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
     warn(read.conventions)
     by_id = {plan.plan_id: plan for plan in read.plans}

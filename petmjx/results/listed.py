@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from petmjx.basics.arrow_files import TooMuch, allowed_bytes, decoded_bytes, open_for_arrow, read_within
 from petmjx.basics.bounded import open_regular, size
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.results.files import MOST_AT_ONCE, OF_WORLDS, digest_of, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
 
@@ -153,12 +154,12 @@ class Parts:
     def _cure(self, file: Path) -> str:
         """How to repair a run that lacks a file."""
         if file.parent.name == "summary":
-            return "use --resume to make it again"
+            return f"use {option('--resume', 'True')} to make it again"
         if file.parent.name not in OF_WORLDS or self.files("frames"):
-            return "simulate the run again, with --overwrite"
+            return f"simulate the run again, with {option('--overwrite', 'True')}"
         worlds = self.folder / "worlds" / file.name
         delete = f"delete {worlds} and " if file != worlds or file.exists() else ""
-        return f"{delete}use --resume to simulate its worlds again"
+        return f"{delete}use {option('--resume', 'True')} to simulate its worlds again"
 
 
 def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:

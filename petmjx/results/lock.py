@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 
 LOCK_FILE: Final = ".lock"
 """In the run's folder while a run is on. The file of a killed run is no longer locked, and is taken over."""
@@ -70,7 +71,7 @@ def _check_ours(descriptor: int, folder: Path) -> None:
 def _not_ours(folder: Path) -> InputError:
     return InputError(
         f"{folder / LOCK_FILE}: was not made by petmjx, which locks a run's folder with a file of this name; "
-        "name another folder with --out"
+        f"name another folder with {option('--out')}"
     )
 
 
@@ -100,5 +101,6 @@ def _in_use(descriptor: int, folder: Path) -> InputError:
     pid = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
     who = f" (process {pid})" if pid.isdigit() else ""
     return InputError(
-        f"{folder}: another run{who} is writing there; wait until it ends, or name another folder with --out"
+        f"{folder}: another run{who} is writing there; wait until it ends, or name another folder with "
+        f"{option('--out')}"
     )

@@ -80,7 +80,7 @@ class Story:
 
 
 def tell(
-    plan_id: str,
+    plan_id: str | Plan,
     source: RunResults | PlanSource | None = None,
     *,
     plans: PlanSource | None = None,
@@ -96,7 +96,7 @@ def tell(
     its place, and ``Story.note`` says whether the result differs.
 
     Args:
-        plan_id: the plan.
+        plan_id: the plan's id; or the plan itself, without a source.
         source: a run (its folder, or what ``petmjx.load_run`` returned), or plans as ``petmjx.score`` takes them; None:
             the bundled plans.
         plans: of a run whose plan files are not where they were: where they are now.
@@ -111,6 +111,9 @@ def tell(
         EngineUnavailable: the engine asked for cannot run here.
         PetmjxError: the simulation failed, or the engine records no histories.
     """
+    if isinstance(plan_id, Plan):
+        source = plan_id if source is None else source
+        plan_id = plan_id.plan_id
     text_of(plan_id, "plan_id")
     if variant is not None:
         whole_of(variant, "variant", 0)

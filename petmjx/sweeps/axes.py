@@ -87,6 +87,7 @@ def _degrees(value: object) -> object:
 
 
 Positive = Annotated[StrictFloat, Field(gt=0), within(0, MAX_STRENGTH)]
+Turn = Annotated[StrictFloat, within(0, MAX_STRENGTH)]
 Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(_degrees)]
 
 
@@ -136,6 +137,7 @@ class DirectionRange(Range[Direction]):
 Positives = Annotated[
     Annotated[Range[Positive], Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], _value_or(TABLE)
 ]
+Turns = Annotated[Annotated[Range[Turn], Tag(TABLE)] | Annotated[OneOrMore[Turn], Tag(VALUE)], _value_or(TABLE)]
 Directions = Annotated[
     Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], _value_or(TABLE)
 ]
@@ -310,7 +312,7 @@ AXIS_KINDS: Final = {
         AxisKind("placing_side_mm", "mm", Positives, "how far beside its place a box begins", ("placing_side_mm",)),
         AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),
         AxisKind("placing_force_n", "N", Positives, "what a hand presses with at most", ("placing_force_n",)),
-        AxisKind("wrap_turns", "1", Positives, "turns of stretch film around the pallet", ("wrap_turns",)),
+        AxisKind("wrap_turns", "1", Turns, "turns of stretch film around the pallet", ("wrap_turns",)),
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import counted, shown
 from petmjx.basics.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.engines.cost import Work, rest_steps
@@ -93,7 +94,7 @@ class SweepPlan(Design):
         if self.n_worlds > MAX_WORLDS and not self.allow_large:
             raise InputError(
                 f"{file}: axes make {self.n_worlds:,} worlds ({self._plans_and_variants}), more than {MAX_WORLDS:,}: "
-                "pass --yes to confirm"
+                f"pass {option('--yes', 'True', python='allow_large')} to confirm"
             )
         # once before the run: it raises for a profile whose frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():

@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from petmjx.basics.arguments import list_of, path_of
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import counted, first_names, shown
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
@@ -43,7 +44,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
     folders = [path_of(shard, "shards") for shard in list_of(shards, "shards", object, "folders")]
     out = path_of(out, "out")
     if any(folder.resolve() == out.resolve() for folder in folders):
-        raise InputError(f"{out}: is one of the shards; name another folder with --out")
+        raise InputError(f"{out}: is one of the shards; name another folder with {option('--out')}")
     runs = _in_order([load_run(folder) for folder in folders])
     manifests = [Manifest.read(run.parts, run.info) for run in runs]
     for run, manifest in zip(runs, manifests, strict=True):
@@ -94,9 +95,11 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
     for run in runs:
         shard = run.info.get("identity", {}).get("shard")
         if shard is None:
-            raise InputError(f"{run.path}: not a shard (made without --shard)")
+            raise InputError(f"{run.path}: not a shard (made without {option('--shard')})")
         if run.unfinished:
-            raise InputError(f"{run.path}: not finished ({run.unfinished}); finish it with --resume first")
+            raise InputError(
+                f"{run.path}: not finished ({run.unfinished}); finish it with {option('--resume', 'True')} first"
+            )
         number, total = (int(part) for part in shard.split("/"))
         of.add(total)
         if len(of) > 1:
@@ -146,8 +149,8 @@ def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
     for run, check in zip(runs, checks, strict=True):
         if (check and check.digest) != (checks[0] and checks[0].digest):
             raise InputError(
-                f"{run.path}: compared with other orders than {runs[0].path}; use --resume on one of them with "
-                "the --orders of the other; nothing is simulated again"
+                f"{run.path}: compared with other orders than {runs[0].path}; use {option('--resume', 'True')} on one "
+                f"of them with the {option('--orders')} of the other; nothing is simulated again"
             )
     known = [check for check in checks if check is not None]
     return joined(known) if known else None

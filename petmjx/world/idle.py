@@ -10,7 +10,7 @@ import numpy as np
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, shown
 from petmjx.basics.units import FloatArray
-from petmjx.options.config import Attempts, Simulation
+from petmjx.options.config import Attempts, Check, Schedule, Simulation
 from petmjx.options.placing import Placing, Way
 from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
@@ -59,6 +59,7 @@ def notes_about(
         *_gap_notes(sim, plans),
         *_stiffness_notes(sim, plans, errors),
         *_attempt_notes(sim, driven),
+        *_static_notes(sim),
     ]
 
 
@@ -138,6 +139,18 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
 def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
     if driven and sim.attempts is Attempts.SOFT:
         yield "attempts soft has no effect on drives: they begin from a settled placement, which has rigid boxes"
+
+
+def _static_notes(sim: Simulation) -> Iterator[str]:
+    """Of a static check that was given a duration: it ends when the pallet rests."""
+    given = sim.duration_s != Simulation.model_fields["duration_s"].default
+    if given and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
+        yield (
+            f"duration_s of {sim.duration_s:g} s is the longest: with the schedule adaptive a static check ends when "
+            "the pallet rests; with the schedule fixed it lasts so long"
+        )
+    elif given and sim.check is not Check.STATIC:
+        yield "duration_s has no effect: it is of the check static"
 
 
 def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:

@@ -230,5 +230,5 @@ def test_the_viewer_plays_until_its_window_is_closed(monkeypatch: pytest.MonkeyP
         raise RuntimeError("could not initialize GLFW")
 
     monkeypatch.setattr(mujoco.viewer, "launch_passive", refuse)
-    with pytest.raises(InputError, match="--viewer: MuJoCo's viewer cannot open its window: RuntimeError: could not"):
+    with pytest.raises(InputError, match="viewer: MuJoCo's viewer cannot open its window: RuntimeError: could not"):
         play(story)

@@ -76,7 +76,7 @@ def test_a_score_is_a_sweep_with_one_variant(tmp_path: Path) -> None:
 
 def test_more_than_a_million_plans_must_be_meant() -> None:
     plans = [make_plan("p", stack(1))] * (MAX_WORLDS + 1)
-    with pytest.raises(InputError, match="1,000,001 plans, more than 1,000,000: pass --yes to confirm"):
+    with pytest.raises(InputError, match="1,000,001 plans, more than 1,000,000: pass allow_large=True to confirm"):
         Nominal(Simulation(), plans, RunOptions())
     assert Nominal(Simulation(), plans, RunOptions(allow_large=True)).total == MAX_WORLDS + 1
 

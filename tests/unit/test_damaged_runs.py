@@ -56,14 +56,14 @@ def test_a_damaged_part_is_named_with_its_cure(table: str, run: Path) -> None:
     assert line.startswith(
         f"{run / table / worlds.name}: damaged part, it differs from what the run wrote; delete {worlds} and"
     )
-    assert line.endswith("use --resume to simulate its worlds again")
+    assert line.endswith("use resume=True to simulate its worlds again")
     worlds.unlink()
     assert petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True).boxes.equals(boxes)
 
 
 def test_of_what_resume_cannot_cure_the_line_says_so(run: Path) -> None:
     (run / "plans/part-00000.parquet").write_bytes(b"PAR1")
-    with pytest.raises(petmjx.InputError, match="what the run wrote; simulate the run again, with --overwrite"):
+    with pytest.raises(petmjx.InputError, match="what the run wrote; simulate the run again, with overwrite=True"):
         _ = petmjx.load_run(run).plans
 
 

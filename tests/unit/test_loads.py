@@ -116,7 +116,7 @@ def test_rows_that_are_refused(row: str, message: str) -> None:
         ("a.toml", "x = ", "not valid TOML"),
         ("a.json", "{}", "the name must end in one of .toml, .parquet, .csv, .csv.gz, .tsv, .tsv.gz"),
         ("a.parquet", "PAR1", "is not a whole Parquet file"),
-        ("a.csv", b"article,strength_n\n\xff,5\n", "is not UTF-8 text"),
+        ("a.csv", b"article,strength_n\n\xff,5\n", "row 2 is not UTF-8 text"),
     ],
 )
 def test_tables_that_are_refused(name: str, content: str | bytes, message: str) -> None:

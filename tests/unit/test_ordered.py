@@ -256,7 +256,7 @@ def test_unusable_orders_are_no_shard_s(tmp_path: Path) -> None:
 
 def test_shards_of_other_orders_are_not_merged_before_they_have_the_same(orders: Path, tmp_path: Path) -> None:
     one, two = shards_of(tmp_path, orders, None)
-    with pytest.raises(petmjx.InputError, match=f"^{two}: compared with other orders than {one}; use --resume"):
+    with pytest.raises(petmjx.InputError, match=f"^{two}: compared with other orders than {one}; use resume=True"):
         petmjx.merge_runs([one, two], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
     score(out=two, shard="2/2", orders=orders, resume=True, engine=Idle(threads=1))

@@ -358,7 +358,7 @@ def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
     assert "simulation.schedule is fixed, was adaptive" in refused(one, tmp_path / "fixed")
     info = json.loads((two / "run.json").read_text())
     leave_unfinished(two)
-    assert "not finished (interrupted); finish it with --resume first" in refused(one, two)
+    assert "not finished (interrupted); finish it with resume=True first" in refused(one, two)
     n_worlds = info["counts"]["worlds"] + load_run(one).info["counts"]["worlds"]
     for table in ("worlds", "boxes"):
         (two / table / "part-00001.parquet").write_bytes((one / table / "part-00000.parquet").read_bytes())

@@ -75,7 +75,8 @@ def test_forces_that_round_to_zero_have_no_sign(tmp_path: Path) -> None:
         ("ü\x1b[2J", "ü\\u001b[2J"),
         ("\x7f\x9b\r\n", "\\u007f\\u009b\\r\\n"),
         ("a\u202eb\u2028", "a\\u202eb\\u2028"),
-        ("\udc80", "\\udc80"),
+        ("\udc80", "\\x80"),
+        ("\udfff", "\\udfff"),
     ],
 )
 def test_printable(text: str, expected: str) -> None:

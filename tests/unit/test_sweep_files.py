@@ -87,7 +87,7 @@ def test_more_than_a_million_worlds_need_a_yes(tmp_path: Path) -> None:
     text = "replicates = 1000\n[axes]\nplacement_error_mm = {distribution = 'normal', sd = 1}\n" + (
         "profile = 'radial'\nscale = {from = 1, to = 2, count = 1001}"
     )
-    with pytest.raises(InputError, match=r"make 1,001,000 worlds .* more than 1,000,000: pass --yes"):
+    with pytest.raises(InputError, match=r"make 1,001,000 worlds .* more than 1,000,000: pass allow_large=True"):
         sweep_plan(tmp_path, text)
     large = sweep_plan(tmp_path, text, allow_large=True)
     assert large.n_worlds == 1_001_000 > MAX_WORLDS

@@ -287,8 +287,8 @@ def test_damaged_csv() -> None:
     found = read(row("A"), row("B") + ",7", row("C"), "C,2", row("D"), b"E,1,\xff,1,1,1,1,0,0,0,0", b"\xff,1", "")
     assert ids(found) == ["A", "D"]
     assert messages(found) == [
-        "plans.csv: plan E, row 7: is not UTF-8 text",
-        "plans.csv: plan \\udcff, row 8: is not UTF-8 text",
+        'plans.csv: plan E, row 7: article is not UTF-8 text ("ÿ" in Windows-1252): save the file as UTF-8',
+        'plans.csv: plan \\xff, row 8: plan_id is not UTF-8 text ("ÿ" in Windows-1252): save the file as UTF-8',
         "plans.csv: plan B, row 3: has 12 fields instead of 11",
         "plans.csv: plan C, row 5: has 2 fields instead of 11",
     ]

@@ -22,6 +22,7 @@ from typing import Any
 
 from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.basics.machine import cpu_threads, cuda_devices
+from petmjx.basics.option_names import option
 from petmjx.basics.text import one_line
 from petmjx.engines.workers.places import Node
 from petmjx.options.run_options import AUTO
@@ -266,7 +267,8 @@ class Cluster:
         a cluster may come back."""
         if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(
-                "Ray died on this machine (out of memory?); finished work is kept, continue with --resume"
+                "Ray died on this machine (out of memory?); finished work is kept, continue with "
+                f"{option('--resume', 'True')}"
             )
 
     def leave(self) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from petmjx.basics.arguments import flag_of, list_of, path_of, whole_of
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
 from petmjx.basics.text import printable, shown
 from petmjx.basics.whole import whole_file, writing
 from petmjx.options.config import Simulation
@@ -87,10 +88,10 @@ def leaderboard(
     paths = named(given)  # type: ignore[arg-type]  # what they hold is checked there
     source = None if orders is None else path_of(orders, "orders")
     if baselines and source is None:
-        raise InputError("baselines (--baselines) needs orders (--orders FILE): petmjx's packers pack them")
+        raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack them")
     if baselines and (taken := next((name for name in paths if name in PACKERS), None)):
         raise InputError(
-            f"{taken}: baselines (--baselines) has a packer of this name; give yours another, as NAME=PATH"
+            f"{taken}: {option('--baselines')} has a packer of this name; give yours another, as NAME=PATH"
         )
     keeps_orders = source is not None and not _is_same(source, folder / ORDERS)
     packed = [*(PACKERS if baselines else ()), *paths]
@@ -98,7 +99,7 @@ def leaderboard(
     read = source_files(paths, source if keeps_orders else None)
     files_of_board = BoardFolder(folder, packed, names, read, overwrite)
     if len(packed) < 2:
-        raise InputError("give at least two packers to rate, or one with baselines (--baselines)")
+        raise InputError(f"give at least two packers to rate, or one with {option('--baselines')}")
     with writing(folder):
         files_of_board.begin()
         entries = _entries(paths, folder, source, baselines, watch, options)

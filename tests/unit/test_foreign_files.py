@@ -1,0 +1,172 @@
+"""What is no file of plans is named for what it is, with the place, and what to do about it: one line each."""
+
+from __future__ import annotations
+
+import io
+import pickle
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pytest
+
+import petmjx
+from petmjx.basics.errors import InputError
+from petmjx.plans.articles import read_articles
+from petmjx.plans.foreign import number_hint
+from petmjx.plans.samples import pack_orders
+
+COLUMNS = ("plan_id", "sequence", "article", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "height_mm", "weight_kg")
+
+
+def workbook() -> bytes:
+    content = io.BytesIO()
+    openpyxl.Workbook().save(content)
+    return content.getvalue()
+
+
+def archive(*names: str) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as written:
+        for name in names:
+            written.writestr(name, "x")
+    return content.getvalue()
+
+
+def array() -> bytes:
+    content = io.BytesIO()
+    np.save(content, np.zeros((3, 4)))
+    return content.getvalue()
+
+
+def arrays() -> bytes:
+    content = io.BytesIO()
+    np.savez(content, a=np.zeros(3))
+    return content.getvalue()
+
+
+def table(delimiter: str = ",", **cells: str) -> str:
+    row = dict(zip(COLUMNS, ("a", "1", "base", "0", "0", "0", "600", "400", "250", "12"), strict=True)) | cells
+    return f"{delimiter.join(COLUMNS)}\n{delimiter.join(row.values())}\n"
+
+
+KINDS = {
+    "workbook.xlsx": (workbook(), "is an Excel workbook (.xlsx): save the sheet as CSV"),
+    "workbook.csv": (workbook(), "is an Excel workbook (.xlsx): save the sheet as CSV"),
+    "workbook.json": (workbook(), "is an Excel workbook (.xlsx): save the sheet as CSV"),
+    "old.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(99), "is an Excel workbook of the old kind (.xls): "),
+    "sheet.ods": (archive("mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "is a workbook (.ods): save "),
+    "a.npy": (array(), "is a NumPy array (.npy): "),
+    "a.npz": (arrays(), "holds NumPy arrays (.npz): "),
+    "a.zip": (archive("plans.json"), "is a ZIP archive: unpack it"),
+    "a.pkl": (pickle.dumps([1]), "is a Python pickle, which is never read"),
+    "scene.xml": (b'<?xml version="1.0"?>\n<mujoco/>', "is XML: plans are JSON, or tables in CSV or Parquet"),
+    "bare.xml": (b"\n <mujoco model='x'/>", "is XML: "),
+    "page.csv": (b"<!DOCTYPE html><html>", "is a web page (HTML)"),
+    "words.txt": (b"hello\nworld\n", "is text of another kind: plans are JSON, or tables whose names end in .csv"),
+    "table.txt": (table().encode(), "looks like a table as text: it is read as one if its name ends in .csv or .tsv"),
+    "table.dat": (b"sep=;\n" + table(";").encode(), "looks like a table as text: "),
+    "x.bin": (bytes(range(256)), "is no text: plans are JSON, or tables in CSV or Parquet"),
+    "x.bz2": (b"BZh91AY", "is packed with bzip2: unpack it, or pack it with gzip"),
+    "x.pdf": (b"%PDF-1.7", "is a PDF document"),
+    "x.db": (b"SQLite format 3\0" + bytes(99), "is an SQLite database"),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_other_kinds_are_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    content, said = KINDS[name]
+    Path(name).write_bytes(content)
+    found = petmjx.load_plans(name)
+    (skipped,) = found.skipped
+    assert not found.plans
+    assert skipped.message.startswith(f"{name}: {said}")
+    assert skipped.message.isprintable()
+    with pytest.raises(InputError, match=f"^{name}: "):
+        list(pack_orders(Path(name)))
+
+
+MESSAGES = {
+    "excel's mark": (b"sep=;\r\n" + table(";").encode(), 'row 1: "sep=;" is Excel\'s mark of the separator'),
+    "quoted mark": (b'"sep=,"\n' + table().encode(), 'row 1: "sep=," is Excel\'s mark of the separator'),
+    "header": (
+        table().replace("article", "L\u00e4nge").encode("cp1252"),
+        'row 1, column 3: the name is not UTF-8 text ("L\u00e4nge" in Windows-1252): save the file as UTF-8',
+    ),
+    "cell": (
+        table(article="K\u00e4se").encode("cp1252"),
+        'plan a, row 2: article is not UTF-8 text ("K\u00e4se" in Windows-1252): save the file as UTF-8',
+    ),
+    "no cp1252 either": (
+        table(article="K@se").encode().replace(b"@", b"\x81"),
+        "plan a, row 2: article is not UTF-8 text: save the file as UTF-8",
+    ),
+    "decimal comma": (
+        table(length_mm='"400,0"').encode(),
+        'plan a, row 2: length_mm must be a number, got "400,0": it has a decimal comma; write 400.0, or semicolons',
+    ),
+    "thousands with semicolons": (
+        table(";", length_mm="1.200,5").encode(),
+        'plan a, row 2: length_mm must be a number, got "1.200,5": it has marks between its thousands; write 1200.5',
+    ),
+    "thousands": (
+        table(x_mm='"1,200.5"').encode(),
+        'plan a, row 2: x_mm must be a number, got "1,200.5": it has marks between its thousands; write 1200.5',
+    ),
+    "either": (table(z_mm='"1,200"').encode(), 'row 2: z_mm must be a number, got "1,200": write 1200 or 1.200'),
+}
+
+
+@pytest.mark.parametrize("name", MESSAGES)
+def test_what_other_programs_write_is_named_with_its_place(name: str, tmp_path: Path) -> None:
+    content, said = MESSAGES[name]
+    (tmp_path / "plans.csv").write_bytes(content)
+    (skipped,) = petmjx.load_plans(tmp_path / "plans.csv").skipped
+    assert said in skipped.message
+    assert "\\ud" not in skipped.message
+
+
+def test_json_in_another_encoding(tmp_path: Path) -> None:
+    item = '"article": "K\u00e4se", "id": "1", "length/mm": 400, "width/mm": 300, "height/mm": 200, "weight/kg": 5'
+    place = f'[{{"item": {{{item}, "sequence": 1}}, "orientation": 0, "flb_coordinates": [0, 0, 0]}}]'
+    (tmp_path / "p.json").write_bytes(f'{{"a": {place}, "K\u00e4se": {place}}}'.encode("cp1252"))
+    first, second = (skipped.message for skipped in petmjx.load_plans(tmp_path / "p.json").skipped)
+    assert 'plan a, placement 0: article is not UTF-8 text ("K\u00e4se" in Windows-1252): save' in first
+    assert 'plan K\\xe4se: the plan id is not UTF-8 text ("K\u00e4se" in Windows-1252): save' in second
+
+
+def test_articles_too(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    cases = [
+        (b"sep=;\narticle;strength_n\nx;1\n", 'row 1: "sep=;" is Excel\'s mark'),
+        (
+            "article,strength_n\nx,1\nK\u00e4se,2\n".encode("cp1252"),
+            'row 3 is not UTF-8 text \\("K\u00e4se,2" in Windows',
+        ),
+        (b'article,strength_n\nx,"400,5"\n', "row 2: strength_n must be a number .* decimal comma; write 400.5"),
+        (workbook(), "is an Excel workbook"),
+    ]
+    for content, said in cases:
+        file.write_bytes(content)
+        with pytest.raises(InputError, match=said):
+            read_articles(file)
+
+
+NUMBERS = {
+    "400,0": "400.0",
+    "-1.234.567,8": "-1234567.8",
+    "1'200.5": "1200.5",
+    "1 200": "1200",
+    "1\u202f200,5": "1200.5",
+    ",5": ".5",
+    "9" * 10_000 + ",5": "9" * 10_000 + ".5",
+    **dict.fromkeys(("1,2,3", "1.2", "abc", "12,34,567", ""), ""),
+}
+
+
+@pytest.mark.parametrize(("text", "written"), NUMBERS.items(), ids=lambda text: text[:12])
+def test_how_a_number_is_to_be_written(text: str, written: str) -> None:
+    hint = number_hint(text)
+    assert (f"write {written}" in hint) if written else hint == ""
