@@ -83,6 +83,8 @@ class PhysicsTable(TypedDict, total=False):
     solreffriction: tuple[float, float] | list[float]
     solimp: tuple[float, float, float] | list[float]
     impratio: float
+    landing_s: float
+    restitution: float
     skin_m: float
     falls_into_place: bool
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from petmjx.engines.batch import film, hand
+from petmjx.engines.batch.landing import Landing
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
@@ -114,7 +115,10 @@ class Lockstep:
         if held:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
-        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces)
+        landing = (Landing(state.landing_left, state.landing_qvel),) if rules.sim.physics.has_landings else ()
+        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, *landing)
+        if done.landing is not None:
+            state = state._replace(landing_left=done.landing.left, landing_qvel=done.landing.before)
         running = state.running[:, None]
 
         def moved(

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import mujoco
 from jaxtyping import Array, Float
 
+from petmjx.engines.batch.landing import Landing, act
 from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.metrics.force_jax import contact_force_z, pressed_box
@@ -34,6 +35,7 @@ class Stepped(NamedTuple):
     qacc_warmstart: Float[Array, "world velocity"]
     forces: Float[Array, "world constraint"]
     top_force: Float[Array, "world box"]
+    landing: Landing | None = None
 
 
 class PaddedModel:
@@ -64,6 +66,7 @@ class PaddedModel:
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
+        self._physics = sim.physics
         self.model: Any = mjx.put_model(template, impl="jax")
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
@@ -78,6 +81,7 @@ class PaddedModel:
         fields: dict[str, Float[Array, "world ..."]],
         inputs: dict[str, Float[Array, "world ..."]],
         forces: Float[Array, "world constraint"],
+        landing: Landing | None = None,
     ) -> Stepped:
         """One step of all worlds.
 
@@ -85,11 +89,14 @@ class PaddedModel:
             fields: of the model.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied; where a held carrier is.
             forces: of the step before.
+            landing: which boxes land, if they follow a law of their own.
         """
 
-        def one(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> Any:
+        def one(
+            fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array, landing: Landing | None
+        ) -> Any:
             model, data = self.model.tree_replace(fields), self._data.replace(**inputs)
-            done = mjx.forward(model, data)
+            done, landing = self._forward(model, data, landing)
             # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
             # for contacts almost at rest (3.17: solver.py, _LSPoint). Then the accelerations and forces of the last
             # step are used, from which the solver started.
@@ -97,11 +104,22 @@ class PaddedModel:
             qacc = jnp.where(lost, data.qacc_warmstart, done.qacc)
             done = done.replace(qacc=qacc, qacc_warmstart=qacc)
             forces = jnp.where(lost, forces, done._impl.efc_force)
-            return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces}))
+            return mjx.euler(model, done.tree_replace({"_impl.efc_force": forces})), landing
 
-        data = jax.vmap(one)(fields, inputs, forces)
+        data, landing = jax.vmap(one)(fields, inputs, forces, landing)
         start, forces = data.qacc_warmstart, data._impl.efc_force
-        return Stepped(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data))
+        return Stepped(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data), landing)
+
+    def _forward(self, model: Any, data: Any, landing: Landing | None) -> tuple[Any, Landing | None]:
+        """Accelerations and forces of a step; and which boxes land in it."""
+        if landing is None:
+            return mjx.forward(model, data), None
+        data = mjx.fwd_position(model, data)
+        boxes = self._geom_bodies[data._impl.contact.geom]
+        data, landing = act(data, boxes, landing, self._physics)
+        for part in (mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration, mjx.solve):
+            data = part(model, data)
+        return data, landing
 
     def _top_force(self, data: Any) -> Float[Array, "world box"]:
         """Force pressing on each box's top in the step, N."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.hand import Hand
+from petmjx.engines.cpu.landing import Landings
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
 from petmjx.engines.cpu.waiting import add_waiting, press_waiting
@@ -86,6 +87,8 @@ class LiveWorld:
         self.n_placed = n_boxes
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
+        lands = sim.physics.has_landings and scene.soft is None
+        self._landings = Landings(scene.n_boxes, sim.physics) if lands else None
         self._build(n_boxes)
 
     @property
@@ -185,6 +188,8 @@ class LiveWorld:
     def extend(self, scene: Scene) -> None:
         """The scene has more boxes behind those that it had."""
         self.scene = scene
+        if self._landings is not None:
+            self._landings = self._landings.extended(scene.n_boxes)
         for name in ("release", "course"):  # are worked out anew
             vars(self).pop(name, None)
 
@@ -196,6 +201,7 @@ class LiveWorld:
                 read, and are not copied.
         """
         twin = copy.copy(self)
+        twin._landings = self._landings and self._landings.fork()
         if self._templates is None:
             twin._spec, twin.model = self._spec.copy(), copy.copy(self.model)
         elif grows and self.n_placed == self.capacity:
@@ -279,6 +285,9 @@ class LiveWorld:
 
     def step(self, count: int) -> None:
         """Advance by ``count`` steps in C, with the GIL released."""
+        if self._landings is not None and self.n_placed:
+            self._landings.step(self, count)
+            return
         mujoco.mj_step(self.model, self.data, nstep=count)
 
     def set_gravity(self, gravity: FloatArray) -> None:
@@ -297,6 +306,13 @@ class LiveWorld:
     def set_box_forces(self, force_n: FloatArray) -> None:
         """(capacity, 3) N on the centres of mass of the boxes, from the next step on."""
         self.data.xfrc_applied[self._first_body + self._row, :3] = force_n
+
+    def with_velocities(self, boxes: NDArray[np.bool_], velocity: FloatArray) -> FloatArray:
+        """(nv,) velocities of the model, with those of some boxes replaced by rows of ``velocity``."""
+        speeds: FloatArray = self.data.qvel.copy()
+        chosen = np.flatnonzero(boxes[: self.capacity])
+        speeds[self._first_v :].reshape(-1, 6)[self._row[chosen]] = velocity[chosen]
+        return speeds
 
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) middles and (k, 4) orientations of the placed boxes at the beginning of the last step.
