@@ -85,6 +85,8 @@ class PhysicsTable(TypedDict, total=False):
     impratio: float
     slip_correction: bool
     kinetic_friction_share: float
+    landing_s: float
+    restitution: float
     skin_m: float
     falls_into_place: bool
 

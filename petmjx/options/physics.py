@@ -102,6 +102,13 @@ class Physics(Checked):
         description="friction of a contact that slides faster than 2 cm/s, as a share of its friction at rest, with "
         "elliptic cones; CTU Code, Annex 7: 0.75",
     )
+    landing_s: Annotated[float, within(0, 0.02)] = Field(
+        0.0,
+        description="time in which what lands is stopped, s; 0: contacts are the same springs as at rest",
+    )
+    restitution: Annotated[float, within(0, 0.9)] = Field(
+        0.2, description="share of its speed with which a box bounces, if landing_s is not 0"
+    )
     skin_m: Annotated[float, within(0, 0.001)] = Field(
         0.0001,
         description="by how much boxes are enlarged on each side for the collider, which then prefers faces to "
@@ -119,6 +126,11 @@ class Physics(Checked):
         """By how much the carrier is larger for the collider, m: more than boxes, so that the faces of those that stand
         flush with its edge end within its face, and the collider finds their corners (docs/validation.md)."""
         return 2 * self.skin_m
+
+    @property
+    def has_landings(self) -> bool:
+        """Whether boxes that land follow a law of their own (petmjx/world/landing.py). Only with elliptic cones."""
+        return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:

@@ -1,20 +1,32 @@
-"""Boxes that land: how hard they hit does not depend on when one looks."""
+"""Boxes that land: how hard they hit does not depend on when one looks; how deep they come, and how they bounce."""
 
 from __future__ import annotations
 
+import functools
+
+import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
-from support.plans import Box, make_scene
+import pytest
+from support.plans import Box, make_scene, stack
 
 from petmjx.basics.units import STANDARD_GRAVITY
+from petmjx.engines.batch.landing import Landing, act
+from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.engines.cpu.forces import largest_top_forces, pressed
+from petmjx.engines.cpu.landing import Landings
 from petmjx.engines.cpu.live import LiveWorld
+from petmjx.history import Record
 from petmjx.options.config import Simulation
 from petmjx.world.job import Job
 
 STACK: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 200), 5.0))
 HEIGHT_MM = 100.0
+LANDING_S = 0.003
+SAME_ROW = 1e-3
+"""Of reference accelerations, m/s², and of constraints' stiffness: float32."""
 
 SAME_PEAK = 0.05
 """Of a peak at half the timestep, relative: it lasts for dozens of steps."""
@@ -52,3 +64,83 @@ def test_forces_of_many_steps_are_those_of_each() -> None:
     np.testing.assert_array_equal(largest_top_forces(steps, 3), expected)
     mujoco.mj_resetData(live.model, live.data)
     assert largest_top_forces([pressed(live.data, live.geom_bodies, 3)], 3).tolist() == [0.0, 0.0, 0.0]
+
+
+@functools.cache
+def fallen(height_mm: float, restitution: float) -> tuple[float, float]:
+    """How deep below its place of rest a box comes that falls on another, mm; and the restitution of its rebound."""
+    sim = Simulation(
+        placing={"name": "drop", "height_mm": height_mm},
+        physics={"landing_s": LANDING_S, "restitution": restitution},
+        carrier="euro-pallet",
+    )
+    (outcome,) = MujocoEngine(1).run([Job(make_scene(STACK, sim), record=Record(0.002))], sim)
+    assert outcome.history is not None
+    height = outcome.history.pos[:, 1, 2]
+    above = height[np.isfinite(height)] - height[-1]
+    touched = int(np.argmax(above < 0))
+    return -1e3 * above[touched:].min(), float(np.sqrt(max(above[touched:].max(), 0.0) / (1e-3 * height_mm)))
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.1, 0.3])
+@pytest.mark.parametrize(("height_mm", "most_mm"), [(10.0, 1.0), (50.0, 3.0), (100.0, 5.0), (300.0, 9.0)])
+def test_boxes_stop_and_bounce_as_asked(height_mm: float, most_mm: float, restitution: float) -> None:
+    depth_mm, found = fallen(height_mm, restitution)
+    assert depth_mm < most_mm
+    assert found == pytest.approx(restitution, abs=0.03)
+
+
+def test_what_rests_is_the_same_with_the_law_of_landings() -> None:
+    ends = []
+    for landing_s in (0.0, LANDING_S):
+        sim = Simulation(physics={"landing_s": landing_s})
+        (outcome,) = MujocoEngine(1).run([Job(make_scene(stack(4, kg=6.0), sim))], sim)
+        ends.append((outcome.n_steps, outcome.boxes.pos.tolist(), outcome.boxes.rest_top_force_n.tolist()))
+    assert ends[0] == ends[1]
+
+
+def test_mjx_changes_contacts_as_c_does() -> None:
+    """A corner that comes down on a box, the other one at rest; the next step, too."""
+    sim = Simulation(physics={"landing_s": LANDING_S, "skin_m": 0.0})
+    live = LiveWorld(make_scene(STACK, sim), sim, n_boxes=2)
+    live.step(100)  # at rest
+    live.data.qvel[-6:] = (0.0, 0.0, -0.4, 1.0, 0.5, 0.0)
+    model, data, landings = live.model, live.data, Landings(2, sim.physics)
+    state = Landing(jnp.zeros(2, jnp.int32), jnp.zeros((2, 6)))
+    for _ in range(2):
+        mujoco.mj_step1(model, data)
+        fresh = mjx.put_data(model, data, impl="jax")
+        at_rest, landing = data.efc_aref.copy(), state
+        landings.act(live)
+        boxes = jnp.asarray(live.geom_bodies)[fresh._impl.contact.geom]
+        with jax.numpy_rank_promotion("allow"):
+            changed, state = act(fresh, boxes, landing, sim.physics)
+        there = np.flatnonzero(np.asarray(fresh._impl.efc_J).any(axis=1))
+        pulls, stiffness = (np.sort(np.asarray(getattr(changed._impl, name))[there]) for name in ("efc_aref", "efc_D"))
+        np.testing.assert_allclose(pulls, np.sort(data.efc_aref), rtol=SAME_ROW, atol=SAME_ROW)
+        np.testing.assert_allclose(stiffness, np.sort(data.efc_D), rtol=SAME_ROW)
+        np.testing.assert_array_equal(state.left, landings.left)
+        np.testing.assert_allclose(state.before, landings.before, atol=1e-6)
+        assert (np.abs(data.efc_aref - at_rest) > 10).any()
+        mujoco.mj_step2(model, data)
+    assert landings.left.all()
+
+
+@pytest.mark.slow
+def test_kernels_land_boxes_as_c_does() -> None:
+    pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+    from support.tiny_worlds import LONG_NS, engine
+
+    sim = Simulation(
+        placing={"name": "drop", "height_mm": HEIGHT_MM},
+        physics={"landing_s": LANDING_S, "restitution": 0.3},
+        rest_window_s=0.1,
+    )
+    aside: tuple[Box, ...] = (STACK[0], ((400, 300, 200), (150, 100, 200), 3.0))
+    jobs = [Job(make_scene(boxes, sim)) for boxes in (STACK, aside)]
+    with jax.numpy_rank_promotion("allow"):
+        found = sorted(engine(slice_ns=LONG_NS).run(jobs, sim), key=lambda outcome: outcome.job)
+    for exact, outcome in zip(sorted(MujocoEngine(1).run(jobs, sim), key=lambda each: each.job), found, strict=True):
+        assert outcome.n_steps == exact.n_steps
+        np.testing.assert_allclose(outcome.boxes.max_top_force_n, exact.boxes.max_top_force_n, rtol=SAME_ROW)
+        np.testing.assert_allclose(outcome.boxes.pos, exact.boxes.pos, atol=1e-5)

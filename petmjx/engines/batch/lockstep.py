@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float
 
 from petmjx.engines.batch import film, hand
 from petmjx.engines.batch.bed import Faces
+from petmjx.engines.batch.landing import Landing
 from petmjx.engines.batch.padded import PaddedModel
 from petmjx.engines.batch.recorder import Trail
 from petmjx.engines.batch.rules import Rules
@@ -119,7 +120,10 @@ class Lockstep:
         if held:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
-        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, *faces)
+        landing = Landing(state.landing_left, state.landing_qvel) if rules.sim.physics.has_landings else None
+        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, *faces, landing=landing)
+        if done.landing is not None:
+            state = state._replace(landing_left=done.landing.left, landing_qvel=done.landing.before)
         running = state.running[:, None]
 
         def moved(

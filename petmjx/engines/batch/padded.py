@@ -10,6 +10,7 @@ import mujoco
 from jaxtyping import Array, Float
 
 from petmjx.engines.batch.bed import Beds, Faces
+from petmjx.engines.batch.landing import Landing, act
 from petmjx.engines.batch.mjx import mjx
 from petmjx.engines.batch.slip import SlipLaw
 from petmjx.engines.batch.template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
@@ -36,6 +37,7 @@ class Stepped(NamedTuple):
     qacc_warmstart: Float[Array, "world velocity"]
     forces: Float[Array, "world constraint"]
     top_force: Float[Array, "world box"]
+    landing: Landing | None = None
 
 
 class PaddedModel:
@@ -92,6 +94,7 @@ class PaddedModel:
         inputs: dict[str, Float[Array, "world ..."]],
         forces: Float[Array, "world constraint"],
         faces: Faces | None = None,
+        landing: Landing | None = None,
     ) -> Stepped:
         """One step of all worlds.
 
@@ -100,16 +103,22 @@ class PaddedModel:
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied; where a held carrier is.
             forces: of the step before.
             faces: where boxes give (``lay_beds``).
+            landing: which boxes land, if they follow a law of their own.
         """
 
-        def ready(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None) -> Any:
+        def ready(
+            fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
+        ) -> tuple[Any, Landing | None]:
             # mjx.forward up to the solver
             model, data = self._model_of(fields), self._data.replace(**inputs)
             if self._beds is None or faces is None:
                 data = mjx.fwd_position(model, data)
             else:
                 data = self._beds.fwd_position(model, data, faces)
-            return mjx.fwd_acceleration(model, mjx.fwd_actuation(model, mjx.fwd_velocity(model, data)))
+            if landing is not None:
+                data, landing = act(data, self._geom_bodies[data._impl.contact.geom], landing, self._physics)
+            data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, data))
+            return mjx.fwd_acceleration(model, data), landing
 
         def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
             # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
@@ -121,14 +130,14 @@ class PaddedModel:
             done = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
             return mjx.euler(self._model_of(fields), done)
 
-        data = jax.vmap(ready)(fields, inputs, faces)
+        data, landing = jax.vmap(ready)(fields, inputs, faces, landing)
         if self._slip is not None:
             data = self._slip.solve(fields, data)
         else:
             data = jax.vmap(lambda fields, data: mjx.solve(self._model_of(fields), data))(fields, data)
         data = jax.vmap(ended)(fields, data, forces)
         start, forces = data.qacc_warmstart, data._impl.efc_force
-        return Stepped(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data))
+        return Stepped(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data), landing)
 
     def _top_force(self, data: Any) -> Float[Array, "world box"]:
         """Force pressing on each box's top in the step, N."""

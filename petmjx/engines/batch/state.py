@@ -68,6 +68,10 @@ class State(NamedTuple):
     way_begin: Float[Array, "world 3"]
     way_end: Float[Array, "world 3"]
 
+    # Landing: steps for which a box counts as landing, and its velocity before it touched.
+    landing_left: Int[Array, "world box"]
+    landing_qvel: Float[Array, "world box 6"]
+
     # Film: where boxes were when it was put around them, and from where it holds them, less the carrier's place.
     film_home: Float[Array, "world box 3"]
     film_anchor: Float[Array, "world box 3"]
@@ -193,6 +197,8 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
         carried_steps=ints,
         way_begin=jnp.zeros((n, 3)),
         way_end=jnp.zeros((n, 3)),
+        landing_left=jnp.zeros((n, width), jnp.int32),
+        landing_qvel=jnp.zeros((n, width, 6)),
         film_home=jnp.zeros_like(worlds.half),
         film_anchor=jnp.zeros_like(worlds.half),
         waits_since=ints,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.bed import Beds
 from petmjx.engines.cpu.hand import Hand
+from petmjx.engines.cpu.landing import Landings
 from petmjx.engines.cpu.models import Filled, Templates, set_options
 from petmjx.engines.cpu.ordering import body_order
 from petmjx.engines.cpu.slip import LOOK_STEPS, SlipLaw
@@ -93,6 +94,8 @@ class LiveWorld:
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._slip = SlipLaw(sim.physics)
         self._slides, self._looked = False, 0  # at the last look; steps since
+        lands = sim.physics.has_landings and scene.soft is None
+        self._landings = Landings(scene.n_boxes, sim.physics) if lands else None
         self._build(n_boxes)
 
     @property
@@ -194,6 +197,8 @@ class LiveWorld:
     def extend(self, scene: Scene) -> None:
         """The scene has more boxes behind those that it had."""
         self.scene = scene
+        if self._landings is not None:
+            self._landings = self._landings.extended(scene.n_boxes)
         for name in ("release", "course"):  # are worked out anew
             vars(self).pop(name, None)
 
@@ -205,6 +210,7 @@ class LiveWorld:
                 read, and are not copied.
         """
         twin = copy.copy(self)
+        twin._landings = self._landings and self._landings.fork()
         if self._templates is None:
             twin._spec, twin.model = self._spec.copy(), copy.copy(self.model)
         elif grows and self.n_placed == self.capacity:
@@ -287,7 +293,7 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released; step by step where boxes give, or may slide.
+        """Advance by ``count`` steps in C, with the GIL released; step by step where boxes give, land, or may slide.
 
         Looks whether anything moves come after every few steps of the world, however many each call takes.
         """
@@ -300,7 +306,8 @@ class LiveWorld:
             count -= some
 
     def _take_steps(self, count: int) -> None:
-        if self._beds is None and not self._slides:
+        landings = self._landings if self.n_placed else None
+        if self._beds is None and not self._slides and (landings is None or landings.over(self.data)):
             mujoco.mj_step(self.model, self.data, nstep=count)
             return
         for _ in range(count):
@@ -308,6 +315,8 @@ class LiveWorld:
                 mujoco.mj_step1(self.model, self.data)
             else:
                 self._beds.step1(self.model, self.data)
+            if landings is not None:
+                landings.act(self)
             self._slip.step2(self.model, self.data)
 
     def set_gravity(self, gravity: FloatArray) -> None:
@@ -326,6 +335,13 @@ class LiveWorld:
     def set_box_forces(self, force_n: FloatArray) -> None:
         """(capacity, 3) N on the centres of mass of the boxes, from the next step on."""
         self.data.xfrc_applied[self._first_body + self._row, :3] = force_n
+
+    def with_velocities(self, boxes: NDArray[np.bool_], velocity: FloatArray) -> FloatArray:
+        """(nv,) velocities of the model, with those of some boxes replaced by rows of ``velocity``."""
+        speeds: FloatArray = self.data.qvel.copy()
+        chosen = np.flatnonzero(boxes[: self.capacity])
+        speeds[self._first_v :].reshape(-1, 6)[self._row[chosen]] = velocity[chosen]
+        return speeds
 
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) middles and (k, 4) orientations of the placed boxes at the beginning of the last step.

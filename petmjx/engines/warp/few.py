@@ -29,7 +29,7 @@ def fleet_for_few(fleet: Fleet, worlds: int, lanes: int | None = None) -> Fleet 
         lanes: most worlds in blocks of a kind; None: as many as the device has room for.
     """
     one = fleet.launch
-    launch = Launch.of(FEW_BOXES, one.hands, one.gives, one.wraps)
+    launch = replace(Launch.of(FEW_BOXES, one.hands, one.gives, one.wraps), lands=one.lands)
     blocks = min((lanes or launch.lanes) // launch.worlds, launch.blocks)
     of_all = blocks * launch.worlds
     if launch.worlds == 1 or one.threads != size_for(1).threads or not 0 < ENOUGH_SHARE * of_all <= worlds:

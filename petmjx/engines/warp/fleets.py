@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,5 +70,6 @@ class Fleets:
         """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
         n_boxes = run.needs.widths[size]
         launch = Launch.here(n_boxes, run.needs.hands, run.needs.gives, run.needs.wraps)
+        launch = replace(launch, lands=run.sim.physics.has_landings)
         shapes = self._boxes_of_room(run, size) + boards - 1
         return Fleet(launch, self._blocks(launch), n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)

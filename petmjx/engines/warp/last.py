@@ -40,7 +40,7 @@ def fleet_for_last(fleet: Fleet, lanes: int | None = None) -> Fleet | None:
     one = fleet.launch
     if one.per_sm == 1:
         return None
-    launch = Launch.of(LAST, one.hands, one.gives, one.wraps)
+    launch = replace(Launch.of(LAST, one.hands, one.gives, one.wraps), lands=one.lands)
     return replace(fleet, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
 
 

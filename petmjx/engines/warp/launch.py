@@ -86,6 +86,7 @@ class Launch:
         panels: of the largest system.
         hands: whether a hand may carry boxes. Without it a kernel has fewer registers to spill.
         gives, wraps: whether boxes may give, and film may hold them; as for hands.
+        lands: whether boxes that land follow a law of their own.
     """
 
     blocks: int
@@ -98,6 +99,7 @@ class Launch:
     wraps: bool = False
     worlds: int = 1
     pause_after: int = 0
+    lands: bool = False
 
     @property
     def lanes(self) -> int:
@@ -142,7 +144,7 @@ def kernel(launch: Launch) -> Any:
     """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
-    hands, gives, wraps = int(launch.hands), int(launch.gives), int(launch.wraps)
+    hands, gives, wraps, lands = (int(each) for each in (launch.hands, launch.gives, launch.wraps, launch.lands))
 
     def march(
         # Model:
@@ -168,13 +170,13 @@ def kernel(launch: Launch) -> Any:
             run_worlds(
                 model, worlds,
                 of_block * block + thread // threads, thread % threads, threads, n_blocks, slice_ns,
-                hands, gives, wraps, shared, shared_words,
+                hands, gives, wraps, lands, shared, shared_words,
                 state, work, frames, counts,
             )  # fmt: skip
         else:
             run_worlds(
                 model, worlds,
-                block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, shared, shared_words,
+                block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, lands, shared, shared_words,
                 state, work, frames, counts,
             )  # fmt: skip
 

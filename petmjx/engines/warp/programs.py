@@ -24,6 +24,7 @@ from petmjx.engines.warp.march import Fleet, March
 from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.options.physics import Cone, Physics
 from petmjx.world.contact import MOST_IMPEDANCE
+from petmjx.world.landing import lasts_steps
 from petmjx.world.placing import lowering_rate_1_s, rate_1_s, stuck_steps
 from petmjx.world.slip import slack_m_s2
 from petmjx.world.wrap import spring_rate_1_s
@@ -100,6 +101,9 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "lowering_rate": lowering_rate_1_s(physics.timestep_s),
         "stuck_steps": stuck_steps(physics.timestep_s),
         "film_rate": spring_rate_1_s(physics.timestep_s),
+        "landing_time": physics.landing_s,
+        "landing_lasts": lasts_steps(physics),
+        "restitution": physics.restitution,
         "due": wp.array(timetable.due, dtype=int),
         "longest": wp.array(timetable.longest, dtype=int),
         "settled": wp.array(timetable.settled, dtype=int),

@@ -120,6 +120,9 @@ class Model:
     lowering_rate: float  # of the damper by which it sets boxes down, 1/s
     stuck_steps: int  # for which a hand waits at most
     film_rate: float  # of a box's spring on its film, 1/s
+    landing_time: float  # in which what lands is stopped, s
+    landing_lasts: int  # steps for which a box that has touched counts as landing
+    restitution: float
 
     due: wp.array[int]  # by step; as in Timetable
     longest: wp.array[int]
@@ -240,6 +243,7 @@ class Thread:
     hands: int  # 1 if a hand may carry boxes; 0 is known to the compiler, which then leaves hands out
     gives: int  # the same where boxes may give
     wraps: int  # the same where film may hold boxes
+    lands: int  # the same where boxes that land follow a law of their own
     carried: int  # 1 if a hand has the last of these boxes
 
 

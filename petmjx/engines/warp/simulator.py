@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import jax
@@ -71,7 +72,7 @@ class Simulator:
         threads: int | None = None,
         traits: Traits = ALL_TRAITS,
     ) -> None:
-        launch = Launch.here(most_boxes, *traits)
+        launch = replace(Launch.here(most_boxes, *traits), lands=sim.physics.has_landings)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
         fleet = Fleet(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)

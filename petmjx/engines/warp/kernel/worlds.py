@@ -28,6 +28,7 @@ from petmjx.engines.warp.kernel.constraint import link_contacts, make_constraint
 from petmjx.engines.warp.kernel.film import hold
 from petmjx.engines.warp.kernel.frames import keep_frame, no_room
 from petmjx.engines.warp.kernel.hand import carry
+from petmjx.engines.warp.kernel.landing import land
 from petmjx.engines.warp.kernel.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernel.ordering import RENEWED_EVERY, renew_order
 from petmjx.engines.warp.kernel.rules import NEVER, RUNNING, after_step
@@ -164,6 +165,8 @@ def advance(
     go_together()
     if on and begins:
         make_constraint(model, worlds, state, at, ncon, work)
+        if at.lands != 0:
+            land(model, worlds, at, ncon, state, work)
         if step % RENEWED_EVERY == 0:
             renew_order(worlds, at, npair, state, work)
             changed = True
@@ -209,6 +212,7 @@ def run_worlds(
     hands: int,
     gives: int,
     wraps: int,
+    lands: int,
     shared: Any,
     shared_words: int,
     # Data out:
@@ -227,6 +231,7 @@ def run_worlds(
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may give.
         wraps: 1 if film may hold boxes.
+        lands: 1 if boxes that land follow a law of their own.
         slice_ns: time slice, from the call's first step on, ns. If it is over a lane takes one step more.
         shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, and more behind them.
     """
@@ -238,6 +243,7 @@ def run_worlds(
     at.hands = hands
     at.gives = gives
     at.wraps = wraps
+    at.lands = lands
     steps = int(0)
     iterations = int(0)
     stood = int(-1)  # boxes for which pairs are listed

@@ -1,0 +1,87 @@
+"""Landings: how deep a box comes that falls on another, how it bounces, and how hard it hits at other timesteps.
+
+``python -m benchmarks.landings [ENGINE]`` prints the rows.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import petmjx
+from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
+
+HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
+MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)
+"""What a box may pass below where it rests, from each height."""
+TIMESTEPS_S = (0.002, 0.001, 0.0005)
+ASKED = (0.0, 0.1, 0.3)
+LANDING_S = 0.003
+CARDBOARD = (0.1, 0.3)
+"""Restitution of cardboard boxes: TU/e, T-RO 2023 (four cartons on a conveyor; 0 to 0.6 over all identifications)."""
+
+
+class Landed(NamedTuple):
+    """What a landing was like: how deep below its place of rest, mm; the restitution that its rebound's height is of;
+    the largest force on the box below, N."""
+
+    depth_mm: float
+    restitution: float
+    peak_n: float
+
+
+@cache
+def landed(engine: str, height_mm: float, timestep_s: float, landing_s: float, restitution: float) -> Landed:
+    """A box of 5 kg falls on one like it."""
+    size, corner = [[400, 300, 200]] * 2, [[400, 250, 0], [400, 250, 200]]
+    plan = petmjx.Plan.from_boxes("two", size_mm=size, corner_mm=corner, mass_kg=[5.0, 5.0])
+    physics = {"timestep_s": timestep_s, "landing_s": landing_s, "restitution": restitution}
+    placing: dict[str, Any] = {"name": "drop", "height_mm": height_mm}
+    story = petmjx.tell(
+        "two", [plan], engine=engine, carrier="euro-pallet", placing=placing, physics=physics, interval_s=timestep_s
+    )
+    height: FloatArray = story.history.pos[:, 1, 2]
+    height = height[np.isfinite(height)]
+    above = height - height[-1]
+    touched = int(np.argmax(above < 0))
+    rebound_m = max(float(above[touched:].max()), 0.0)
+    fall_m_s = math.sqrt(2e-3 * STANDARD_GRAVITY * height_mm)
+    return Landed(
+        -1e3 * float(above[touched:].min()),
+        math.sqrt(2 * STANDARD_GRAVITY * rebound_m) / fall_m_s,
+        float(story.outcome.boxes.max_top_force_n[0]),
+    )
+
+
+def rows(engine: str) -> list[dict[str, Any]]:
+    """Rows of the gallery: quantity, source, measured, petmjx, miss (0: within what was measured), engine."""
+
+    def row(quantity: str, source: str, low: float, high: float, found: float) -> dict[str, Any]:
+        miss = max(low - found, found - high, 0.0)
+        said = {"quantity": quantity, "source": source, "measured": f"{low:g} to {high:g}"}
+        return said | {"petmjx": round(found, 3), "miss": round(miss, 3), "engine": engine}
+
+    made, step_s, given = [], TIMESTEPS_S[0], "what was wanted"
+    for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
+        usual = landed(engine, height_mm, step_s, 0.0, 0.0)
+        made.append(row(f"restitution from {height_mm:g} mm, as shipped", "T-RO 2023", *CARDBOARD, usual.restitution))
+        made.append(row(f"depth from {height_mm:g} mm, as shipped, mm", given, 0, most_mm, usual.depth_mm))
+        for asked in ASKED:
+            there = landed(engine, height_mm, step_s, LANDING_S, asked)
+            said = f"from {height_mm:g} mm, landing_s {LANDING_S:g}, restitution {asked:g}"
+            made.append(row(f"depth {said}, mm", given, 0, most_mm, there.depth_mm))
+            made.append(row(f"restitution {said}", "what was asked", asked - 0.03, asked + 0.03, there.restitution))
+        for name, landing_s in (("as shipped", 0.0), (f"landing_s {LANDING_S:g}", LANDING_S)):
+            peaks = [landed(engine, height_mm, each, landing_s, 0.0).peak_n for each in TIMESTEPS_S]
+            spread = max(peaks) / min(peaks) - 1
+            made.append(row(f"spread of peaks from {height_mm:g} mm, 2 to 0.5 ms, {name}", "none", 0, 0.12, spread))
+    return made
+
+
+if __name__ == "__main__":
+    for each in rows(sys.argv[1] if len(sys.argv) > 1 else "mujoco"):
+        print("  ".join(str(value) for value in each.values()))

@@ -1,0 +1,64 @@
+"""Landings, for all worlds of a batch. Twin of petmjx/world/landing.py and petmjx/engines/cpu/landing.py, which explain
+the law; without shared arithmetic."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from petmjx.options.physics import Physics
+from petmjx.world.landing import AT_REST, FAST_M_S, lasts_steps
+
+
+class Landing(NamedTuple):
+    """Which boxes land, as ``State`` has it."""
+
+    left: Int[Array, "*world box"]
+    before: Float[Array, "*world box 6"]
+
+
+def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, physics: Physics) -> tuple[Any, Landing]:
+    """One world's MJX data between collision and solver, with other contacts while a box lands; and which do.
+
+    Args:
+        boxes: of the contacts' geoms; negative: no box.
+    """
+    rows, contact = data._impl, data._impl.contact
+    row = jnp.asarray(contact.efc_address)
+    n = len(landing.left)
+    place = jnp.where(boxes < 0, n, boxes)
+    jacobian, speeds = rows.efc_J[row], data.qvel[-6 * n :].reshape(n, 6)
+    closing = -jacobian @ data.qvel
+    fast = jnp.broadcast_to((closing > FAST_M_S)[:, None], boxes.shape)
+    hit = jnp.zeros(n, bool).at[place].max(fast, mode="drop")
+    left = jnp.maximum(landing.left - 1, 0)
+    begins = hit & (left == 0)
+    left = jnp.where(begins, lasts_steps(physics), left)
+    before = jnp.where(begins[:, None], speeds, landing.before)
+    lands = jnp.pad(left > 0, (0, 1))[place].any(-1)
+
+    depth = rows.efc_margin[row] - rows.efc_pos[row]
+    low, high, width = (contact.solimp[:, i] for i in range(3))
+    x = jnp.clip(jnp.abs(depth) / width, 0.0, 1.0)
+    impedance = low + (high - low) * jnp.where(x <= 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
+    stiffer = jnp.where((left > 0).any(), (1 - impedance) / impedance / ((1 - high) / high), 1.0)
+    three = row[:, None] + jnp.arange(3)
+    rows_d = rows.efc_D.at[three].multiply(stiffer[:, None])
+
+    old = data.qvel.at[-6 * n :].set(jnp.where((left > 0)[:, None], before, speeds).reshape(-1))
+    came = -jacobian @ old
+    share, step_s = physics.restitution, physics.timestep_s
+    opening = share * came
+    if share > 0:
+        fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
+        height = jnp.maximum(depth - AT_REST * physics.solimp[2], 0.0)
+        out = jnp.sqrt((fall * step_s) ** 2 + opening**2 + 2 * fall * height) - fall * step_s
+        opening = jnp.maximum(opening, out)
+    enough = (closing + opening) / step_s
+    most = (1 + share) * came / physics.landing_s
+    rigid = contact.solimp[:, 1] >= physics.solimp[1] * (1 - 1e-6)
+    acts = lands & rigid & (came > FAST_M_S) & (enough > 0)
+    pulls = rows.efc_aref.at[row].set(jnp.where(acts, jnp.minimum(enough, most), rows.efc_aref[row]))
+    return data.tree_replace({"_impl.efc_aref": pulls, "_impl.efc_D": rows_d}), Landing(left, before)

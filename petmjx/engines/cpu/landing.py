@@ -1,0 +1,96 @@
+"""Landings on C MuJoCo: what stops boxes that arrive fast, and how they bounce. The law: petmjx/world/landing.py."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.basics.units import FloatArray
+from petmjx.options.physics import Physics
+from petmjx.world.landing import FAST_M_S, lasts_steps, pull, stiffening
+
+_CALM_M_S2 = 0.5
+"""Root of the sum of squares of all accelerations, m/s² and rad/s², up to which steps are taken many at a time: in five
+steps a box becomes faster by at most 5 mm/s."""
+
+
+class MovingWorld(Protocol):
+    """What of a ``petmjx.engines.cpu.live.LiveWorld`` landings need."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    geom_bodies: NDArray[np.integer]
+
+    @property
+    def velocity(self) -> FloatArray: ...
+
+    def with_velocities(self, boxes: NDArray[np.bool_], velocity: FloatArray) -> FloatArray: ...
+
+
+class Landings:
+    """Which boxes of a world land, and how fast all were before.
+
+    Attributes:
+        left: (n,) steps for which each box counts as landing; 0: it does not.
+        before: (n, 6) velocities of boxes that land, before they touched.
+    """
+
+    def __init__(self, n_boxes: int, physics: Physics) -> None:
+        self._physics, self._lasts = physics, lasts_steps(physics)
+        self.left: NDArray[np.intp] = np.zeros(n_boxes, np.intp)
+        self.before: FloatArray = np.zeros((n_boxes, 6))
+
+    def fork(self) -> Landings:
+        """The same for a twin of the world."""
+        twin = Landings(len(self.left), self._physics)
+        twin.left[:], twin.before[:] = self.left, self.before
+        return twin
+
+    def extended(self, n_boxes: int) -> Landings:
+        """The same for a world of more boxes."""
+        twin = Landings(n_boxes, self._physics)
+        twin.left[: len(self.left)], twin.before[: len(self.left)] = self.left, self.before
+        return twin
+
+    def over(self, data: mujoco.MjData) -> bool:
+        """Whether nothing lands, and nothing will in the next few steps."""
+        if self.left.any():
+            return False
+        speed, acceleration = data.qvel, data.qacc
+        return bool(speed.dot(speed) < (0.5 * FAST_M_S) ** 2 and acceleration.dot(acceleration) < _CALM_M_S2**2)
+
+    def act(self, live: MovingWorld) -> None:
+        """Between collision and solver: find boxes that begin to land, and change the contacts while any does."""
+        data, left = live.data, self.left
+        np.maximum(left - 1, 0, out=left)
+        contact = data.contact
+        address = np.asarray(contact.efc_address)
+        these = np.flatnonzero(address >= 0)
+        row = address[these]
+        boxes = live.geom_bodies[np.asarray(contact.geom)[these]]
+        closing = -data.efc_vel[row]
+        hit = boxes[closing > FAST_M_S].ravel()
+        hit = hit[hit >= 0]
+        fresh = hit[left[hit] == 0]
+        if len(fresh):
+            self.before[fresh] = live.velocity[fresh]
+            left[fresh] = self._lasts
+        if not left.any():
+            return
+        physics = self._physics
+        depth = data.efc_margin[row] - data.efc_pos[row]
+        impedances = np.asarray(contact.solimp)[these, :3]
+        stiffer = stiffening(depth, impedances)
+        for part in range(3):
+            data.efc_R[row + part] /= stiffer
+            data.efc_D[row + part] *= stiffer
+        lands = ((boxes >= 0) & (left[np.maximum(boxes, 0)] > 0)).any(axis=1) & (impedances[:, 1] >= physics.solimp[1])
+        speeds = np.zeros(data.nefc)
+        mujoco.mj_mulJacVec(live.model, data, speeds, live.with_velocities(left > 0, self.before))
+        normal_z = np.asarray(contact.frame)[these, 2]
+        wanted = pull(closing, -speeds[row], depth, normal_z, physics)
+        acts = lands & np.isfinite(wanted)
+        data.efc_aref[row[acts]] = wanted[acts]
