@@ -62,9 +62,13 @@ class Row:
     @classmethod
     def of(cls, row: Any) -> Row:
         """A row, also one of numbers alone: their ``quantity`` with its unit, ``source``, ``expected``, ``value`` and
-        ``engine``."""
+        ``engine``; and a table with ``quantity``, ``source``, ``measured``, ``petmjx``, ``miss`` and ``engine``, whose
+        miss is 0 where petmjx is as near as it is meant to be."""
         if isinstance(row, cls):
             return row
+        if isinstance(row, Mapping):
+            miss, texts = row["miss"], {name: str(value) for name, value in row.items()}
+            return cls(**{**texts, "miss": f"{miss:g}"}, holds=miss == 0)
         miss = row.value - row.expected
         return cls(row.quantity, row.source, f"{row.expected:.4g}", f"{row.value:.4g}", f"{miss:+.2g}", row.engine)
 

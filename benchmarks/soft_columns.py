@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import petmjx
+from petmjx.option_types import EngineName
 
 GRAVITY: Final = 9.81
 GRID: Final = 40
@@ -181,6 +182,7 @@ def bed_answer(column: Column, one_by_one: bool = False) -> Answer:
             return Answer(least, nowhere, nowhere)
         if count < n:
             moved[count] = chain.moved_m(x)[-1]
+    assert x is not None, "a column has a box"
     lean = x[n:].reshape(n, 2)
     tops = chain.moved_m(x)
     shift = (tops - chain.height[:, None] / 2 * lean) * 1e3
@@ -215,8 +217,8 @@ def drawn(count: int, seed: int) -> list[Column]:
     """Columns of 1 to 5 boxes of 30 to 200 N/mm, each up to 30 mm aside, under a rigid load near the one that buckles
     them."""
     rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < count:
+    columns: list[Column] = []
+    while len(columns) < count:
         n = int(rng.integers(1, 6))
         size = np.tile(np.append(rng.uniform(200.0, 400.0, 2), 0.0), (n + 1, 1)).round()
         size[:, 2] = rng.uniform(120.0, 300.0, n + 1).round()
@@ -227,11 +229,11 @@ def drawn(count: int, seed: int) -> list[Column]:
         for _ in range(4):
             multiple = bed_answer(column).multiple
             mass[-1] = np.clip((mass.sum() * multiple / aim) - mass[:-1].sum(), 2.0, 150.0).round(1)
-        found.append(column)
-    return found
+        columns.append(column)
+    return columns
 
 
-def compared(engine: str, count: int = 40, seed: int = 55, threads: int = 1) -> list[dict[str, Any]]:
+def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int = 1) -> list[dict[str, Any]]:
     """A line for each column: what the bed says of it, and petmjx, in the static check."""
     columns = drawn(count, seed)
     results = petmjx.score(
@@ -269,30 +271,35 @@ def compared(engine: str, count: int = 40, seed: int = 55, threads: int = 1) -> 
     return lines
 
 
-def rows(engines: Sequence[str] = ("mujoco",), count: int = 40, seed: int = 55) -> list[dict[str, Any]]:
-    """Lines of a table of measurements: quantity, source, what is expected, petmjx's value, engine."""
-    source = "bed of springs (Winkler 1867)"
-    found = []
-    for engine in engines:
-        lines = compared(engine, count, seed)
-        clear = [line for line in lines if line["clear"]]
-        agree = sum(line["stands"] == line["found stands"] for line in clear)
-        miss = [
-            abs(line["found lean_deg"] / line["lean_deg"] - 1.0)
-            for line in lines
-            if line["compares"] and line["found stands"]
-        ]
-        values = (
-            (
-                "columns of boxes that give which stand or buckle alike",
-                f"{len(clear)} of {len(clear)}",
-                f"{agree} of {len(clear)}",
-            ),
-            (f"lean of the {len(miss)} that stand, largest error", "≤ 10 %", f"{max(miss, default=0.0):.1%}"),
-            (f"lean of the {len(miss)} that stand, median error", "≤ 10 %", f"{np.median(miss) if miss else 0.0:.1%}"),
-        )
-        for quantity, expected, value in values:
-            found.append(
-                {"quantity": quantity, "source": source, "expected": expected, "petmjx": value, "engine": engine}
-            )
-    return found
+MOST_MISS: Final = 0.1
+"""Of a lean, as a share: what a column that gives may differ from its bed."""
+
+
+def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list[dict[str, Any]]:
+    """Rows of the gallery: quantity, source, measured, petmjx, miss (0: as near as wanted), engine."""
+    lines = compared(engine, count, seed)
+    clear = [line for line in lines if line["clear"]]
+    other = sum(line["stands"] != line["found stands"] for line in clear)
+    errors = [
+        abs(line["found lean_deg"] / line["lean_deg"] - 1.0)
+        for line in lines
+        if line["compares"] and line["found stands"]
+    ]
+    largest = max(errors, default=0.0)
+    said = {"source": "bed of springs (Winkler 1867)", "engine": engine}
+    return [
+        {
+            "quantity": f"of {len(clear)} columns 5 % away from buckling, those that stand or buckle alike",
+            "measured": str(len(clear)),
+            "petmjx": str(len(clear) - other),
+            "miss": other,
+            **said,
+        },
+        {
+            "quantity": f"lean of the {len(errors)} that stand, largest error",
+            "measured": f"at most {MOST_MISS:.0%}",
+            "petmjx": f"{largest:.1%}",
+            "miss": round(max(largest - MOST_MISS, 0.0), 3),
+            **said,
+        },
+    ]

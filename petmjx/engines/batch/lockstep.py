@@ -57,7 +57,7 @@ class Lockstep:
         without a recorder it must be the same program, since another one might round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
-        faces = (Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]),) if self.gives else ()
+        faces = Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]) if self.gives else None
         if self.rules.driven:
             state = self.rules.begin_drives(state, worlds)
 
@@ -88,7 +88,7 @@ class Lockstep:
         worlds: Worlds,
         fields: dict[str, Float[Array, "world ..."]],
         profiles: Float[Array, "profile step 3"],
-        faces: tuple[Faces, ...],
+        faces: Faces | None,
     ) -> tuple[State, Float[Array, "world constraint"], Float[Array, "world box"]]:
         """One step of every world and all that follows from it; constraint forces, and forces on tops during it."""
         rules, held = self.rules, self.model.held
@@ -121,7 +121,7 @@ class Lockstep:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
         landing = Landing(state.landing_left, state.landing_qvel) if rules.sim.physics.has_landings else None
-        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, *faces, landing=landing)
+        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
         if done.landing is not None:
             state = state._replace(landing_left=done.landing.left, landing_qvel=done.landing.before)
         running = state.running[:, None]

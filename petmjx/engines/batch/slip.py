@@ -40,7 +40,7 @@ class SlipLaw:
         data = jax.vmap(self._with_friction)(data)
         excess, slides = jax.vmap(self._begin)(data)
 
-        def goes_on(carry: tuple[Any, ...]) -> Bool[Array, ""]:
+        def goes_on(carry: tuple[Any, ...]) -> Any:
             rounds, more = carry[:2]
             return (rounds == 0) | ((rounds <= MOST_ROUNDS) & more)
 

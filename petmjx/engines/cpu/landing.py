@@ -22,7 +22,9 @@ class MovingWorld(Protocol):
 
     model: mujoco.MjModel
     data: mujoco.MjData
-    geom_bodies: NDArray[np.integer]
+
+    @property
+    def geom_bodies(self) -> NDArray[np.integer]: ...
 
     @property
     def velocity(self) -> FloatArray: ...

@@ -86,9 +86,10 @@ class SlipLaw:
             """(k,) m/s² at these accelerations. ``dragged``: R_t · |f_t|, m/s²."""
             mujoco.mj_mulJacVec(model, data, along, qacc)
             beyond = np.hypot(along[one] - aref_one, along[two] - aref_two)
-            return np.maximum(beyond - dragged - self._slack, 0.0)
+            excess: FloatArray = np.maximum(beyond - dragged - self._slack, 0.0)
+            return excess
 
-        excess = np.minimum(excess_at(data.qacc_warmstart, 0.0), reference - self._slack)
+        excess: FloatArray = np.minimum(excess_at(data.qacc_warmstart, 0.0), reference - self._slack)
         for rounds in range(MOST_ROUNDS + 1):
             aref[normal] = before - friction * excess
             mujoco.mj_fwdConstraint(model, data)
