@@ -11,8 +11,9 @@ comes to an end at a multiple of gravity: where that is below 1, the column buck
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,12 @@ GRID: Final = 40
 MOST_MULTIPLE: Final = 4.0
 MULTIPLE_STEP: Final = 0.2
 CLEAR: Final = 0.05
-"""Nearer to buckling, or to the limit of shift, nothing is asked."""
+"""Nearer to buckling nothing is asked."""
+LEAST_LEAN_RAD: Final = 1e-3
+"""Of a column that leans less the lean is not compared: the carrier leans on the floor by some tenths of that."""
+SHIFT_M: Final = 0.2
+"""Limit of shift: a column that leans and stands is no failure here, and one that buckles tilts by more than 20°."""
+MIDDLE_MM: Final = np.array([600.0, 400.0])
 RIGID_N_MM: Final = 1e5
 """Of boxes without a stiffness, so that they can lie on one another."""
 CARRIER_HALF_MM: Final = np.array([600.0, 400.0])
@@ -62,10 +68,6 @@ class Column:
             rows.append(row | ({"stiffness_n_mm": float(stiffness)} if np.isfinite(stiffness) else {}))
         return petmjx.Plan.from_boxes(name, rows)
 
-    def with_stiffness(self, factor: float) -> Column:
-        """The same with beds so many times as stiff."""
-        return Column(self.size_mm, self.middle_mm, self.mass_kg, self.stiffness_n_mm * factor)
-
 
 class Answer(NamedTuple):
     """What the bed says of a column.
@@ -89,17 +91,16 @@ class _Chain:
         middle = column.middle_mm[:count] / 1e3
         stiffness = np.minimum(column.stiffness_n_mm[:count], RIGID_N_MM) * 1e3
         give = np.append(0.0, 2 * half[:, 0] * half[:, 1] / stiffness)
-        low = np.vstack([np.array([600.0, 400.0]) / 1e3 - CARRIER_HALF_MM / 1e3, middle - half[:, :2]])
-        high = np.vstack([np.array([600.0, 400.0]) / 1e3 + CARRIER_HALF_MM / 1e3, middle + half[:, :2]])
+        low = np.vstack([(MIDDLE_MM - CARRIER_HALF_MM) / 1e3, middle - half[:, :2]])
+        high = np.vstack([(MIDDLE_MM + CARRIER_HALF_MM) / 1e3, middle + half[:, :2]])
         # how the box below had moved when a box was set down
         low[1:] -= moved_m[:count]
         high[1:] -= moved_m[:count]
         low, high = np.maximum(low[1:], low[:-1]), np.minimum(high[1:], high[:-1])
-        del middle
         self.count, self.mass, self.height = count, column.mass_kg[:count], 2 * half[:, 2]
         self.stiffness = 1 / (give[1:] + give[:-1])
         self.hinge = (low + high) / 2
-        centers = column.middle_mm[:count] / 1e3 - moved_m[:count]
+        centers = middle - moved_m[:count]
         self.to_center = centers - self.hinge
         self.to_next = np.vstack([self.hinge[1:] - self.hinge[:-1], np.zeros(2)])
         side = (np.arange(GRID) + 0.5) / GRID - 0.5
@@ -160,30 +161,31 @@ class _Chain:
 
     def moved_m(self, x: Array) -> Array:
         """(n, 2) by how much the tops of boxes have moved."""
-        return np.cumsum(self.height[:, None] * x[self.count :].reshape(-1, 2), axis=0)
+        moved: Array = np.cumsum(self.height[:, None] * x[self.count :].reshape(-1, 2), axis=0)
+        return moved
 
 
-def bed_answer(column: Column, one_by_one: bool = True) -> Answer:
-    """What the bed says of a column.
+def bed_answer(column: Column, one_by_one: bool = False) -> Answer:
+    """What the bed says of a column that stands from the beginning.
 
     Args:
-        one_by_one: boxes are set down at their planned places once those below have come to rest.
+        one_by_one: boxes are set down at their planned places instead, once those below have come to rest.
     """
     n = len(column.mass_kg)
     moved, nowhere = np.zeros((n, 2)), np.full((n, 2), np.nan)
-    least = MOST_MULTIPLE
-    lean = nowhere
+    least, rest = MOST_MULTIPLE, None
     for count in range(1 if one_by_one else n, n + 1):
         chain = _Chain(column, count, moved)
         multiple = _most(chain)
         least = min(least, multiple)
-        x = _at(chain, 1.0)
-        if x is None:
+        rest = _at(chain, 1.0)
+        if rest is None:
             return Answer(least, nowhere, nowhere)
         if count < n:
-            moved[count] = chain.moved_m(x)[-1]
-    lean = x[n:].reshape(n, 2)
-    tops = chain.moved_m(x)
+            moved[count] = chain.moved_m(rest)[-1]
+    assert rest is not None
+    lean = rest[n:].reshape(n, 2)
+    tops = chain.moved_m(rest)
     shift = (tops - chain.height[:, None] / 2 * lean) * 1e3
     # a box is set down at its planned place, wherever the top below is
     return Answer(least, lean, shift - moved * 1e3)
@@ -216,17 +218,85 @@ def drawn(count: int, seed: int) -> list[Column]:
     """Columns of 1 to 5 boxes of 30 to 200 N/mm, each up to 30 mm aside, under a rigid load near the one that buckles
     them."""
     rng = np.random.default_rng(seed)
-    found = []
-    while len(found) < count:
+    columns: list[Column] = []
+    while len(columns) < count:
         n = int(rng.integers(1, 6))
         size = np.tile(np.append(rng.uniform(200.0, 400.0, 2), 0.0), (n + 1, 1)).round()
         size[:, 2] = rng.uniform(120.0, 300.0, n + 1).round()
-        middle = np.array([600.0, 400.0]) + rng.uniform(-1, 1, (n + 1, 2)) * rng.choice([5.0, 15.0, 30.0])
+        middle = MIDDLE_MM + rng.uniform(-1, 1, (n + 1, 2)) * rng.choice([5.0, 15.0, 30.0])
         mass = np.append(rng.uniform(2.0, 12.0, n), 10.0).round(1)
         column = Column(size, middle.round(), mass, np.append(rng.uniform(30.0, 200.0, n), np.inf).round(1))
         aim = rng.uniform(0.6, 2.0)
         for _ in range(4):
             multiple = bed_answer(column).multiple
             mass[-1] = np.clip((mass.sum() * multiple / aim) - mass[:-1].sum(), 2.0, 150.0).round(1)
-        found.append(column)
-    return found
+        columns.append(column)
+    return columns
+
+
+def compared(engine: Any, count: int = 40, seed: int = 55, threads: int = 1) -> list[dict[str, Any]]:
+    """A line for each column: what the bed says of it, and petmjx, in the static check."""
+    columns = drawn(count, seed)
+    results = petmjx.score(
+        [column.plan(f"column-{number}") for number, column in enumerate(columns)],
+        engine=engine,
+        threads=threads,
+        carrier="euro-pallet",
+        check="static",
+        thresholds={"shift_m": SHIFT_M},
+    )
+    lines: list[dict[str, Any]] = []
+    first = 0
+    for number, column in enumerate(columns):
+        answer, world = bed_answer(column), results.worlds.iloc[number]
+        n = len(column.mass_kg)
+        boxes = results.boxes.iloc[first : first + n]
+        first += n
+        lean = np.hypot(*answer.lean_rad.T)
+        most = int(np.nan_to_num(lean).argmax())
+        tilt = 2 * np.arcsin(np.hypot(boxes.quat_x, boxes.quat_y)).to_numpy()
+        lines.append(
+            {
+                "column": number,
+                "engine": str(world.engine),
+                "boxes": n - 1,
+                "multiple": answer.multiple,
+                "clear": abs(answer.multiple - 1.0) > CLEAR,
+                "stands": answer.multiple > 1.0,
+                "petmjx stands": world.verdict == "stable",
+                "lean_deg": float(np.degrees(lean[most])),
+                "petmjx lean_deg": float(np.degrees(tilt[most])),
+                "compares": answer.multiple > 1.0 + CLEAR and bool(lean[most] > LEAST_LEAN_RAD),
+                "steps": int(world.n_steps),
+            }
+        )
+    return lines
+
+
+def rows(engines: Sequence[str] = ("mujoco",), count: int = 40, seed: int = 55) -> list[dict[str, Any]]:
+    """Lines of a table of measurements: quantity, source, what is expected, petmjx's value, engine."""
+    source = "bed of springs (Winkler 1867)"
+    table: list[dict[str, Any]] = []
+    for engine in engines:
+        lines = compared(engine, count, seed)
+        clear = [line for line in lines if line["clear"]]
+        agree = sum(line["stands"] == line["petmjx stands"] for line in clear)
+        miss = [
+            abs(line["petmjx lean_deg"] / line["lean_deg"] - 1.0)
+            for line in lines
+            if line["compares"] and line["petmjx stands"]
+        ]
+        values = (
+            (
+                "columns of boxes that give which stand or buckle alike",
+                f"{len(clear)} of {len(clear)}",
+                f"{agree} of {len(clear)}",
+            ),
+            (f"lean of the {len(miss)} that stand, largest error", "≤ 10 %", f"{max(miss, default=0.0):.1%}"),
+            (f"lean of the {len(miss)} that stand, median error", "≤ 10 %", f"{np.median(miss) if miss else 0.0:.1%}"),
+        )
+        for quantity, expected, value in values:
+            table.append(
+                {"quantity": quantity, "source": source, "expected": expected, "petmjx": value, "engine": engine}
+            )
+    return table

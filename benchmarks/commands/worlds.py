@@ -88,6 +88,20 @@ def flex(out: Out = DEFAULT_OUT) -> None:
         print({name: value for name, value in line.items() if name not in ("cpu", "versions")}, flush=True)
 
 
+@app.command(name="soft-columns")
+def soft_columns(
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
+    count: Annotated[int, typer.Option(metavar="N", min=1, help="Columns.")] = 40,
+    seed: Annotated[int, typer.Option(metavar="N", help="Which columns are drawn.")] = 55,
+    threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
+) -> None:
+    """Columns of boxes that give, against the bed of springs: which buckle, and how far the others lean."""
+    from benchmarks.soft_columns import compared
+
+    for line in compared(engine, count, seed, threads):
+        print(line, flush=True)
+
+
 @app.command()
 @opt.takes("lanes", "threads")
 def loop(

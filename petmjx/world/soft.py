@@ -5,9 +5,9 @@ impedance d and stiffness k (solref −k, −b) is the spring κ·μ, with κ = 
 1 / (1/m₁ + 1/m₂) of its two points. The stiffness of the whole network between two plates is then κ·c, where c follows
 from places and masses of the points (``_network_kg``), and a box of stiffness S has κ = S / c.
 
-The points' masses are those of half cells, 1 : 2 : 1 along each axis. So an edge in the middle of a face is four times
-as stiff as one in a corner, as its share of the face is four times as large: loads that lie flat press alike
-everywhere.
+The points' masses are 1 : 4 : 1 along each axis, Simpson's weights, with which three points have the moments of inertia
+of a solid box. Edges are as stiff as their points are heavy, so that a box also resists tilting as a bed does, with
+S·L²/12, and its own weight presses all its columns alike.
 
 MuJoCo gives an element one point of contact, which on a flat face jumps from step to step, and boxes tremble. So each
 point has a ball of its own, and elements touch a little later than balls: flat faces rest on balls, and the elements
@@ -57,7 +57,7 @@ MOST_RATE: Final = 0.05
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
-"""Of contacts of soft boxes, whose points weigh a 64th of a box and more: as stiff as the timestep lets them be. Under
+"""Of contacts of soft boxes, whose points weigh a 216th of a box and more: as stiff as the timestep lets them be. Under
 1,000 times its own weight a box's contacts are 0.1 mm deep."""
 
 _ALONE: Final = 1e9
@@ -106,8 +106,8 @@ def points_of(half_size: FloatArray) -> FloatArray:
 
 
 def shares() -> FloatArray:
-    """(27,) of a box's mass that its points have."""
-    along = np.array([0.25, 0.5, 0.25])
+    """(27,) of a box's mass that its points have: Simpson's weights."""
+    along = np.array([1.0, 4.0, 1.0]) / 6.0
     return np.asarray(np.einsum("i,j,k->ijk", along, along, along).ravel())
 
 
