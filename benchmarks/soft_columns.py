@@ -161,7 +161,8 @@ class _Chain:
 
     def moved_m(self, x: Array) -> Array:
         """(n, 2) by how much the tops of boxes have moved."""
-        return np.cumsum(self.height[:, None] * x[self.count :].reshape(-1, 2), axis=0)
+        moved: Array = np.cumsum(self.height[:, None] * x[self.count :].reshape(-1, 2), axis=0)
+        return moved
 
 
 def bed_answer(column: Column, one_by_one: bool = False) -> Answer:
@@ -172,19 +173,19 @@ def bed_answer(column: Column, one_by_one: bool = False) -> Answer:
     """
     n = len(column.mass_kg)
     moved, nowhere = np.zeros((n, 2)), np.full((n, 2), np.nan)
-    least = MOST_MULTIPLE
+    least, rest = MOST_MULTIPLE, None
     for count in range(1 if one_by_one else n, n + 1):
         chain = _Chain(column, count, moved)
         multiple = _most(chain)
         least = min(least, multiple)
-        x = _at(chain, 1.0)
-        if x is None:
+        rest = _at(chain, 1.0)
+        if rest is None:
             return Answer(least, nowhere, nowhere)
         if count < n:
-            moved[count] = chain.moved_m(x)[-1]
-    assert x is not None, "a column has a box"
-    lean = x[n:].reshape(n, 2)
-    tops = chain.moved_m(x)
+            moved[count] = chain.moved_m(rest)[-1]
+    assert rest is not None
+    lean = rest[n:].reshape(n, 2)
+    tops = chain.moved_m(rest)
     shift = (tops - chain.height[:, None] / 2 * lean) * 1e3
     # a box is set down at its planned place, wherever the top below is
     return Answer(least, lean, shift - moved * 1e3)
@@ -244,7 +245,8 @@ def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int =
         check="static",
         thresholds={"shift_m": SHIFT_M},
     )
-    lines, first = [], 0
+    lines: list[dict[str, Any]] = []
+    first = 0
     for number, column in enumerate(columns):
         answer, world = bed_answer(column), results.worlds.iloc[number]
         n = len(column.mass_kg)
@@ -252,7 +254,7 @@ def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int =
         first += n
         lean = np.hypot(*answer.lean_rad.T)
         most = int(np.nan_to_num(lean).argmax())
-        found = 2 * np.arcsin(np.hypot(boxes.quat_x, boxes.quat_y)).to_numpy()
+        tilt = 2 * np.arcsin(np.hypot(boxes.quat_x, boxes.quat_y)).to_numpy()
         lines.append(
             {
                 "column": number,
@@ -261,9 +263,9 @@ def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int =
                 "multiple": answer.multiple,
                 "clear": abs(answer.multiple - 1.0) > CLEAR,
                 "stands": answer.multiple > 1.0,
-                "found stands": world.verdict == "stable",
+                "petmjx stands": world.verdict == "stable",
                 "lean_deg": float(np.degrees(lean[most])),
-                "found lean_deg": float(np.degrees(found[most])),
+                "petmjx lean_deg": float(np.degrees(tilt[most])),
                 "compares": answer.multiple > 1.0 + CLEAR and bool(lean[most] > LEAST_LEAN_RAD),
                 "steps": int(world.n_steps),
             }
@@ -279,11 +281,11 @@ def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list
     """Rows of the gallery: quantity, source, measured, petmjx, miss (0: as near as wanted), engine."""
     lines = compared(engine, count, seed)
     clear = [line for line in lines if line["clear"]]
-    other = sum(line["stands"] != line["found stands"] for line in clear)
+    other = sum(line["stands"] != line["petmjx stands"] for line in clear)
     errors = [
-        abs(line["found lean_deg"] / line["lean_deg"] - 1.0)
+        abs(line["petmjx lean_deg"] / line["lean_deg"] - 1.0)
         for line in lines
-        if line["compares"] and line["found stands"]
+        if line["compares"] and line["petmjx stands"]
     ]
     largest = max(errors, default=0.0)
     said = {"source": "bed of springs (Winkler 1867)", "engine": engine}

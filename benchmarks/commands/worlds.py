@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, usable
 from petmjx.cli import options as opt
+from petmjx.option_types import EngineName
 from petmjx.options.placing import Way
 
 
@@ -98,7 +99,7 @@ def soft_columns(
     """Columns of boxes that give, against the bed of springs: which buckle, and how far the others lean."""
     from benchmarks.soft_columns import compared
 
-    for line in compared(engine, count, seed, threads):
+    for line in compared(cast(EngineName, engine), count, seed, threads):
         print(line, flush=True)
 
 

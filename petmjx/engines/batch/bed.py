@@ -81,16 +81,16 @@ class Beds:
         one, two = self._geom.T
         place, turn = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
         toward = contact.frame[rows[:, 0], 0]
-        found = jax.vmap(bed_of)(place[one], turn[one], faces.half[one], place[two], turn[two], faces.half[two], toward)
+        bed = jax.vmap(bed_of)(place[one], turn[one], faces.half[one], place[two], turn[two], faces.half[two], toward)
         give = faces.give[one] + faces.give[two]
         margin = contact.includemargin[rows]
         touches = (contact.dist[rows] < margin).any(axis=1)
-        is_bed = (give > 0) & found.flat & touches
-        spring = jnp.maximum(found.area, found.least) / jnp.where(give > 0, give, 1.0) / POINTS_PER_BED
+        is_bed = (give > 0) & bed.flat & touches
+        spring = jnp.maximum(bed.area, bed.least) / jnp.where(give > 0, give, 1.0) / POINTS_PER_BED
         inverse = jnp.maximum(faces.inverse_mass[one] + faces.inverse_mass[two], 1e-12)
         solref, impedance = spring_laws(self._physics, spring, inverse)
-        distance = jnp.where(found.area[:, None] > 0, margin - found.depth, 1.0)
-        frame = jnp.broadcast_to(jax.vmap(_frame_of)(found.normal)[:, None], (*rows.shape, 3, 3))
+        distance = jnp.where(bed.area[:, None] > 0, margin - bed.depth, 1.0)
+        frame = jnp.broadcast_to(jax.vmap(_frame_of)(bed.normal)[:, None], (*rows.shape, 3, 3))
         solref = jnp.broadcast_to(solref[:, None], (*rows.shape, 2))
         solimp = contact.solimp[rows].at[..., :2].set(impedance[:, None, None])
 
@@ -100,7 +100,7 @@ class Beds:
 
         contact = contact.replace(
             dist=replaced(contact.dist, distance),
-            pos=replaced(contact.pos, found.points),
+            pos=replaced(contact.pos, bed.points),
             frame=replaced(contact.frame, frame),
             solref=replaced(contact.solref, solref),
             solimp=replaced(contact.solimp, solimp),
@@ -148,21 +148,21 @@ def bed_of(
     apart = pos_a - pos_b + reach_a * out_a - reach_b * out_b
     at, sides_a, sides_b = axes @ apart, edges_a @ axes.T, edges_b @ axes.T
     around = jnp.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
-    corners, there = at + around @ sides_a, jnp.ones(4, bool)
+    corners, kept = at + around @ sides_a, jnp.ones(4, bool)
     whole = sides_b[0, 0] * sides_b[1, 1] - sides_b[0, 1] * sides_b[1, 0]
     way = jnp.where(whole < 0, -1.0, 1.0)
     for side, sign in ((sides_b[1], 1.0), (sides_b[1], -1.0), (sides_b[0], 1.0), (sides_b[0], -1.0)):
         across = sign * way * jnp.array([side[1], -side[0]])
-        corners, there = _cut(corners, there, across, jnp.abs(whole))
+        corners, kept = _cut(corners, kept, across, jnp.abs(whole))
     rise_a, rise_b = -axes @ out_a / (out_a @ normal), -axes @ out_b / (out_b @ normal)
     slope, depth = rise_a - rise_b, apart @ normal - rise_a @ at
-    common, _, _ = _moments(corners, there)
-    corners, there = _cut(corners, there, slope, depth)
-    area, center, root = _moments(corners, there)
+    common, _, _ = _moments(corners, kept)
+    corners, kept = _cut(corners, kept, slope, depth)
+    area, center, root = _moments(corners, kept)
     places = center + _SIGNS @ root.T
     depths = jnp.maximum(depth + places @ slope, 0.0)
     outward = jnp.clip(OUTWARD * (EDGE_SHARE * common / jnp.maximum(area, LEAST_MOMENT_M2) - 1.0), 0.0, 1.0)
-    deepest = jnp.where(there, depth + corners @ slope, 0.0).max()
+    deepest = jnp.where(kept, depth + corners @ slope, 0.0).max()
     steep = jnp.maximum(slope @ slope, LEAST_STEEP)
     places = places + (outward * jnp.maximum(deepest - depths, 0.0) / steep)[:, None] * slope
     height = places @ rise_b + 0.5 * depths
@@ -188,29 +188,29 @@ def _area(edges: Float[Array, "2 3"]) -> Float[Array, ""]:
 
 
 def _cut(
-    corners: Float[Array, "k 2"], there: Bool[Array, " k"], across: Float[Array, 2], offset: Float[Array, ""]
+    corners: Float[Array, "k 2"], kept: Bool[Array, " k"], across: Float[Array, 2], offset: Float[Array, ""]
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
-    """What is left of a polygon where across · x + offset is positive. The first of its rows are ``there``."""
+    """What is left of a polygon where across · x + offset is positive. The first of its rows are ``kept``."""
     k = len(corners)
-    count = there.sum()
+    count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)
     here = corners @ across + offset
     ahead = here[following]
-    crosses = there & ((here >= 0) != (ahead >= 0))
+    crosses = kept & ((here >= 0) != (ahead >= 0))
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
-    stay = jnp.stack([there & (here >= 0), crosses], axis=1).reshape(-1)
+    stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
     row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # those beyond the last one are dropped
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 
 
 def _moments(
-    corners: Float[Array, "k 2"], there: Bool[Array, " k"]
+    corners: Float[Array, "k 2"], kept: Bool[Array, " k"]
 ) -> tuple[Float[Array, ""], Float[Array, 2], Float[Array, "2 2"]]:
     """Area, centroid and root of the second moments of a polygon."""
     p, q = corners[1:-1] - corners[0], corners[2:] - corners[0]
-    part = jnp.where(there[2:], 0.5 * jnp.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), 0.0)
+    part = jnp.where(kept[2:], 0.5 * jnp.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), 0.0)
     area = part.sum()
     share = part / jnp.where(area > 0, area, 1.0)
     both = p + q

@@ -106,8 +106,9 @@ class Beds:
         if not concerned.any():
             return
         begin, length, one, two, give = (values[concerned] for values in (begin, length, one, two, give))
-        found = pressed(data.geom_xpos, data.geom_xmat, self._half, one, two, data.contact.frame[begin, :3])
-        flat, normal, points, depth, area, least = found
+        flat, normal, points, depth, area, least = pressed(
+            data.geom_xpos, data.geom_xmat, self._half, one, two, data.contact.frame[begin, :3]
+        )
         spring = np.maximum(area, least) / give / POINTS_PER_BED
         solref, impedance = spring_laws(self._physics, spring, self._inverse[one] + self._inverse[two])
         beds = np.arange(len(begin))

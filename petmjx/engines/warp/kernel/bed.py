@@ -49,21 +49,21 @@ def _outward(turn: wp.mat33, axis: int, toward: wp.vec3) -> wp.vec3:
 def _cut(corners: Polygon, count: int, x: float, y: float, one: float) -> tuple[Polygon, int]:
     """What is left of a polygon where x·X + y·Y + one is positive: its corners, and how many there are."""
     left = Polygon()
-    found = int(0)
+    kept = int(0)
     for i in range(count):
         j = wp.where(i + 1 < count, i + 1, 0)
         here = x * corners[i, 0] + y * corners[i, 1] + one
-        there = x * corners[j, 0] + y * corners[j, 1] + one
-        if here >= 0.0 and found < MOST:
-            left[found, 0] = corners[i, 0]
-            left[found, 1] = corners[i, 1]
-            found += 1
-        if (here >= 0.0) != (there >= 0.0) and found < MOST:
-            part = here / (here - there)
-            left[found, 0] = corners[i, 0] + part * (corners[j, 0] - corners[i, 0])
-            left[found, 1] = corners[i, 1] + part * (corners[j, 1] - corners[i, 1])
-            found += 1
-    return left, found
+        ahead = x * corners[j, 0] + y * corners[j, 1] + one
+        if here >= 0.0 and kept < MOST:
+            left[kept, 0] = corners[i, 0]
+            left[kept, 1] = corners[i, 1]
+            kept += 1
+        if (here >= 0.0) != (ahead >= 0.0) and kept < MOST:
+            part = here / (here - ahead)
+            left[kept, 0] = corners[i, 0] + part * (corners[j, 0] - corners[i, 0])
+            left[kept, 1] = corners[i, 1] + part * (corners[j, 1] - corners[i, 1])
+            kept += 1
+    return left, kept
 
 
 @wp.func
@@ -102,7 +102,7 @@ def bed_of(
     axis_b = _face_axis(turn_b, toward)
     out_a = _outward(turn_a, axis_a, toward)
     out_b = _outward(turn_b, axis_b, -toward)
-    normal = wp.normalize(out_a - out_b)
+    normal = wp.vec3(wp.normalize(out_a - out_b))
     points = wp.mat44(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     one_a = (axis_a + 1) % 3
     two_a = (axis_a + 2) % 3
@@ -146,7 +146,7 @@ def bed_of(
     slope = rise_a - rise_b
     depth = wp.dot(apart, normal) - rise_a[0] * ax - rise_a[1] * ay
     whole = EDGE * _area(corners, count)
-    least = wp.max(whole, SHARE * smaller)
+    least = float(wp.max(whole, SHARE * smaller))
     corners, count = _cut(corners, count, slope[0], slope[1], depth)
     # area and moments of triangles around the first corner
     area = float(0.0)
