@@ -168,7 +168,7 @@ def bed_of(
         yy += part * (py * py + py * qy + qy * qy) / 6.0
         xy += part * (2.0 * px * py + px * qy + qx * py + 2.0 * qx * qy) / 12.0
     if area <= 0.0:
-        return True, normal, points, 0.0, least  # type: ignore[return-value]  # Warp's stubs know no sizes of vectors
+        return True, normal, points, 0.0, least
     mx = mx / area
     my = my / area
     xx = wp.max(xx / area - mx * mx, LEVEL)
@@ -198,4 +198,4 @@ def bed_of(
         points[i, 1] = point[1]
         points[i, 2] = point[2]
         points[i, 3] = -deep
-    return True, normal, points, area, least  # type: ignore[return-value]  # the same
+    return True, normal, points, area, least
