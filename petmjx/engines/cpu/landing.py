@@ -22,7 +22,8 @@ class MovingWorld(Protocol):
 
     model: mujoco.MjModel
     data: mujoco.MjData
-    geom_bodies: NDArray[np.integer]
+    n_placed: int
+    geom_bodies: NDArray[np.intp]
 
     @property
     def velocity(self) -> FloatArray: ...
@@ -42,11 +43,12 @@ class Landings:
         self._physics, self._lasts = physics, lasts_steps(physics)
         self.left: NDArray[np.intp] = np.zeros(n_boxes, np.intp)
         self.before: FloatArray = np.zeros((n_boxes, 6))
+        self._placed = 0
 
     def fork(self) -> Landings:
         """The same for a twin of the world."""
         twin = Landings(len(self.left), self._physics)
-        twin.left[:], twin.before[:] = self.left, self.before
+        twin.left[:], twin.before[:], twin._placed = self.left, self.before, self._placed
         return twin
 
     def extended(self, n_boxes: int) -> Landings:
@@ -58,7 +60,9 @@ class Landings:
     def step(self, live: MovingWorld, count: int) -> None:
         """Take steps of a world."""
         model, data = live.model, live.data
-        if not self.left.any() and self._is_calm(data):
+        placed, self._placed = self._placed, live.n_placed
+        # a box that has just been placed has no acceleration yet, and may begin to fall
+        if placed == live.n_placed and not self.left.any() and self._is_calm(data):
             mujoco.mj_step(model, data, nstep=count)
             return
         for _ in range(count):
