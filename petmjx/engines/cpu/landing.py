@@ -22,6 +22,7 @@ class MovingWorld(Protocol):
 
     model: mujoco.MjModel
     data: mujoco.MjData
+    n_placed: int
 
     @property
     def geom_bodies(self) -> NDArray[np.integer]: ...
@@ -44,11 +45,12 @@ class Landings:
         self._physics, self._lasts = physics, lasts_steps(physics)
         self.left: NDArray[np.intp] = np.zeros(n_boxes, np.intp)
         self.before: FloatArray = np.zeros((n_boxes, 6))
+        self._placed = 0
 
     def fork(self) -> Landings:
         """The same for a twin of the world."""
         twin = Landings(len(self.left), self._physics)
-        twin.left[:], twin.before[:] = self.left, self.before
+        twin.left[:], twin.before[:], twin._placed = self.left, self.before, self._placed
         return twin
 
     def extended(self, n_boxes: int) -> Landings:
@@ -57,9 +59,12 @@ class Landings:
         twin.left[: len(self.left)], twin.before[: len(self.left)] = self.left, self.before
         return twin
 
-    def over(self, data: mujoco.MjData) -> bool:
+    def over(self, live: MovingWorld) -> bool:
         """Whether nothing lands, and nothing will in the next few steps."""
-        if self.left.any():
+        data = live.data
+        placed, self._placed = self._placed, live.n_placed
+        # a box that has just been placed has no acceleration yet, and may begin to fall
+        if placed != live.n_placed or self.left.any():
             return False
         speed, acceleration = data.qvel, data.qacc
         return bool(speed.dot(speed) < (0.5 * FAST_M_S) ** 2 and acceleration.dot(acceleration) < _CALM_M_S2**2)

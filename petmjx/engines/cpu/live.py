@@ -307,7 +307,7 @@ class LiveWorld:
 
     def _take_steps(self, count: int) -> None:
         landings = self._landings if self.n_placed else None
-        if self._beds is None and not self._slides and (landings is None or landings.over(self.data)):
+        if self._beds is None and not self._slides and (landings is None or landings.over(self)):
             mujoco.mj_step(self.model, self.data, nstep=count)
             return
         for _ in range(count):

@@ -68,7 +68,7 @@ class OpenWorld(WorldRun):
         twin._live, twin._metrics = self._live.fork(grows=grows), self._metrics.fork()
         twin._quiet = copy.copy(self._quiet)
         twin._waits, twin._still_pose = copy.copy(self._waits), self._still_pose.copy()
-        twin._explosion = copy.copy(self._explosion)
+        twin._explosion, twin._stepper = copy.copy(self._explosion), copy.copy(self._stepper)
         return twin
 
     def tried(self, scene: Scene) -> Reading:

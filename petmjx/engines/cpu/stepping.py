@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.forces import pressed
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.running import OracleMetrics
@@ -33,7 +34,7 @@ class Stepper:
     def __init__(self, sim: Simulation, timeout_s: float | None) -> None:
         self._looks, self._poll_steps = sim.waits_for_rest, sim.quiet.poll_steps
         self._give_up_at = time.monotonic() + timeout_s if timeout_s is not None else None
-        self._placed = 0
+        self._placed, self._restless = 0, True
 
     def take(
         self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
@@ -45,27 +46,39 @@ class Stepper:
             metrics: take in forces of steps.
             acts: a drive does, so that the forces of all steps may be larger than those before.
         """
-        counts = metrics if self._looks and live.n_placed and (acts or self._is_restless(live)) else None
-        if self._give_up_at is None and counts is None:
-            live.step(count)
-            return count
-        data, step = live.data, live.step
-        rising, largest, poll_steps = data.qacc[2::6], np.maximum.reduce, self._poll_steps
-        for number in range(first, first + count):
-            if self._give_up_at is not None and time.monotonic() > self._give_up_at:
-                return number - first
-            step(1)
-            if counts is None:
+        number, end = first, first + count
+        while number < end:
+            placed, self._placed = self._placed, live.n_placed
+            if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
+                # whatever the steps of a call: a recorded world, which stops at frames, is the same
+                self._restless = placed != live.n_placed or not _is_calm(live)
+            last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
+            counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
+            if self._give_up_at is None and counts is None:
+                live.step(last - number)
+                number = last
                 continue
-            if isinstance(live, SoftWorld):
-                counts.add_forces(live.top_forces()[: live.n_free])
-            elif acts or number % poll_steps == 0 or largest(rising) > RISING_M_S2:
-                counts.add_step(pressed(data, live.geom_bodies, live.n_free))
+            rising = live.data.qacc[2::6]
+            while number < last:
+                if self._give_up_at is not None and time.monotonic() > self._give_up_at:
+                    return number - first
+                live.step(1)
+                if counts is not None:
+                    self._look(live, number, rising, acts, counts)
+                number += 1
         return count
 
-    def _is_restless(self, live: LiveWorld | SoftWorld) -> bool:
-        """Whether a box may be fast, or become fast, before the next look for quiet."""
-        placed, self._placed = self._placed, live.n_placed
-        speed, acceleration = live.data.qvel, live.data.qacc
-        calm = speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= _CALM_SQUARE
-        return placed != live.n_placed or not calm
+    def _look(
+        self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
+    ) -> None:
+        """Take in the forces of a step, if they count. ``rising``: accelerations upwards, m/s²."""
+        if isinstance(live, SoftWorld):
+            metrics.add_forces(live.top_forces()[: live.n_free])
+        elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:
+            metrics.add_step(pressed(live.data, live.geom_bodies, live.n_free))
+
+
+def _is_calm(live: LiveWorld | SoftWorld) -> bool:
+    """Whether no box is fast, nor becomes fast before the next look for quiet."""
+    speed, acceleration = live.data.qvel, live.data.qacc
+    return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= _CALM_SQUARE)
