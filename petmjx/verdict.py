@@ -68,6 +68,9 @@ class Flag(IntFlag):
     """A load acts within half a millimetre of the edge of what bears it (petmjx.engines.looked_at)."""
     TIMESTEP = 16384
     """At half the timestep the verdict is another one (``Simulation.check_timestep``)."""
+    NOT_PLACED = 65536
+    """A hand found no room for a box: it let go further than ``MISSED_M`` from the box's place (petmjx.world.placing),
+    before any box crossed a threshold."""
 
 
 @dataclass(eq=False)

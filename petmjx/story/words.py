@@ -72,6 +72,8 @@ def notes_in_words(story: Story) -> list[str]:
             f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {where}: "
             "a tenth of a millimetre may change the verdict."
         )
+    if outcome.flags & Flag.NOT_PLACED:
+        notes.append("The hand found no room for a box: it let go away from the box's place.")
     if outcome.flags & Flag.TIMESTEP:
         notes.append("At half the timestep the verdict differs.")
     return notes
