@@ -106,7 +106,7 @@ def score(
     from petmjx.sweeps.confidence import confidence_sweep
     from petmjx.sweeps.study import SweepStudy
 
-    asked = confidence_sweep(sure.confidence, sure.errors, of_simulation)
+    asked = confidence_sweep(sure.confidence, sure.errors, of_simulation, exact_too=sure.exact_too)
     ask = partial(SweepStudy, asked, confidence=sure.confidence)
     return simulate(ask, asked.simulation, plans, run, watcher, _intervals(run))
 
