@@ -55,6 +55,8 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """Those of a score with confidence: the nominal worlds, the shares, and the plans to think about by name."""
+    since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # runs of earlier versions
+    summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:
         worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
         orders = results.plans if results.info.get("orders") else None
