@@ -30,13 +30,13 @@ from benchmarks.packers_compared import (
 )
 from benchmarks.record import environment
 from petmjx.basics.units import MM_PER_M, FloatArray
-from petmjx.packers.paired import PairedCounts, mcnemar_p
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import as_placements
 from petmjx.plans.samples.online.learned import Policy
 from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
 from petmjx.plans.samples.packers import BALANCED
 from petmjx.plans.validate import parse_plan
+from petmjx.results.paired import PairedCounts, mcnemar_p
 from petmjx.sweeps.ready import find_sweep
 
 LEVELS_G: Final = (0.3, 0.5)

@@ -123,7 +123,7 @@ def score(
     from petmjx.sweeps.confidence import confidence_sweep
     from petmjx.sweeps.study import SweepStudy
 
-    asked = confidence_sweep(sure.confidence, sure.errors, of_simulation)
+    asked = confidence_sweep(sure.confidence, sure.errors, of_simulation, exact_too=sure.exact_too)
     ask = partial(SweepStudy, asked, confidence=sure.confidence)
     with _watching(watcher, progress) as follows:
         return simulate(ask, asked.simulation, plans, run, follows, _intervals(run))

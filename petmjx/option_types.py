@@ -201,6 +201,7 @@ class ConfidenceOptions(TypedDict, total=False):
 
     confidence: int | None
     errors: str | PathLike[str] | None
+    exact_too: bool
 
 
 class RunOptionsGiven(TypedDict, total=False):

@@ -72,6 +72,9 @@ class Flag(IntFlag):
     """At half the timestep the verdict is another one (``Simulation.check_timestep``)."""
     LEANS = 32768
     """It is stable, but not as planned: a box leans, or lies lower (petmjx.engines.looked_at)."""
+    NOT_PLACED = 65536
+    """A hand found no room for a box: it let go further than ``MISSED_M`` from the box's place (petmjx.world.placing),
+    before any box crossed a threshold."""
 
 
 @dataclass(eq=False)

@@ -98,10 +98,18 @@ class Confidence(Checked):
         None, description="sweep file with these errors, those of a robot and of its cartons"
     )
 
+    exact_too: Annotated[bool, CliFlag("--exact-too")] = Field(
+        False,
+        description="also simulate each world with errors with boxes that appear at their places, and say where the "
+        "share that stands differs beyond chance from that of boxes that are carried",
+    )
+
     @model_validator(mode="after")
     def _errors_of_something(self) -> Self:
         if self.errors is not None and self.confidence is None:
             raise complaint("needs confidence, the number of worlds", "errors")
+        if self.exact_too and self.confidence is None:
+            raise complaint("needs confidence, the number of worlds", "exact_too")
         return self
 
 

@@ -21,9 +21,9 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted
 from petmjx.packers.kpis import KPIS, against_orders
 from petmjx.packers.load import MEASURES, MISSING, Run, doubts, opened, plans_of
-from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
 from petmjx.packers.words import pair_in_words
 from petmjx.results.notebook import ShownColumn, block_as_html, table_as_html
+from petmjx.results.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
 from petmjx.results.plain import plain
 from petmjx.results.reader import RunResults
 from petmjx.results.shares import DEFAULT_CONFIDENCE, wilson_interval

@@ -177,6 +177,8 @@ def _sorted(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]
         raise InputError(f"{other}: a packer has no such option; of run options it has {', '.join(OF_RUN)}")
     if "confidence" in sure:
         raise InputError("confidence: a packer has worlds, the number of worlds with errors")
+    if "exact_too" in sure:
+        raise InputError("exact_too is for scores with confidence: a packer has one way to place boxes")
     asked = PhysicalOptions(**own)
     if not asked.worlds and (idle := next((name for name in ("errors", "least_share") if name in sure | own), None)):
         raise InputError(f"{idle} needs worlds > 0")

@@ -84,8 +84,10 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def confidence_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors."""
+    """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors; where a
+    box could not be placed, in how many worlds, and in how many others boxes fell."""
     tosses = bool(summary["coin_toss"].any())
+    fails, both = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         TableColumn("nominal", "left"),
@@ -93,8 +95,13 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
         TableColumn("stand"),
         TableColumn("share", spare=1),
         TableColumn("95 %"),
+        *([TableColumn("could not\nbe placed"), TableColumn("fell")] if fails else []),
+        *([TableColumn("share,\nexact")] if both else []),
         *([TableColumn("", "left")] if tosses else []),
         title="worlds with errors",
+        caption="* differs beyond chance from boxes that are carried"
+        if both and summary["placing_matters"].any()
+        else "",
     )
     for row in summary.to_dict("records"):
         judged = row["n_worlds"] - row["n_invalid"]
@@ -106,6 +113,8 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
             f"{row['n_standing']} of {judged}",
             percent(row["share"]),
             f"{percent(row['low'])} to {percent(row['high'])}" if known else "",
+            *([f"{row[name] or ''}" for name in ("n_not_placed", "n_fell")] if fails else []),
+            *([percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")] if both else []),
             *(["coin toss" if row["coin_toss"] else ""] if tosses else []),
         )
     return table

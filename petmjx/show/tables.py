@@ -55,6 +55,8 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """Those of a score with confidence: the nominal worlds, the shares, and the plans to think about by name."""
+    since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # runs of earlier versions
+    summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:
         worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
         orders = results.plans if results.info.get("orders") else None
@@ -67,8 +69,25 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
     for what, chosen in (("coin toss", summary["coin_toss"]), (against, contradicted(summary))):
         if chosen.any():
             yield line(f"{what}: {_listed(summary.loc[chosen, 'plan_id'].tolist())}", style="yellow")
+    yield from _why_they_fail(summary)
     yield confidence_counts(results.info, summary)
     yield line(f"results in {results.path}")
+
+
+def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
+    """Lines on worlds in which a box could not be placed, and on plans whose share depends on how boxes are placed."""
+    missed = summary["n_not_placed"] > summary["n_fell"]
+    if missed.any():
+        named = _listed(summary.loc[missed, "plan_id"].tolist())
+        yield line(f"most worlds that do not stand have a box that could not be placed: {named}", style="yellow")
+    if "placing_matters" not in summary:
+        return
+    for what, way in (("carried", ">"), ("exact", "<")):
+        more = summary.eval(f"only_carried {way} only_exact") & summary["placing_matters"]
+        if more.any():
+            said = "carried to their places" if what == "carried" else "placed exactly"
+            named = _listed(summary.loc[more, "plan_id"].tolist())
+            yield line(f"stands more often, beyond chance, if boxes are {said}: {named}", style="yellow")
 
 
 def _listed(plan_ids: list[str]) -> str:
@@ -166,6 +185,8 @@ def confidence_counts(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
     _add(table, "  in between", int(summary["share"].between(0, 1, inclusive="neither").sum()), plans)
     _add(table, "  coin toss", int(summary["coin_toss"].sum()), plans, "yellow")
     table.add_row("worlds", f"{worlds:,}", "")
+    _add(table, "  could not be placed", int(summary["n_not_placed"].sum()), worlds, "red")
+    _add(table, "  fell", int(summary["n_fell"].sum()), worlds, "red")
     _add(table, "  invalid", int(info.get("counts", {}).get(Verdict.INVALID.value, 0)), worlds, "yellow")
     _add_end(table, info, "worlds", worlds)
     return table

@@ -76,6 +76,8 @@ def notes_in_words(story: Story) -> list[str]:
     notes += _hangs_over(story)
     if outcome.flags & Flag.LEANS:
         notes.append(_leans(story))
+    if outcome.flags & Flag.NOT_PLACED:
+        notes.append("The hand found no room for a box: it let go away from the box's place.")
     if outcome.flags & Flag.TIMESTEP:
         notes.append("At half the timestep the verdict differs.")
     return notes

@@ -18,7 +18,7 @@ from petmjx.results.manifest import Manifest, plan_digest
 from petmjx.results.placements import kept_plans
 from petmjx.results.plans_again import file_again, how_read
 from petmjx.results.reader import RunResults
-from petmjx.sweeps.confidence import confidence_sweep
+from petmjx.sweeps.confidence import PLACING, confidence_sweep
 from petmjx.sweeps.file import Sweep, load_sweep, nominal_sweep, sweep_of_tables
 from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.identity import sweep_identity
@@ -110,7 +110,8 @@ def sweep_of_run(run: RunResults) -> Sweep:
         found = named if named.is_file() else find_sweep(named.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
-    sweep = confidence_sweep(worlds, found, changes) if worlds else load_sweep(found, True, changes)
+    both = PLACING in config["sweep"].get("axes", {})  # of errors alone this is no axis
+    sweep = confidence_sweep(worlds, found, changes, exact_too=both) if worlds else load_sweep(found, True, changes)
     if sweep_identity(sweep) != _identity(run.info):
         raise InputError(f"{found}: is no longer the sweep of {run.path}: it changed")
     return sweep

@@ -76,6 +76,7 @@ OneOrMore = Annotated[
 ]
 """A value or a list of values."""
 Names = OneOrMore[Annotated[str, Field(max_length=100)]]
+Ways = OneOrMore[Literal["exact", "drop", "hand", "tines"]]
 
 
 def _degrees(value: object) -> object:
@@ -308,6 +309,7 @@ AXIS_KINDS: Final = {
             ("drop_height_mm",),
             plain=DistributionShape.FIXED,
         ),
+        AxisKind("placing", "", Ways, "how boxes are placed", ("placing_name",)),
         AxisKind("placing_height_mm", "mm", Positives, "height at which placed boxes begin", ("placing_height_mm",)),
         AxisKind("placing_side_mm", "mm", Positives, "how far beside its place a box begins", ("placing_side_mm",)),
         AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),

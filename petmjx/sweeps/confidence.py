@@ -6,22 +6,26 @@ docs/confidence.md.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 
 from petmjx.basics.errors import InputError
 from petmjx.metrics.spec import DIMENSIONLESS
+from petmjx.options.placing import Way
 from petmjx.results.listed import Parts
+from petmjx.results.paired import PairedCounts, holm, mcnemar_p
 from petmjx.results.schema import summary_table
 from petmjx.results.shares import ONE_PLAN, share_standing
 from petmjx.results.writer import RunWriter
+from petmjx.sweeps.axes import Axis
 from petmjx.sweeps.file import Sweep, load_sweep
 from petmjx.sweeps.ready import find_sweep
-from petmjx.verdict import Verdict
+from petmjx.verdict import Flag, Verdict
 from petmjx.world.variants import Distribution
 
 READY_MADE: Final = "confidence"
@@ -29,7 +33,11 @@ READY_MADE: Final = "confidence"
 
 EVEN: Final = 0.5
 
-_NUMBERS: Final = ("margin", "n_worlds", "n_standing", "n_invalid", "share", "low", "high")
+SIGNIFICANCE: Final = 0.05
+"""Chance of at least one false alarm among all plans of a run whose shares do not depend on how boxes are placed."""
+
+PLACING: Final = "placing"
+"""The axis, and the column of worlds, that says how boxes with errors were placed."""
 
 _DESCRIPTIONS: Final = {
     "plan_id": "id of the packing plan",
@@ -38,6 +46,9 @@ _DESCRIPTIONS: Final = {
     "margin": "of the nominal world; null where it is invalid",
     "n_worlds": "worlds with errors",
     "n_standing": "worlds with errors that are stable",
+    "n_not_placed": "worlds with errors that are unstable, and in which a box could not be placed before anything "
+    "failed: the hand found no room for it",
+    "n_fell": "worlds with errors that are unstable though every box was placed",
     "n_invalid": "worlds with errors that have no verdict; not in the share",
     "share": "stable worlds / worlds with a verdict; null where there is none",
     "low": "lower end of the share's Wilson 95 % interval",
@@ -46,23 +57,47 @@ _DESCRIPTIONS: Final = {
     "it falls",
 }
 
+_OF_BOTH: Final = {
+    "n_standing_exact": "of the same worlds with boxes that appear at their places: those that are stable",
+    "share_exact": "stable worlds / worlds with a verdict, with boxes that appear; null where there is none",
+    "only_carried": "draws with which the world stands if boxes are carried, and does not if they appear",
+    "only_exact": "draws with which it is the other way round",
+    "p_value": "of McNemar's exact test (two-sided) that both numbers are equal but for chance, corrected for the "
+    "number of plans by Holm's method",
+    "placing_matters": f"whether that is below {SIGNIFICANCE:g}: the two shares differ beyond chance",
+}
+"""Columns of a run whose worlds with errors were placed both ways."""
 
-def confidence_sweep(n_worlds: int, errors: Path | None, simulation: Mapping[str, Any]) -> Sweep:
+_TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing_matters"})
+"""Columns that are no numbers."""
+
+
+def confidence_sweep(
+    n_worlds: int, errors: Path | None, simulation: Mapping[str, Any], *, exact_too: bool = False
+) -> Sweep:
     """The sweep that asks how sure the scores of plans are.
 
     Args:
         n_worlds: worlds with errors for each plan, beside the nominal one.
         errors: a sweep file of errors, or the name of a ready-made one; None: ``READY_MADE``.
         simulation: fields of ``Simulation`` that replace those of the file.
+        exact_too: as of ``petmjx.options.run_options.Confidence``: each world with errors is there twice.
 
     Raises:
-        InputError: an unusable file, or one that has more than single errors.
+        InputError: an unusable file, or one that has more than single errors; or ``exact_too`` where boxes are not
+            carried.
     """
     found = load_sweep(find_sweep(errors or READY_MADE), plans_given=True, simulation=simulation)
     wrong = _what_is_no_error(found)
     if wrong:
         raise InputError(f"{found.file}: {wrong}")
-    return found.model_copy(update={"nominal": True, "replicates": n_worlds})
+    axes = found.axes
+    if exact_too:
+        carried = found.simulation.placing.for_errors
+        if not (found.simulation.may_carry and carried.carries):
+            raise InputError("exact_too compares with boxes that are carried: it needs placing auto, hand or tines")
+        axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
+    return found.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})
 
 
 def _what_is_no_error(sweep: Sweep) -> str:
@@ -83,32 +118,79 @@ def _what_is_no_error(sweep: Sweep) -> str:
     return ""
 
 
-def summarise_confidence(parts: Parts) -> pd.DataFrame:
+def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
     """One row a plan, in the order given: its nominal verdict, and the share that stands with errors.
 
     Columns: docs/confidence.md.
 
     Args:
         parts: of the run, all of them written and in order.
+        both: whether worlds with errors were placed both ways (``exact_too``).
     """
-    wanted = ["plan_id", "variant", "verdict", "reason", "margin"]
+    wanted = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
+    wanted += [PLACING, "replicate"] if both else []
     worlds = pa.concat_tables(parts.table("worlds", wanted)).to_pandas()
     nominal = worlds[worlds["variant"] == 0]
     drawn = worlds[worlds["variant"] > 0]
-    shares = share_standing(drawn.assign(draw=drawn["variant"]), ())
-    found = nominal.merge(shares[shares["scope"] == ONE_PLAN], on="plan_id", how="left")
+    exact = drawn[PLACING] == Way.EXACT.value if both else pd.Series(False, index=drawn.index)
+    found = nominal.drop(columns=[PLACING, "replicate"] if both else []).merge(
+        _shares(drawn[~exact]).merge(_failures(drawn[~exact]), on="plan_id"), on="plan_id", how="left"
+    )
     found["coin_toss"] = (found["low"] <= EVEN) & (found["high"] >= EVEN)
-    return found[[*_DESCRIPTIONS]]
+    if not both:
+        return found[[*_DESCRIPTIONS]]
+    other = _shares(drawn[exact]).rename(columns={"n_standing": "n_standing_exact", "share": "share_exact"})
+    found = found.merge(other[["plan_id", "n_standing_exact", "share_exact"]], on="plan_id", how="left")
+    found = found.merge(_paired(drawn[~exact], drawn[exact]), on="plan_id", how="left")
+    return found[[*_DESCRIPTIONS, *_OF_BOTH]]
 
 
-def write_confidence(writer: RunWriter) -> None:
+def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
+    """The share of each plan that stands."""
+    shares = share_standing(drawn.assign(draw=drawn["variant"]), ())
+    return shares[shares["scope"] == ONE_PLAN]
+
+
+def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
+    """Of each plan, in how many unstable worlds a box could not be placed, and in how many others boxes fell."""
+    fails = drawn["verdict"].astype(str) == Verdict.UNSTABLE.value
+    missed = (drawn["flags"].to_numpy(np.int64) & int(Flag.NOT_PLACED)) != 0
+    counted = pd.DataFrame({"plan_id": drawn["plan_id"], "n_not_placed": fails & missed, "n_fell": fails & ~missed})
+    return counted.groupby("plan_id", observed=True).sum().reset_index()
+
+
+def _paired(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
+    """Of each plan the draws that stand in one way alone, among those with a verdict in both, and the test of them."""
+    both = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
+    one, other = (both[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
+    stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
+    judged = (one != Verdict.INVALID.value) & (other != Verdict.INVALID.value)
+    outcomes = {
+        "both": stands & stands_exact,
+        "only_carried": stands & ~stands_exact,
+        "only_exact": ~stands & stands_exact,
+        "neither": ~stands & ~stands_exact,
+    }
+    counted = pd.DataFrame({"plan_id": both["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
+    found = counted.groupby("plan_id", observed=True).sum().reset_index()
+    trials = found[[*outcomes]].astype(int).itertuples(index=False, name=None)
+    found["p_value"] = holm([mcnemar_p(PairedCounts(*counts)) for counts in trials])
+    found["placing_matters"] = found["p_value"] < SIGNIFICANCE
+    return found.drop(columns=["both", "neither"])
+
+
+def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
     """Write the table ``summary`` of a run with confidence, whose parts are all written and in order.
+
+    Args:
+        axes: names of the axes of its sweep.
 
     Raises:
         PetmjxError: the file cannot be written.
     """
-    units = dict.fromkeys(_NUMBERS, DIMENSIONLESS)
-    writer.write_summary(summary_table(summarise_confidence(writer.parts), units, _DESCRIPTIONS))
+    summary = summarise_confidence(writer.parts, both=PLACING in axes)
+    units = {name: DIMENSIONLESS for name in summary if name not in _TEXTS}
+    writer.write_summary(summary_table(summary, units, _DESCRIPTIONS | _OF_BOTH))
 
 
 def contradicted(summary: pd.DataFrame) -> pd.Series[bool]:

@@ -15,6 +15,7 @@ from petmjx.engines.cost import Work, rest_steps
 from petmjx.history import Record
 from petmjx.options.config import Check, Schedule
 from petmjx.plans.loose import placed_shares
+from petmjx.options.placing import Way
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.study import MAX_WORLDS
@@ -75,8 +76,8 @@ class SweepPlan(Design):
         skipped: plans whose run ``total_time_factor`` would end before the profile begins.
 
     Raises:
-        InputError: no usable plan, more than a million worlds without ``allow_large``, or a profile whose frequencies
-            are too high for the timestep.
+        InputError: no usable plan, more than a million worlds without ``allow_large``, an axis placing where boxes may
+            not be carried, or a profile whose frequencies are too high for the timestep.
     """
 
     plans: Sequence[Plan]
@@ -96,6 +97,9 @@ class SweepPlan(Design):
                 f"{file}: axes make {self.n_worlds:,} worlds ({self._plans_and_variants}), more than {MAX_WORLDS:,}: "
                 f"pass {option('--yes', 'True', python='allow_large')} to confirm"
             )
+        if "placing" in self.sweep.axes and not self.sweep.simulation.may_carry:
+            needs = "simulation.placing auto, hand or tines, check one-by-one and schedule adaptive"
+            raise InputError(f"{file}: axes.placing needs {needs}")
         # once before the run: it raises for a profile whose frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:
@@ -279,6 +283,8 @@ class SweepPlan(Design):
         """Placements per plan in which boxes appear at places with errors, and are waited for."""
         sim = self.sweep.simulation
         waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
+        if "placing" in self.sweep.axes:
+            return self._with_errors - min(self._carried, self._with_errors)
         return self._with_errors if waits and not sim.may_carry else 0
 
     @property
@@ -287,6 +293,9 @@ class SweepPlan(Design):
         sim = self.sweep.simulation
         if not sim.may_carry:
             return 0
+        if "placing" in self.sweep.axes:
+            ways = self.sweep.axes["placing"].values
+            return self.n_placements * sum(Way(str(way)) in (Way.HAND, Way.TINES) for way in ways) // len(ways)
         return self._all_placements if sim.placing.carries else self._with_errors
 
     @property

@@ -78,7 +78,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
             writer.warn(note)
         writer.put_in_order()
         if first["config"].get("confidence") is not None:
-            write_confidence(writer)
+            write_confidence(writer, first["config"]["sweep"]["axes"])
         elif whole.settings["command"] == "sweep":
             _write_summary(writer, runs)
     return load_run(out)

@@ -112,7 +112,7 @@ class SweepStudy(Study):
     def summarise(self, writer: RunWriter) -> None:
         writer.flush()  # it is made of what is on disk
         if self._confidence is not None:
-            write_confidence(writer)
+            write_confidence(writer, self._plan.sweep.axes)
             return
         frame = summarise_shares(writer.parts, self._shares) if self._shares else search_frame(self._answers)
         writer.write_summary(summary_table(frame, *summary_units(frame, self._plan)))

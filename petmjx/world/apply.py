@@ -15,9 +15,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.units import FloatArray, mm_to_m
+from petmjx.basics.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.options.placing import Way
 from petmjx.world.pairs import scaled_pairs
 from petmjx.world.random import WorldKey, rngs
+from petmjx.world.room import make_room
 from petmjx.world.scene import Scene
 from petmjx.world.variants import UNCHANGED, Distribution, PlacementChange, Variant
 
@@ -37,6 +39,9 @@ STEP_TOLERANCE_M = 0.01
 """Of two boxes that overlap horizontally, one carries the other if its planned top is at most this far above the
 other's planned bottom: the other one is then set down on it. A box that is higher counts as a wall beside it."""
 
+MOST_SPREADS: Final = 5.0
+"""Errors are taken to be no further from their mean, in standard deviations: one of 2 million normal ones is."""
+
 _SAME_HEIGHT_M = 1e-9
 
 AT_A_TIME: Final = 256
@@ -46,12 +51,13 @@ AT_A_TIME: Final = 256
 def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: int = 0) -> Scene:
     """The scene of a plan under a variant's placement change; its drive is not used here.
 
-    When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways and push
-    each other apart. Boxes are set down on the actual tops of those below. Placement errors in x, y and yaw change
-    ``start_pos`` and ``start_quat``; a box whose new place is over a slightly higher neighbour is released above it. No
-    box starts inside another one vertically. ``target``, from which shifts are measured, stays at the planned x and y;
-    its z is the height at which the box really stands, so that a tolerance in height is no shift. With errors of places
-    or sizes boxes are placed as for errors (``Placing.for_errors``).
+    When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways. A hand
+    then takes each box to where it finds room; boxes that appear at their places do so at the nearest ones at which
+    none is in another (petmjx.world.room). Boxes are set down on the actual tops of those below. Placement errors in
+    x, y and yaw change ``start_pos`` and ``start_quat``; a box whose new place is over a slightly higher neighbour is
+    released above it. No box starts inside another one vertically. ``target``, from which shifts are measured, stays at
+    the planned x and y; its z is the height at which the box really stands, so that a tolerance in height is no shift.
+    With errors of places or sizes boxes are placed as for errors (``Placing.for_errors``).
 
     Args:
         standing: this many first boxes stand already and keep their sizes, places and masses.
@@ -96,15 +102,18 @@ def _changed(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], st
         half_size[:, :standing] = scene.half_size[:standing]
     x, y, yaw = (drawn(getattr(change, name), name.partition("_")[0], n) for name in ("x_mm", "y_mm", "yaw_deg"))
     yaw = np.radians(yaw)
+    moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
+    has_errors = not all(error.zero for error in moved)
+    placing = change.placing(scene.placing, errors=has_errors)
     worlds = max(len(half_size), len(x), len(y), len(yaw))
     start_pos = np.repeat(scene.start_pos[None], worlds, axis=0)
     start_pos[..., 0] += mm_to_m(x)
     start_pos[..., 1] += mm_to_m(y)
     start_pos[:, :standing], yaw[:, :standing] = scene.start_pos[:standing], 0.0
     target = scene.target[None]
-    moved = (change.size_mm, change.size_rel, change.x_mm, change.y_mm, change.yaw_deg)
-    has_errors = not all(error.zero for error in moved)
     if has_errors:
+        if placing.name is Way.EXACT:
+            start_pos[..., :2] = _with_room(scene, change, half_size, start_pos, yaw, standing)
         target = np.repeat(target, worlds, axis=0)
         start_pos[:, standing:, 2] = _set_down(scene, half_size, start_pos, yaw)[:, standing:]
         target[:, standing:, 2] = start_pos[:, standing:, 2]
@@ -120,7 +129,6 @@ def _changed(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], st
     friction_share = 1.0 + drawn(change.friction_rel, "friction-rel", 1)[:, 0]
     friction = np.maximum(friction_share, MIN_FRICTION_FRACTION)
     start_quat = _turned(scene.start_quat, yaw)
-    placing = change.placing(scene.placing, errors=has_errors)
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
     each = (slippery, half_size, mass, target, start_pos, start_quat)
@@ -184,6 +192,38 @@ def _overlapping(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
     return along[0] & along[1]
 
 
+def _with_room(
+    scene: Scene, change: PlacementChange, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray, standing: int
+) -> FloatArray:
+    """(m, n, 2) level places of boxes that appear there, none in another one."""
+    above = _lower(scene)[0]
+    beside = ~(above | above.T)
+    movable = np.arange(scene.n_boxes) >= standing
+    reach_m = _farthest_m(scene, change)
+    places = start_pos[..., :2], half_size, yaw
+    return make_room(*places, scene.target[:, :2], scene.half_size, beside, movable, reach_m)
+
+
+def _farthest_m(scene: Scene, change: PlacementChange) -> float:
+    """How far apart in the plan two boxes may be that meet because of their errors, m."""
+    x, y, size, share, yaw = (
+        abs(error.centre) + MOST_SPREADS * error.spread
+        for error in (change.x_mm, change.y_mm, change.size_mm, change.size_rel, change.yaw_deg)
+    )
+    half = float(np.hypot(scene.half_size[:, 0], scene.half_size[:, 1]).max(initial=0.0))
+    return 2.0 * ((math.hypot(x, y) + size / 2.0) / MM_PER_M + half * (share + min(math.radians(yaw), 1.0)))
+
+
+def _lower(scene: Scene) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """(n, n) whether the column's box is one on which the row's could be set down, by their planned heights, and (n,)
+    the boxes from the bottom up."""
+    planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
+    planned_top = scene.target[:, 2] + scene.half_size[:, 2]
+    order = np.argsort(planned_bottom, kind="stable")
+    rank = np.argsort(order)
+    return (planned_top <= planned_bottom[:, None] + STEP_TOLERANCE_M) & (rank < rank[:, None]), order
+
+
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
     """(m, n) heights of centres when each box is set down on the actual tops of those below it.
 
@@ -194,9 +234,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
-    order = np.argsort(planned_bottom, kind="stable")
-    rank = np.argsort(order)
-    lower = (planned_top <= planned_bottom[:, None] + STEP_TOLERANCE_M) & (rank < rank[:, None])
+    lower, order = _lower(scene)
     supports = lower & _overlapping(scene.target[:, :2], scene.half_size[:, :2])
     below = supports | (lower & _overlapping(start_pos[..., :2], _footprint_half(half_size, yaw)))
     # A box that overlaps no other in the plan stands on the carrier, or floats above it.

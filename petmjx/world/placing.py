@@ -40,6 +40,10 @@ down."""
 AT_PLACE_M: Final = 0.0002
 """A box that is no further from its way's end is there: the softness of a contact is a tenth of a millimetre."""
 
+MISSED_M: Final = 0.01
+"""A box that a hand lets go further from its place could not be placed. Boxes that find room are within 5 mm of it,
+those that stand on the edges of their neighbours as much too high as these are high, or half as much."""
+
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
 """A box is set down by a damper of this rate, 1/s, but at most so much per step: semi-implicit Euler is stable below 2.

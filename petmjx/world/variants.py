@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from petmjx.basics.units import FloatArray
-from petmjx.options.placing import Placing
+from petmjx.options.placing import Placing, Way
 
 
 class DistributionShape(StrEnum):
@@ -88,6 +88,7 @@ class PlacementChange:
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
         drop_height_mm: height above its place at which a box is released; negative draws count as 0.
+        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: as the options say.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: instead of those of
             ``petmjx.options.placing.Placing``; None: those.
         wrap_turns: of film, instead of those of ``petmjx.options.wrap.Wrap``; None: those.
@@ -105,6 +106,7 @@ class PlacementChange:
     y_mm: Distribution = ZERO
     yaw_deg: Distribution = ZERO
     drop_height_mm: Distribution = ZERO
+    placing_name: str | None = None
     placing_height_mm: float | None = None
     placing_side_mm: float | None = None
     placing_speed_m_s: float | None = None
@@ -116,6 +118,7 @@ class PlacementChange:
     def placing(self, placing: Placing, *, errors: bool) -> Placing:
         """How boxes are placed that would be placed so; ``errors``: their places or sizes have errors."""
         other = {
+            "name": Way(self.placing_name) if self.placing_name is not None else None,
             "height_mm": self.placing_height_mm,
             "side_mm": self.placing_side_mm,
             "speed_m_s": self.placing_speed_m_s,

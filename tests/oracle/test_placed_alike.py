@@ -14,7 +14,7 @@ from petmjx.engines.base import GrowingJobs
 from petmjx.engines.cpu.engine import MujocoEngine
 from petmjx.options.config import Simulation
 from petmjx.options.placing import EXACT
-from petmjx.verdict import Outcome
+from petmjx.verdict import Flag, Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -65,6 +65,14 @@ def test_mjx_warp_places_as_mujoco_does(way: str) -> None:
             np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
 
 
+def test_only_a_box_that_finds_no_room_could_not_be_placed() -> None:
+    """It stands on the edges of its neighbours, 300 mm too high. One that a neighbour stops 6 mm beside its place is
+    placed."""
+    flags = {name: Flag.NOT_PLACED in on_mujoco("hand")[k].flags for k, name in enumerate(PILES)}
+    assert flags == {"row and bridge": False, "corner": False, "aside": False, "no room": True}
+    assert on_mujoco("hand")[3].culprit == 2
+
+
 def test_a_world_with_a_hand_does_not_join_kernels_without_one() -> None:
     """As in a score with confidence: the exact world comes first, and worlds with errors follow."""
     scene, sim = scenes("hand")[2], simulation("auto")
@@ -85,6 +93,7 @@ def test_mjx_jax_places_as_mujoco_does() -> None:
     for found in MjxJaxEngine().run([Job(scene) for scene in scenes("hand")], sim):
         expected = on_mujoco("hand")[found.job]
         assert (found.verdict, found.reason, found.culprit) == (expected.verdict, expected.reason, expected.culprit)
+        assert found.flags & Flag.NOT_PLACED == expected.flags & Flag.NOT_PLACED
         assert abs(found.n_steps - expected.n_steps) <= sim.quiet.poll_steps  # a look earlier or later
         np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_JAX_M)
 

@@ -33,8 +33,10 @@ from petmjx.sweeps.confidence import (
     contradicted,
     write_confidence,
 )
+from petmjx.sweeps.grid import SweepPlan
 from petmjx.sweeps.ready import ready_sweeps
 from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.world.scene import Scene
 
 STANDS = make_plan("stands", stack(2, 100.0))
 HALF = make_plan("half", stack(2, 200.0))
@@ -70,7 +72,7 @@ def test_far_from_an_edge_all_worlds_say_the_same_and_half_over_it_they_do_not()
     worlds = results.worlds
     assert len(worlds) == 3 * 13
     drawn = worlds[worlds["variant"] > 0]
-    assert drawn["friction_tolerance_rel"].unique().tolist() == [0.1]
+    assert drawn["friction_tolerance_rel"].unique().tolist() == ["uniform(-0.5, 0.3)"]
     assert repr(results).split(": ")[1].startswith("39 worlds")
     assert results.units("summary")["share"] == "1"
 
@@ -116,6 +118,68 @@ def test_the_ready_made_errors_are_a_sweep_too() -> None:
     asked = confidence_sweep(16, None, {})
     assert asked.file == str(ready_sweeps()[READY_MADE])
     assert (asked.replicates, asked.nominal) == (16, True)
+
+
+GAP = petmjx.Plan.from_boxes(
+    "gap",
+    size_mm=[(300, 200, 120)] * 3,
+    corner_mm=[(0, 0, 0), (600, 0, 0), (300, 0, 0)],
+    mass_kg=[6.0] * 3,
+)
+"""The last carton goes between the two others."""
+
+
+def room_m(scene: Scene) -> float:
+    """How much wider the gap between the first two boxes is than the third one, m."""
+    x, half = scene.start_pos[:, 0], scene.half_size[:, 0]
+    return float((x[1] - half[1]) - (x[0] + half[0]) - 2 * half[2])
+
+
+def test_a_box_could_not_be_placed_where_its_gap_is_too_narrow_and_stands_there_placed_exactly(tmp_path: Path) -> None:
+    errors = write(tmp_path / "x.toml", "seed = 3\n[axes]\nplacement_error_x_mm = 2\nsize_tolerance_mm = 1")
+    options = {"plans": [GAP], "confidence": 12, "errors": errors}
+    results = score(**options, exact_too=True, out=tmp_path / "both")
+    every = SweepPlan(confidence_sweep(12, errors, {}), [GAP])
+    room = np.array([room_m(scene) for _, scene in every.scenes(every.groups())])[1:]
+    sure = np.abs(room) > 0.001  # contacts of edges give way, and gaps are 0.1 mm
+    assert 2 < (sure & (room < 0)).sum() < 12
+    carried = results.worlds[results.worlds["placing"] == "hand"]
+    missed = (carried["flags"].to_numpy() & int(Flag.NOT_PLACED)) != 0
+    assert missed[sure].tolist() == (room < 0)[sure].tolist()
+    assert ((carried["verdict"] == "stable").to_numpy() == ~missed).all()
+    (row,) = results.summary.to_dict("records")  # type: ignore[union-attr]
+    n = int(missed.sum())
+    assert (row["n_standing"], row["n_not_placed"], row["n_fell"]) == (12 - n, n, 0)
+    assert (row["n_standing_exact"], row["share_exact"]) == (12, 1.0)
+    assert (row["only_carried"], row["only_exact"]) == (0, n)
+    assert row["p_value"] == pytest.approx(2 * 0.5**n)
+    assert row["placing_matters"] is True
+    console = Console(width=120, file=StringIO())
+    print_each(run_tables(results), console)
+    printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
+    assert f"could not be placed │  {n:>3} " in printed
+    assert "stands more often, beyond chance, if boxes are placed exactly: gap" in printed
+    alone = summary_of(score(**options)).loc["gap"]
+    pd.testing.assert_series_equal(alone, summary_of(results).loc["gap", alone.index], check_exact=True)
+    assert petmjx.load_run(tmp_path / "both").summary.equals(results.summary)  # type: ignore[union-attr]
+
+
+def test_how_boxes_are_placed_is_an_axis_of_sweeps(tmp_path: Path) -> None:
+    file = write(tmp_path / "x.toml", "nominal = true\n[axes]\nplacing = ['hand', 'drop', 'exact']")
+    worlds = petmjx.sweep(file, [STANDS], engine="mujoco").worlds.sort_values("variant")
+    assert worlds["placing"].fillna("").tolist() == ["", "hand", "drop", "exact"]
+    nominal, hand, drop, exact = worlds["n_steps"].tolist()
+    assert nominal == exact != drop
+    assert hand > 1.5 * exact
+    with pytest.raises(InputError, match=r"axes\.placing needs simulation\.placing auto, hand or tines"):
+        petmjx.sweep(file, [STANDS], engine="mujoco", schedule="fixed")
+
+
+def test_exact_too_is_about_boxes_that_are_carried() -> None:
+    with pytest.raises(InputError, match="exact_too needs confidence"):
+        score(exact_too=True)
+    with pytest.raises(InputError, match="exact_too compares with boxes that are carried: it needs placing auto"):
+        score(confidence=4, exact_too=True, placing="exact")
 
 
 REFUSED = {

@@ -12,7 +12,7 @@ from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.multitest import multipletests
 
 from petmjx.basics.errors import InputError
-from petmjx.packers.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
+from petmjx.results.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
 from petmjx.results.shares import wilson_interval
 
 counts = st.builds(PairedCounts, *[st.integers(0, 200)] * 4)

@@ -19,7 +19,6 @@ from test_pages import opened_block
 
 from petmjx.basics.errors import InputError
 from petmjx.options.config import Simulation
-from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.columns import block
 from petmjx.pages.report import rows
 from petmjx.pages.report.about import _options, differing
@@ -31,6 +30,7 @@ from petmjx.pages.report.runs import Kind, names_apart, open_runs
 from petmjx.pages.report.swept import explained, largest_survived
 from petmjx.pages.report.verdicts import verdict_table
 from petmjx.plans.plan import Plan
+from petmjx.results.paired import PairedCounts, newcombe_interval
 from petmjx.results.reader import load_run
 from petmjx.results.shares import wilson_interval
 

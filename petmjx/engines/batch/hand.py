@@ -13,11 +13,13 @@ from petmjx.engines.batch.state import NEVER, State
 from petmjx.engines.batch.worlds import Worlds
 from petmjx.metrics import motion_jax as motion
 from petmjx.options.config import Simulation
+from petmjx.verdict import Flag
 from petmjx.world.placing import (
     AT_PLACE_M,
     CLEARANCE_M,
     FREE_M,
     LOWERING_STEPS,
+    MISSED_M,
     MOST_SIDESTEPS,
     MOST_WAY_S,
     lowering_rate_1_s,
@@ -72,11 +74,13 @@ def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Si
     is_down = lowered & ((since >= patience) | (slow & (since >= LOWERING_STEPS)))
     taken = state.step - state.carried_from
     arrived = ~lowered & (taken >= state.carried_steps + jnp.where(slow, 0, patience))
-    there = _length(state.way_end - _of(state.qpos, box)[:, :3]) <= AT_PLACE_M
-    falls = arrived & _of(worlds.falls, box) & there
+    short = _length(state.way_end - _of(state.qpos, box)[:, :3])
+    falls = arrived & _of(worlds.falls, box) & (short <= AT_PLACE_M)
     opens, lowers = where & (is_down | falls), where & arrived & ~falls
+    missed = opens & (short > MISSED_M) & (state.metrics.culprit < 0)
     here = ((jnp.arange(state.qpos.shape[1])[None] == box[:, None]) & opens[:, None])[..., None]
     return state._replace(
+        flags=state.flags | jnp.where(missed, int(Flag.NOT_PLACED), 0),
         still_qpos=jnp.where(here, state.qpos, state.still_qpos),
         carried_from=jnp.where(opens, NEVER, state.carried_from),
         lowered_from=jnp.where(opens, NEVER, jnp.where(lowers, state.step, state.lowered_from)),

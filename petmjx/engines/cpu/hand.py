@@ -11,7 +11,15 @@ import numpy as np
 
 from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.waits import NEVER
-from petmjx.world.placing import AT_PLACE_M, LOWERING_STEPS, lowering_rate_1_s, progress, rate_1_s, stuck_steps
+from petmjx.world.placing import (
+    AT_PLACE_M,
+    LOWERING_STEPS,
+    MISSED_M,
+    lowering_rate_1_s,
+    progress,
+    rate_1_s,
+    stuck_steps,
+)
 from petmjx.world.scene import Scene
 from petmjx.world.turned import turned
 
@@ -26,6 +34,7 @@ class Hand:
         steps: of the way; ``taken``: steps since it began.
         falls: whether it is let go at the way's end, to fall.
         lowered_from: as ``taken``, from when on it is set down.
+        short_m: how far from the way's end the box was after the last step.
     """
 
     scene: Scene
@@ -39,6 +48,12 @@ class Hand:
     timestep_s: float
     taken: int = 0
     lowered_from: int = NEVER
+    short_m: float = 0.0
+
+    @property
+    def missed(self) -> bool:
+        """Whether the box is so far from its place that it could not be placed, once the hand has let go."""
+        return self.short_m > MISSED_M
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
         """Whether it lets go after a step in which it has carried the box: when that has arrived and rests. Unless it
@@ -49,13 +64,14 @@ class Hand:
             slow: whether the box is as slow as those of a quiet pallet.
         """
         self.taken += 1
+        self.short_m = float(np.linalg.norm(self.end - pose[:3]))
         patience = stuck_steps(self.timestep_s)
         if self.lowered_from != NEVER:
             since = self.taken - self.lowered_from
             return since >= patience or (slow and since >= LOWERING_STEPS)
         if self.taken < self.steps + (0 if slow else patience):
             return False
-        if self.falls and np.linalg.norm(self.end - pose[:3]) <= AT_PLACE_M:
+        if self.falls and self.short_m <= AT_PLACE_M:
             return True
         self.lowered_from = self.taken
         return False

@@ -267,8 +267,8 @@ class WorldRun:
     def _carry_on(self, hand: Hand) -> None:
         """After a step in which a box was carried: carry it on, or let it go."""
         box = slice(hand.box, hand.box + 1)
-        slow = self._quiet.is_slow(self._live.velocity[box], box)
-        if self._live.carry_on(slow):
+        if self._live.carry_on(self._quiet.is_slow(self._live.velocity[box], box)):
+            self._flags |= Flag.NOT_PLACED if hand.missed and self._metrics.culprit < 0 else Flag.NONE
             self._has_placed()
 
     def _has_placed(self) -> None:

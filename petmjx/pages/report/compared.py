@@ -9,13 +9,13 @@ from typing import Final
 import pandas as pd
 
 from petmjx.basics.text import counted, three_digits
-from petmjx.packers.paired import PairedCounts, newcombe_interval
 from petmjx.pages.report.charts import between, intervals, percent, stacked
 from petmjx.pages.report.markup import NOTHING, Content, Markup, element, joined, table
 from petmjx.pages.report.runs import Kind, ReportRun
 from petmjx.pages.report.svg import figure
 from petmjx.pages.report.verdicts import plan_link
 from petmjx.results.compare import KEY, Comparison, compare_runs
+from petmjx.results.paired import PairedCounts, newcombe_interval
 from petmjx.results.shares import wilson_interval
 from petmjx.verdict import Verdict
 

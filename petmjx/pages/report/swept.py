@@ -303,8 +303,11 @@ def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
     ]
     more = element("li", f"{len(tosses) - MOST_NAMED:,} more") if len(tosses) > MOST_NAMED else NOTHING
     said = f"{counted(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: one half is in the 95 % interval."
+    missed, fell = (int(summary[name].sum()) if name in summary else 0 for name in ("n_not_placed", "n_fell"))
+    why = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."
     return joined(
         element("p", said),
+        element("p", why) if missed else NOTHING,
         element("ul", *links, more, class_="names") if tosses else NOTHING,
         element("div", figure(frame.title, frame.svg(), "Coloured by the verdict without errors."), class_="charts"),
     )

@@ -28,6 +28,7 @@ from petmjx.world import placing
 NEVER = wp.constant(int(batch_state.NEVER))
 FREE = wp.constant(placing.FREE_M)
 CLEARANCE = wp.constant(placing.CLEARANCE_M)
+MISSED = wp.constant(placing.MISSED_M)
 AT_PLACE = wp.constant(placing.AT_PLACE_M)
 MOST_SIDESTEPS = wp.constant(placing.MOST_SIDESTEPS)
 MOST_WAY_S = wp.constant(placing.MOST_WAY_S)
@@ -187,6 +188,18 @@ def lets_go(
         return True
     state.lowered_from[world] = step
     return False
+
+
+@wp.func
+def missed(
+    # Data in:
+    state: State,
+    # In:
+    world: int,
+    box: int,
+) -> bool:
+    """Whether a box that the hand lets go is so far from its place that it could not be placed."""
+    return wp.length(_three(state.way_end, world) - center(state, world, box + 1)) > MISSED
 
 
 @wp.func

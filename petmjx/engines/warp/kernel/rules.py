@@ -11,7 +11,7 @@ import warp as wp
 from petmjx import history
 from petmjx.engines.batch import state as batch_state
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
-from petmjx.engines.warp.kernel.hand import lets_go, take_up
+from petmjx.engines.warp.kernel.hand import lets_go, missed, take_up
 from petmjx.engines.warp.kernel.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernel.quiet import count_quiet, has_failed
 from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, length_of, measure, press, sway_of, tilt_of
@@ -29,6 +29,7 @@ NONFINITE = wp.constant(int(Flag.NONFINITE))
 EXPLOSION = wp.constant(int(Flag.EXPLOSION))
 EARLY_STOP = wp.constant(int(Flag.EARLY_STOP))
 MOVING = wp.constant(int(Flag.MOVING))
+NOT_PLACED = wp.constant(int(Flag.NOT_PLACED))
 CARRIER = wp.constant(history.CARRIER)
 NOTHING = wp.constant(release.NOTHING)
 
@@ -167,6 +168,8 @@ def carry_on(
     """After a step in which a box was carried: carry it on, or let it go. By one thread."""
     box = state.placed[world] - 1
     if lets_go(model, worlds, world, box, step, state):
+        if missed(state, world, box) and state.culprit[world] < 0:
+            state.flags[world] = state.flags[world] | NOT_PLACED
         for i in range(7):
             state.still_qpos[world, box, i] = state.qpos[world, box, i]
         state.carried_from[world] = NEVER

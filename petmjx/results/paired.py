@@ -83,7 +83,7 @@ def mcnemar_p(counts: PairedCounts) -> float:
     try:
         from scipy.stats import binomtest
     except ImportError:
-        raise InputError("comparing packers needs SciPy: pip install 'petmjx[packers]'") from None
+        raise InputError("a paired test needs SciPy: pip install 'petmjx[packers]'") from None
     return float(binomtest(counts.only_a, differing, 0.5).pvalue)
 
 
