@@ -14,8 +14,8 @@ from petmjx.basics.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.engines.cost import Work, rest_steps
 from petmjx.history import Record
 from petmjx.options.config import Check, Schedule
-from petmjx.plans.loose import placed_shares
 from petmjx.options.placing import Way
+from petmjx.plans.loose import placed_shares
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.study import MAX_WORLDS
