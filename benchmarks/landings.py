@@ -20,7 +20,7 @@ MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)
 """What a box may pass below where it rests, from each height."""
 TIMESTEPS_S = (0.002, 0.001, 0.0005)
 ASKED = (0.0, 0.1, 0.3)
-LANDING_S = 0.003
+LANDING_S = USUAL_S
 CARDBOARD = (0.1, 0.3)
 """Restitution of cardboard boxes: TU/e, T-RO 2023 (four cartons on a conveyor; 0 to 0.6 over all identifications)."""
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -18,10 +18,11 @@ from petmjx.engines.base import Engine
 from petmjx.loop.opening import ready_engine
 from petmjx.options.carrier import CARRIER_EXTENT_M, OwnCarrier
 from petmjx.options.config import LONGEST_S, Simulation
-from petmjx.options.physics import HIGHEST_FRICTION, Physics
+from petmjx.options.physics import HIGHEST_FRICTION, HIGHEST_RESTITUTION, Physics
 from petmjx.options.run_options import AUTO
 from petmjx.plans.fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 from petmjx.world.free_bodies import FreeBodies, Ground, inertia_box
+from petmjx.world.landing import USUAL_S
 from petmjx.world.scene import Scene
 
 PLANE: Final = "plane"
@@ -66,7 +67,7 @@ _ARGUMENTS: Final = {
     "angvel_rad_s": _Argument(3, -FASTEST_RAD_S, FASTEST_RAD_S),
     "inertia_kg_m2": _Argument(3, SMALLEST_KG_M2, LARGEST_KG_M2),
     "friction": _Argument(1, 0.0, HIGHEST_FRICTION),
-    "restitution": _Argument(1, 0.0, 1.0),
+    "restitution": _Argument(1, 0.0, HIGHEST_RESTITUTION),
 }
 
 
@@ -122,7 +123,8 @@ def release(
             None: boxes are solid.
         friction: (…) coefficient of sliding friction of a box with the ground; between two boxes the larger one counts.
             None: as the physics says of boxes and carriers.
-        restitution: not yet known to petmjx's contacts: None.
+        restitution: (…) share of its speed with which a box bounces, up to 0.9, the same for all boxes of a world; what
+            lands is then stopped within ``physics.landing_s``, or 3 ms where that is 0. None: as the physics says.
         ground: "plane", infinite, or the name of a carrier of a fixed size, or a TOML file of boards, which is held
             fast, with its front-left corner at the origin and its top at z = 0.
         physics: a preset's name, a table that changes one, or a record.
@@ -145,21 +147,44 @@ def release(
     asked |= {name: values for name, values in optional.items() if values is not None}
     boxes, axes = _for_each_box({name: _numbers(name, values) for name, values in asked.items()})
     times, steps, share = _steps(times_s, sim.physics.timestep_s)
-    if restitution is not None:
-        raise InputError("restitution must be None: it cannot be chosen for contacts of petmjx")
     below = _ground(sim, ground, smooth=friction is not None)
     scenes = _scenes(boxes, below, sim)
     velocity = np.concatenate([boxes["vel_m_s"], boxes["angvel_rad_s"]], axis=-1)
     bodies = FreeBodies(scenes, velocity, np.unique(steps).astype(np.int32), below.is_plane)
     runner, made = ready_engine(engine, {}, gpu=len(scenes) >= MANY_WORLDS)
     try:
-        poses = runner.paths(bodies, sim).swapaxes(1, 2)
+        poses = _poses(runner, bodies, sim, boxes.get("restitution")).swapaxes(1, 2)
     finally:
         if made:
             runner.close()
     rows = np.searchsorted(bodies.steps, steps)
     pos, quat = _between(poses[:, :, rows[0]], poses[:, :, rows[1]], share)
     return Trajectories(times, pos.reshape(*axes, -1, 3), quat.reshape(*axes, -1, 4), runner.name)
+
+
+def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatArray | None) -> FloatArray:
+    """(n, s, k, 7) poses of all worlds. Those that bounce alike are simulated together.
+
+    Args:
+        restitution: (n, k, 1) of each box; None: as the physics says.
+
+    Raises:
+        InputError: boxes of a world have several restitutions.
+    """
+    if restitution is None:
+        poses: FloatArray = runner.paths(bodies, sim)
+        return poses
+    of_world = restitution[:, 0, 0]
+    if (restitution[..., 0] != of_world[:, None]).any():
+        raise InputError("restitution must be the same for all boxes of a world")
+    landing_s = sim.physics.landing_s or USUAL_S
+    made: dict[int, FloatArray] = {}
+    for share in np.unique(of_world).tolist():
+        rows = np.flatnonzero(of_world == share)
+        bounces = sim.changed(physics=sim.physics.changed(landing_s=landing_s, restitution=share))
+        alike = replace(bodies, scenes=tuple(bodies.scenes[row] for row in rows), velocity=bodies.velocity[rows])
+        made |= dict(zip(rows.tolist(), runner.paths(alike, bounces), strict=True))
+    return np.stack([made[world] for world in range(len(of_world))])
 
 
 def _options(physics: Any, ground: Any) -> Simulation:

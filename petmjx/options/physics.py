@@ -14,6 +14,9 @@ SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0
 """What lies beyond has the wrong unit or a digit too many."""
 
+HIGHEST_RESTITUTION: Final = 0.9
+"""Cardboard bounces with 0.1 to 0.3, and in single tosses with up to 0.6."""
+
 
 class Cone(StrEnum):
     """Friction cone of the contact model."""
@@ -106,7 +109,7 @@ class Physics(Checked):
         0.0,
         description="time in which what lands is stopped, s; 0: contacts are the same springs as at rest",
     )
-    restitution: Annotated[float, within(0, 0.9)] = Field(
+    restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] = Field(
         0.2, description="share of its speed with which a box bounces, if landing_s is not 0"
     )
     skin_m: Annotated[float, within(0, 0.001)] = Field(
