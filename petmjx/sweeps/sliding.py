@@ -78,7 +78,8 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     if sweep.search is not None or sim.total_time_factor is not None:
         return []
     turns = sweep.axes.get("wrap_turns")
-    if sim.wrap.holds if turns is None else min(turns.values or (turns.low,)) > 0:
+    least = sim.wrap.turns if turns is None else min(float(str(value)) for value in turns.values or (turns.low,))
+    if least > 0:
         return []  # film secures every load
 
     def values(name: str) -> list[float]:
