@@ -153,7 +153,8 @@ class Nominal(Study):
     def __init__(self, sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
         if len(plans) > MAX_WORLDS and not options.allow_large:
             raise InputError(
-                f"{len(plans):,} plans, more than {MAX_WORLDS:,}: pass {option('--yes', 'True', python='allow_large')}"
+                f"{len(plans):,} plans, more than {MAX_WORLDS:,}: "
+                f"pass {option('--yes', 'True', python='allow_large')} to confirm"
             )
         own = [plan for plan in plans if options.takes(plan.plan_id)]
         super().__init__(

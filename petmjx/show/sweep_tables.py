@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -13,6 +14,7 @@ from petmjx.basics.text import box_label
 from petmjx.basics.units import FloatArray
 from petmjx.results.shares import ALL_PLANS
 from petmjx.show.layout import FittedTable, TableColumn, number, percent
+from petmjx.sweeps.axes import AXIS_KINDS
 
 FEW_ROWS: Final = 40
 """Most worlds or searches for which a table with one row each is shown."""
@@ -27,6 +29,9 @@ _DOUBTS: Final = {
     "moving": "~ boxes still moved there when the longest wait was over",
 }
 """Columns of a search's summary that make an answer doubtful, with what tables say; a text begins with its mark."""
+
+_ASKED: Final = ("profile", "direction_deg", "level_g", "scale")
+"""Columns of axes that are columns of the tables in any case, or what is searched for."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
@@ -43,6 +48,16 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
     yield levels_table(summary)
     if len(summary) <= FEW_ROWS:
         yield answers_table(summary)
+
+
+def _varied(summary: pd.DataFrame) -> list[str]:
+    """The columns of axes of placements, such as turns of film, that have several values in a search."""
+    known = (kind.column for kind in AXIS_KINDS.values())
+    return [name for name in known if name in summary and name not in _ASKED and summary[name].nunique() > 1]
+
+
+def _headers(names: Sequence[str]) -> list[TableColumn]:
+    return [TableColumn(name.replace("_", "\n", 1), spare=0) for name in names]
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
@@ -127,21 +142,33 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
     stands "none".
     """
     column, name = _largest(summary)
+    varied = _varied(summary)
     table = FittedTable(
         _PROFILE,
         TableColumn("direction\n°"),
+        *_headers(varied),
         TableColumn("searches"),
         TableColumn("stand\nat rest"),
         TableColumn("survive\nnone"),
         *(TableColumn(header, spare=int(q in (0.25, 0.75))) for header, q in _QUANTILES.items()),
         title=f"largest {name} survived, where placements stand at rest",
+        caption=_more(summary.groupby(["profile", "direction_deg", *varied]).ngroups),
     )
-    for (profile, direction), part in summary.groupby(["profile", "direction_deg"], sort=True):
+    groups = summary.groupby(["profile", "direction_deg", *varied], sort=True)
+    for (profile, direction, *values), part in itertools.islice(groups, MAX_VALUES):
         levels = part.loc[part["stands_at_rest"], column].sort_values(na_position="first")
         counts = len(part), len(levels), int((~(levels > 0)).sum())
-        cells = [str(profile), f"{direction:g}", *(f"{count:,}" for count in counts)]
+        cells = [str(profile), f"{direction:g}", *map(_cell, values), *(f"{count:,}" for count in counts)]
         table.add(*cells, *(_quantile(levels.to_numpy(float), q) for q in _QUANTILES.values()))
     return table
+
+
+def _more(rows: int) -> str:
+    return f"{rows - MAX_VALUES:,} more in summary" if rows > MAX_VALUES else ""
+
+
+def _cell(value: object) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
@@ -156,10 +183,12 @@ def _quantile(levels: FloatArray, q: float) -> str:
 def answers_table(summary: pd.DataFrame) -> FittedTable:
     """One row per search: the largest level survived, and the box that fails first above it."""
     column, name = _largest(summary)
+    varied = _varied(summary)
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         _PROFILE,
         TableColumn("direction\n°"),
+        *_headers(varied),
         TableColumn(f"largest\n{name}"),
         TableColumn("fails", "left"),
         TableColumn("first box", "left", least=8),
@@ -171,6 +200,7 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
             str(row["plan_id"]),
             str(row["profile"]),
             f"{row['direction_deg']:g}",
+            *(_cell(row[name]) for name in varied),
             number(row[column]) + "".join(f" {text[0]}" for mark, text in _DOUBTS.items() if marks[mark][place]),
             str(row["mode"]) if row["stands_at_rest"] else f"at rest: {row['mode']}",
             "" if pd.isna(row["box"]) else box_label(int(row["box"]), row["article"]),

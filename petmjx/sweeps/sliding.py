@@ -77,6 +77,10 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
         return []
+    turns = sweep.axes.get("wrap_turns")
+    least = sim.wrap.turns if turns is None else min(float(str(value)) for value in turns.values or (turns.low,))
+    if least > 0:
+        return []  # film secures every load
 
     def values(name: str) -> list[float]:
         """On an axis that multiplies something, rising."""

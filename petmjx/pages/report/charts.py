@@ -55,7 +55,9 @@ def _span(low: float, high: float, counts: bool) -> str:
     return f"{first:,}" if first == last else f"{first:,} to {last:,}"
 
 
-def histogram(frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str]) -> None:
+def histogram(
+    frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str], threshold: float | None = None
+) -> None:
     """Bars of how many worlds have a value, one class upon the other. Sets the frame's y scale.
 
     Args:
@@ -63,6 +65,9 @@ def histogram(frame: Frame, values: pd.Series, classes: pd.Series, order: Sequen
         order: classes from the lowest bar upwards.
     """
     edges = frame.x.edges(BINS)
+    if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
+        # no bar reaches across it: values on either side of it stand there
+        edges[1 + int(np.abs(edges[1:-1] - threshold).argmin())] = threshold
     known = values.notna()
     clipped = np.clip(values[known].to_numpy(np.float64), frame.x.low, frame.x.high)
     counts = {

@@ -113,7 +113,7 @@ def distributions(run: ReportRun) -> Markup:
 def _histogram(metric: Quantity, worlds: pd.DataFrame, limits: Thresholds, what: str) -> Markup:
     values = metric.of(worlds)
     frame = Frame(f"{metric.title}: histogram", metric.scale(values), Scale(0, 1), metric.label, what)
-    histogram(frame, values, worlds["verdict"], ORDER)
+    histogram(frame, values, worlds["verdict"], ORDER, metric.limit(limits))
     _limit(frame, metric, limits)
     missing = int(values.isna().sum())
     note = f"{missing:,} of {len(values):,} have none." if missing else ""

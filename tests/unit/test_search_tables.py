@@ -1,0 +1,90 @@
+"""Tables of searches have the axes of placements; bars of histograms end at thresholds; film secures loads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from petmjx.pages.report.charts import histogram
+from petmjx.pages.report.svg import Frame, Scale
+from petmjx.show.layout import FittedTable, print_each
+from petmjx.show.sweep_tables import answers_table, levels_table
+from petmjx.sweeps.file import load_sweep
+from petmjx.sweeps.sliding import hopeless_profiles
+
+
+def printed(table: FittedTable, capsys: pytest.CaptureFixture[str]) -> str:
+    print_each([table], Console(width=120))
+    return capsys.readouterr().out
+
+
+def summary(**axes: list[Any]) -> pd.DataFrame:
+    n = len(next(iter(axes.values())))
+    rows = {"plan_id": ["p"] * n, "placement": range(n), "profile": ["eumos-40509"] * n, "direction_deg": [0.0] * n}
+    answers = {
+        "stands_at_rest": [True] * n, "largest_level_g": [0.1 * k for k in range(n)], "mode": ["slide"] * n,
+        "monotone": [True] * n, "box": [1] * n, "article": ["c"] * n,
+    }  # fmt: skip
+    return pd.DataFrame(rows | axes | answers)
+
+
+def test_turns_of_film_are_in_the_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    found = summary(wrap_turns=[1.0, 4.0, 16.0], friction_factor=[0.5, 0.5, 0.5])
+    for table in (answers_table(found), levels_table(found)):
+        lines = printed(table, capsys).splitlines()
+        rows = [line.split() for line in lines if "eumos" in line]
+        assert [row[row.index("0") + 1] for row in rows] == ["1", "4", "16"]
+        assert any("turns" in line for line in lines)
+        assert not any("friction" in line for line in lines), "it has one value"
+
+
+def test_tables_of_searches_without_such_axes_are_as_before(capsys: pytest.CaptureFixture[str]) -> None:
+    found = summary(wrap_turns=[4.0, 4.0])
+    assert "turns" not in printed(answers_table(found), capsys)
+    (row,) = (line for line in printed(levels_table(found), capsys).splitlines() if "eumos" in line)
+    assert row.split()[1:4] == ["0", "2", "2"]
+
+
+def test_many_rows_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    found = summary(friction_factor=[k / 10 for k in range(1, 61)])
+    text = printed(levels_table(found), capsys)
+    assert "10 more in summary" in text
+    assert text.count("eumos-40509") == 50
+
+
+@pytest.mark.parametrize("threshold", [20.0, 7.3, 40.3])
+def test_no_bar_reaches_across_a_threshold(threshold: float) -> None:
+    values = pd.Series([threshold - 0.5, threshold + 0.5, 0.0, 45.0])
+    frame = Frame("tilt", Scale(0, 45), Scale(0, 1), "°", "worlds")
+    histogram(frame, values, pd.Series(["stable"] * 4), ["stable"], threshold)
+    (limit,) = frame.at([threshold], [0.0])[0]
+    bars = [_bar(mark) for mark in map(str, frame.marks) if "<rect" in mark]
+    assert bars
+    for left, right in bars:
+        assert right <= limit + 0.06 or left >= limit - 0.06, "pixels are rounded to tenths"
+    assert any(right <= limit + 0.06 and right > limit - 30 for _, right in bars)
+
+
+def _bar(mark: str) -> tuple[float, float]:
+    import re
+
+    x, width = (float(re.search(rf'\b{name}="([\d.]+)"', mark)[1]) for name in ("x", "width"))  # type: ignore[index]
+    return x, x + width
+
+
+def test_film_secures_a_load(tmp_path: Path) -> None:
+    tilts = '[axes]\nprofile = "eumos-40509"\ndirection = ["+x"]\nlevel = [1.5]\n'
+    cases = {
+        "none": (tilts, True),
+        "film": (tilts + "[simulation.wrap]\nturns = 4\n", False),
+        "turns": (tilts + "wrap_turns = [1, 4]\n", False),
+        "with none": (tilts + "wrap_turns = [0, 4]\n", True),
+    }
+    for name, (text, said) in cases.items():
+        (tmp_path / f"{name}.toml").write_text(text)
+        lines = hopeless_profiles(load_sweep(tmp_path / f"{name}.toml", plans_given=True))
+        assert any("no unsecured load stays in place" in line for line in lines) == said, name
