@@ -29,7 +29,7 @@ from petmjx.plans.gather import PlanSource, usable_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.parts import Part, Row
-from petmjx.results.schema import schemas
+from petmjx.results.schema import data_frame, schemas
 from petmjx.study import NOMINAL
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
@@ -100,7 +100,7 @@ class Scorer(Closable):
             )
         kinds = schemas()
         tables = dict(part.tables(kinds))
-        frames = {name: tables.get(name, kinds[name].empty_table()).to_pandas() for name in Scored.__annotations__}
+        frames = {name: data_frame(tables.get(name, kinds[name].empty_table())) for name in Scored.__annotations__}
         frames["worlds"]["culprit"] = frames["worlds"]["culprit"].astype("Int32")
         return Scored(**frames)
 

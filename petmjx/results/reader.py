@@ -11,7 +11,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
 import pandas as pd
 import pyarrow as pa
 
@@ -19,7 +18,6 @@ from petmjx.basics.arguments import path_of
 from petmjx.basics.bounded import read_regular
 from petmjx.basics.errors import InputError, PetmjxError
 from petmjx.basics.text import counted, one_line
-from petmjx.metrics.spec import world_metrics
 from petmjx.options.carrier import Carrier, OwnCarrier
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import WORLDS
@@ -32,7 +30,7 @@ from petmjx.results.memory import MemoryParts
 from petmjx.results.notebook import worlds_as_html
 from petmjx.results.placements import PLACEMENTS, placements_table
 from petmjx.results.run_file import check_run_file, write_run_file
-from petmjx.results.schema import check_version, placements_schema, plans_schema, schemas
+from petmjx.results.schema import check_version, data_frame, placements_schema, plans_schema, schemas
 from petmjx.results.tables import Tables
 from petmjx.verdict import Verdict
 
@@ -215,13 +213,7 @@ class RunResults:
 
     def _read(self, table: str) -> pd.DataFrame:
         parts = self.parts.table(table) or [schemas()[table].empty_table()]
-        frame: pd.DataFrame = self._given.ordered(pa.concat_tables(parts, promote_options="default")).to_pandas()
-        # numbers that may be missing have one type whether some are or not, as pandas gives those with missing ones
-        return frame.astype({name: np.float64 for name in _NUMBERS if table == "worlds" and name in frame})
-
-
-_NUMBERS: Final = tuple(metric.name for metric in world_metrics() if metric.numbers)
-"""Columns of ``worlds`` with the number of a box or a step."""
+        return data_frame(self._given.ordered(pa.concat_tables(parts, promote_options="default")))
 
 
 def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunResults:

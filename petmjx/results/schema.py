@@ -265,6 +265,17 @@ def summary_table(
     return pa.Table.from_arrays(table.columns, schema=summary_schema(table.schema, units, descriptions or {}))
 
 
+_NUMBERS: Final = tuple(metric.name for metric in spec.world_metrics() if metric.numbers)
+"""Columns of ``worlds`` with the number of a box or a step."""
+
+
+def data_frame(table: pa.Table) -> pd.DataFrame:
+    """A table as a data frame. Numbers of boxes and steps, which may be missing, have the type that pandas gives those
+    of which some are: one type, whatever worlds there are."""
+    frame: pd.DataFrame = table.to_pandas()
+    return frame.astype({name: "float64" for name in _NUMBERS if name in frame})
+
+
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
     """The schema version in a file's metadata; 0 if there is none."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.metrics.spec import BoxMetrics, box_metrics, world_metrics
 from petmjx.results.reader import RunResults
-from petmjx.results.schema import schemas
+from petmjx.results.schema import data_frame, schemas
 from petmjx.verdict import Flag, Outcome, Reason, Verdict
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
@@ -98,8 +98,7 @@ def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: S
         if len(rows):
             found.append(run.parts.read(file, columns).take(rows))
     none = schemas()[table].empty_table().select([name for name in columns if name in schemas()[table].names])
-    frame: pd.DataFrame = pa.concat_tables(found or [none], promote_options="default").to_pandas()
-    return frame
+    return data_frame(pa.concat_tables(found or [none], promote_options="default"))
 
 
 def _only(part: pa.Table, plan_id: str, variant: int) -> pa.Table:
