@@ -14,6 +14,7 @@ import numpy as np
 
 import petmjx
 from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.landing import USUAL_S
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
 MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)

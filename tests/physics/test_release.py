@@ -30,6 +30,9 @@ ROUNDING_M = 1e-6
 TWIN_M = 1e-5
 """A tenth of how deep a contact at rest is: laws that act on what slides may move a box that lands flat by less."""
 
+REBOUND = 0.03
+"""Within which a restitution is met: a rebound of 0.1 from 100 mm is a millimetre, ten times a contact's depth."""
+
 SHAPE_MM = (300.0, 300.0, 100.0)
 MASS_KG = 4.0
 SPIN = np.array([2.0, 1.0, 3.0])
@@ -72,6 +75,18 @@ def symmetric_top(time_s: float) -> NDArray[np.float64]:
     momentum = moments * SPIN
     about_l = turn(momentum, float(np.linalg.norm(momentum)) / moments[0] * time_s)
     return product(about_l, turn(np.array([0.0, 0.0, 1.0]), SPIN[2] * (1 - moments[2] / moments[0]) * time_s))
+
+
+@pytest.mark.parametrize("engine", ENGINES[:2])
+def test_boxes_bounce_as_asked(engine: str) -> None:
+    """Dropped flat from 100 mm."""
+    fall_m, asked = 0.1, np.array([0.0, 0.1, 0.3])
+    answer = release(engine, pos_m=[(0, 0, 0.05 + fall_m)] * 3, restitution=asked, times_s=np.arange(0.0, 1.0, DT))
+    height = answer.pos_m[:, :, 2] - answer.pos_m[:, -1:, 2]
+    landed = (height < 0).argmax(axis=1)
+    rebound = np.array([row[begin:].max() for row, begin in zip(height, landed, strict=True)])
+    np.testing.assert_allclose(np.sqrt(rebound / fall_m), asked, atol=REBOUND)
+    assert height.min() > -0.005
 
 
 def angle(one: NDArray[np.float64], two: NDArray[np.float64]) -> float:

@@ -74,7 +74,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
     every = np.zeros(rows, np.int32)
     every[:n] = math.gcd(*steps.tolist())
     growth = 1
-    program = _program(sim, _fleet(blocks, width, k, boards, n, growth), slice_ns)
+    program = _program(sim, _fleet(sim, blocks, width, k, boards, n, growth), slice_ns)
     workspace = program.march.workspace()
     frames = _room(every, width, program.march.lanes)
     while True:
@@ -85,7 +85,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
         overflowed = status == Status.OVERFLOWED
         if overflowed.any() and growth < MAX_GROWTH:
             growth *= 2
-            program = _program(sim, _fleet(blocks, width, k, boards, n, growth), slice_ns)
+            program = _program(sim, _fleet(sim, blocks, width, k, boards, n, growth), slice_ns)
             workspace = program.march.workspace()
             state = state._replace(status=jnp.where(state.status == Status.OVERFLOWED, Status.RUNNING, state.status))
         elif not (status == Status.RUNNING).any():
@@ -122,9 +122,11 @@ def _program(sim: Simulation, fleet: Fleet, slice_ns: int) -> _Program:
     return _Program(sim, fleet, slice_ns)
 
 
-def _fleet(blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int) -> Fleet:
+def _fleet(
+    sim: Simulation, blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int
+) -> Fleet:
     """Thread blocks for worlds of k boxes: of many worlds a warp each if there are enough of them."""
-    launch = Launch.here(width)
+    launch = replace(Launch.here(width), lands=sim.physics.has_landings)
     shapes = growth * (width + MORE_BOXES) + boards - 1
     fleet = Fleet(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = fleet_for_few(fleet, worlds) if k <= FEW_BOXES.most_boxes else None
