@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from benchmarks.record import environment
 from benchmarks.toss_study import calibration, compared, friction, spread
-from benchmarks.tosses import read_tosses
+from benchmarks.tosses import RESTITUTION, read_tosses
 
 BEGIN: Final = "<!-- measured: begin (made by python -m benchmarks reality) -->"
 END: Final = "<!-- measured: end -->"
@@ -156,7 +156,9 @@ def _tosses(data: Path, limit: int | None, engine: str, *, whole: bool) -> tuple
     tosses = read_tosses(data, limit)
     n = len(tosses)
     told: dict[str, Any] = {"tosses": compared(tosses, engine)}
-    rows = list(_rows_of_errors(told["tosses"], n, engine))
+    told["tosses_that_bounce"] = compared(tosses, engine, restitution=RESTITUTION)
+    rows = list(_rows_of_errors(told["tosses"], f"{n} tosses", n, engine))
+    rows += _rows_of_errors(told["tosses_that_bounce"], f"{n} tosses with restitution {RESTITUTION}", n, engine)
     if whole:
         told |= {"spread": spread(tosses, engine), "friction": friction(tosses, engine)}
         told["calibration"] = calibration(tosses, engine)
@@ -166,26 +168,26 @@ def _tosses(data: Path, limit: int | None, engine: str, *, whole: bool) -> tuple
     return told, rows
 
 
-def _rows_of_errors(found: Mapping[str, Any], n: int, engine: str) -> Iterator[Row]:
+def _rows_of_errors(found: Mapping[str, Any], name: str, n: int, engine: str) -> Iterator[Row]:
     face, place, path = found["right_face"], found["place_median_mm"], found["path_mean_mm"]
     yield Row(
-        f"{n} tosses: face that is up at the end", _CUBE, f"{n} of {n}", f"{percent(face)} right", percent(1 - face),
+        f"{name}: face that is up at the end", _CUBE, f"{n} of {n}", f"{percent(face)} right", percent(1 - face),
         engine, f"meant: {percent(_RIGHT_FACE)}", face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
-        f"{n} tosses: place at the end", _CUBE, "by camera", "–", f"{place:.1f} mm in the median", engine,
+        f"{name}: place at the end", _CUBE, "by camera", "–", f"{place:.1f} mm in the median", engine,
         f"meant: {_PLACE_MM:g} mm", place <= _PLACE_MM,
     )  # fmt: skip
     yield Row(
-        f"{n} tosses: place and orientation along the path", _CUBE, "by camera", "–",
+        f"{name}: place and orientation along the path", _CUBE, "by camera", "–",
         f"{path:.1f} mm, {found['turn_mean_deg']:.1f}° in the mean", engine, f"meant: {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
-    for name, test in found["distributions"].items():
-        words, unit = _NAMES[name]
+    for quantity, test in found["distributions"].items():
+        words, unit = _NAMES[quantity]
         ours, theirs = test["petmjx_median"], test["measured_median"]
         yield Row(
-            f"{n} tosses: distribution of {words}", _CUBE, f"median {theirs:.3g}{unit}", f"median {ours:.3g}{unit}",
+            f"{name}: distribution of {words}", _CUBE, f"median {theirs:.3g}{unit}", f"median {ours:.3g}{unit}",
             f"KS distance {test['ks']:.2f}, p = {test['p']:.2g}", engine, "two-sample Kolmogorov–Smirnov test",
             test["p"] >= _LEAST_P,
         )  # fmt: skip

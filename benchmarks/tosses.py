@@ -33,6 +33,7 @@ HALF_SIDE_MM: Final = 51.2
 MASS_KG: Final = 0.37
 INERTIA_KG_M2: Final = 8.1e-4
 FRICTION: Final = 0.18
+RESTITUTION: Final = 0.125
 """As published with the data."""
 
 ARRAYS: Final = {"pos_m": 3, "quat_wxyz": 4, "vel_m_s": 3, "angvel_body_rad_s": 3}
