@@ -140,7 +140,7 @@ def test_reasons_are_looked_at_in_their_order() -> None:
         assert judge(flags, boxes, 3, Thresholds(), sank=True, placement=before) == (Verdict.INVALID, reason)
         flags &= ~flag
     harmless = Flag.EARLY_STOP | Flag.RERUN_AFTER_OVERFLOW | Flag.FORKED | Flag.SINKING | Flag.MOVING
-    assert flags == harmless | Flag.KNIFE_EDGE | Flag.TIMESTEP | Flag.LEANS
+    assert flags == harmless | Flag.KNIFE_EDGE | Flag.TIMESTEP | Flag.LEANS | Flag.NOT_PLACED
     assert judge(flags, boxes, 3, Thresholds(), sank=True, placement=before) == (Verdict.INVALID, Reason.SINKING)
     assert judge(flags, boxes, 3, Thresholds(), placement=before) == (Verdict.UNSTABLE, Reason.DROP)
     boxes.dropped[:] = False
