@@ -107,7 +107,11 @@ def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
     """The items' own lengths and widths, which tables have, from extents as the boxes stand. Orientations that are none
     are refused later."""
     turned = np.zeros(len(columns["length_mm"]), bool)
-    for box, value in enumerate(list(columns["orientation"])[: len(turned)] if np.ndim(columns["orientation"]) else ()):
+    try:
+        orientations = list(columns["orientation"])
+    except TypeError:  # no list
+        orientations = []
+    for box, value in enumerate(orientations[: len(turned)]):
         turned[box] = isinstance(value, int | float | np.number) and value == 1
     length, width = columns["length_mm"], columns["width_mm"]
     return {"length_mm": np.where(turned, width, length), "width_mm": np.where(turned, length, width)}

@@ -100,7 +100,7 @@ def along_a_line(
 
 
 def compiled(function: Any) -> Any:
-    return with_cpp(function, newton.source("contact.cuh"))
+    return with_cpp(function, newton.defines(newton.SLIP_MACROS) + newton.source("contact.cuh"))
 
 
 @pytest.fixture(scope="module")

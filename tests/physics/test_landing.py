@@ -141,6 +141,7 @@ def test_kernels_land_boxes_as_c_does() -> None:
     with jax.numpy_rank_promotion("allow"):
         found = sorted(engine(slice_ns=LONG_NS).run(jobs, sim), key=lambda outcome: outcome.job)
     for exact, outcome in zip(sorted(MujocoEngine(1).run(jobs, sim), key=lambda each: each.job), found, strict=True):
-        assert outcome.n_steps == exact.n_steps
+        # boxes that slide rest a look or two earlier or later: their excess is known to 0.1 m/s² (petmjx/world/slip.py)
+        assert abs(outcome.n_steps - exact.n_steps) <= 2 * sim.quiet.poll_steps
         np.testing.assert_allclose(outcome.boxes.max_top_force_n, exact.boxes.max_top_force_n, rtol=SAME_ROW)
         np.testing.assert_allclose(outcome.boxes.pos, exact.boxes.pos, atol=1e-5)

@@ -47,5 +47,5 @@ def test_bottles_lean_on_a_carton_that_gives() -> None:
     soft = simulated(PLANS["bottles"])
     rigid = simulated(replace(PLANS["bottles"], stiffness_n_mm=None))
     assert soft.verdict is rigid.verdict is Verdict.STABLE
-    assert soft.boxes.max_tilt_deg[1] == pytest.approx(2.66, abs=0.1)
+    assert soft.boxes.max_tilt_deg[1] == pytest.approx(3.77, abs=0.1)
     assert rigid.boxes.max_tilt_deg[1] < 0.01

@@ -69,7 +69,14 @@ class FakeStepper(PaddedModel):
     def no_forces(self, worlds: int) -> jax.Array:
         return jnp.zeros((worlds, 1))
 
-    def step(self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> Stepped:
+    def step(
+        self,
+        fields: dict[str, jax.Array],
+        inputs: dict[str, jax.Array],
+        forces: jax.Array,
+        faces: None = None,
+        landing: None = None,
+    ) -> Stepped:
         n, c, k = len(inputs["qpos"]), self.capacity, self.capacity + (not self.held)
         mass = fields["body_mass"][:, FIRST_BOX_BODY:]
         pose = inputs["qpos"].reshape(n, k, 7)

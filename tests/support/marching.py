@@ -20,6 +20,7 @@ from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BO
 from petmjx.engines.warp.needs import Needs
 from petmjx.engines.warp.rollout import Rollout
 from petmjx.options.config import Check, Simulation
+from petmjx.options.physics import Physics
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -41,10 +42,10 @@ class OneStep:
     """Takes single steps of a scene whose boxes all stand.
 
     Args:
-        physics: name of a preset.
+        physics: a preset's name, or what a run has.
     """
 
-    def __init__(self, scene: Scene, physics: str) -> None:
+    def __init__(self, scene: Scene, physics: str | Physics) -> None:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
         needs = Needs({size_for(scene.n_boxes).most_boxes: scene.n_boxes})
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), needs, Progress())

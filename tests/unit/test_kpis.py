@@ -343,7 +343,7 @@ def test_the_command(columns: str, capsys: pytest.CaptureFixture[str], monkeypat
             "leaderboard name doe: must be SURNAME_ALGORITHM_TASK or DATE_SURNAME_ALGORITHM_TASK",
         ),
         (["--run", "nowhere"], "nowhere: no such folder"),
-        (["--run", "nowhere", "--assume-stable"], "give either runs or assume_stable (--assume-stable)"),
+        (["--run", "nowhere", "--assume-stable"], "give either runs or --assume-stable"),
     ],
 )
 def test_the_command_refuses(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -79,7 +79,8 @@ def test_what_was_measured_of_boxes_stays_with_the_run(lookers: Lookers[Any], ra
     came = given(raw, "once")
     boxes = [outcome.boxes for _, outcome in came]
     found = dict(lookers.exchanged(came, JOBS, SIM, wait=True))
-    assert [found["once", job].boxes is boxes[job] for job in range(len(JOBS))] == [True, True]
+    assert [found["once", job].boxes.pos is boxes[job].pos for job in range(len(JOBS))] == [True, True]
+    assert [np.isfinite(found["once", job].boxes.plan_edge_m).any() for job in range(len(JOBS))] == [True, True]
     assert [found["once", job] is came[job][1] for job in range(len(JOBS))] == [False, False]
 
 

@@ -8,7 +8,7 @@ Shapes are annotations that tests check at every call. Their axes, here and in `
 * ``shape``: shapes of the bodies, in their order; with the floor before them they are MuJoCo's geoms;
 * ``surface``: surfaces of shapes, between which friction is said;
 * ``coordinate`` and ``velocity``: generalized positions and velocities of one world;
-* ``constraint``: rows of MuJoCo's constraints;
+* ``constraint``: rows of MuJoCo's constraints; ``contact`` and ``geom``: its contacts and its shapes;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
 * ``row`` and ``word``: rows of a table that are picked, and the numbers in each;

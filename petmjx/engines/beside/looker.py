@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from petmjx.basics.text import one_line
+from petmjx.basics.units import FloatArray
 from petmjx.engines.beside.child import next_of, own_pipes
 from petmjx.engines.looked_at import looked_at
 from petmjx.options.config import Simulation
@@ -19,16 +20,21 @@ NICE: Final = 5
 Look = tuple[Sequence[Outcome], Sequence[Job], Simulation]
 """The arguments of ``looked_at``."""
 
+Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
+"""Outcomes without their boxes, and the boxes' edges by the plan and at rest, m: what was found of boxes."""
+
 
 def main() -> None:
-    """Answer each look in turn, with its outcomes without their boxes, or with the line of an error."""
+    """Answer each look in turn, or say the line of an error."""
     looks, answers = own_pipes(NICE)
     while (look := next_of(looks)) is not None:
-        answer: list[Outcome] | str
+        answer: Answer | str
         try:
-            answer = looked_at(*look)
-            for outcome in answer:
+            outcomes = looked_at(*look)
+            edges = [(outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m) for outcome in outcomes]
+            for outcome in outcomes:
                 del outcome.boxes  # the run has them, and would need most of its time for an answer to read them
+            answer = outcomes, edges
         except Exception as error:
             answer = one_line(error)
         try:

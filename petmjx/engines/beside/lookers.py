@@ -154,9 +154,10 @@ class Lookers(Generic[Key]):
             if isinstance(answer, str):  # an error, which is raised here
                 self._look(keys, look)
                 continue
-            for outcome, sent in zip(answer, look[0], strict=True):
-                outcome.boxes = sent.boxes
-            self._found += zip(keys, answer, strict=True)
+            outcomes, edges = answer
+            for outcome, sent, (plan_edge_m, rest_edge_m) in zip(outcomes, look[0], edges, strict=True):
+                outcome.boxes = replace(sent.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
+            self._found += zip(keys, outcomes, strict=True)
 
     def close(self) -> None:
         """End the processes. What is unanswered is for nobody."""

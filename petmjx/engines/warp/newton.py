@@ -34,6 +34,7 @@ The method itself is CUDA C++: petmjx/engines/warp/newton.cu and the files that 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from importlib import resources
 
 from petmjx.engines.warp.records import PANEL
@@ -49,6 +50,13 @@ SLIP_ROUNDS = 12
 """Iterations after the first one that may change the excess of contacts that slide (petmjx/world/slip.py). The other
 engines change it between two calls of their solver. With these, steps of bricks that slide and tip take 6.6 iterations
 (without the law 7.4), those of a heap 24.9 (21.8); with 40 those of a heap take 40."""
+
+SLIP_MACROS = {
+    "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
+    "PETMJX_SLIP_RELAXATION": RELAXATION,
+    "PETMJX_SLIP_ENOUGH": ENOUGH_M_S2,
+}
+"""What C++ calls the numbers of contacts that slide."""
 
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
@@ -80,11 +88,14 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
         "PETMJX_WORLDS": worlds,
         "PETMJX_THREADS": threads,
         "PETMJX_PAUSE_AFTER": pause_after,
-        "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
-        "PETMJX_SLIP_RELAXATION": RELAXATION,
-        "PETMJX_SLIP_ENOUGH": ENOUGH_M_S2,
+        **SLIP_MACROS,
     }
-    return "".join(f"#define {name} {number}\n" for name, number in numbers.items()) + source("newton.cu")
+    return defines(numbers) + source("newton.cu")
+
+
+def defines(numbers: Mapping[str, float]) -> str:
+    """C++ that gives numbers their names."""
+    return "".join(f"#define {name} {number}\n" for name, number in numbers.items())
 
 
 def source(name: str, included: set[str] | None = None) -> str:
