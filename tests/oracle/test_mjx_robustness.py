@@ -36,7 +36,9 @@ JOBS = [MARKED if world % 8 == 3 else PLAIN for world in range(40)]
 class PoisonedStepper(FakeStepper):
     """Marked boxes turn into no number."""
 
-    def step(self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> Stepped:
+    def step(
+        self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array, *others: None
+    ) -> Stepped:
         after = super().step(fields, inputs, forces)
         marked = fields["body_mass"][:, FIRST_BOX_BODY:] == MARKED_KG
         happens = (marked & (after.top_force == HAPPENS_AT_AGE)).any(-1, keepdims=True)

@@ -28,6 +28,9 @@ LANDING_S = 0.003
 SAME_ROW = 1e-3
 """Of reference accelerations, m/s², and of constraints' stiffness: float32."""
 
+SAME_SLIDE_M = 1e-4
+"""The box that lands askew slides: engines know the excess of its contacts to 0.1 m/s² (petmjx/world/slip.py)."""
+
 SAME_PEAK = 0.05
 """Of a peak at half the timestep, relative: it lasts for dozens of steps."""
 
@@ -144,4 +147,4 @@ def test_kernels_land_boxes_as_c_does() -> None:
         # boxes that slide rest a look or two earlier or later: their excess is known to 0.1 m/s² (petmjx/world/slip.py)
         assert abs(outcome.n_steps - exact.n_steps) <= 2 * sim.quiet.poll_steps
         np.testing.assert_allclose(outcome.boxes.max_top_force_n, exact.boxes.max_top_force_n, rtol=SAME_ROW)
-        np.testing.assert_allclose(outcome.boxes.pos, exact.boxes.pos, atol=1e-5)
+        np.testing.assert_allclose(outcome.boxes.pos, exact.boxes.pos, atol=SAME_SLIDE_M)
