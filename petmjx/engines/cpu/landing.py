@@ -12,7 +12,7 @@ from petmjx.basics.units import FloatArray
 from petmjx.options.physics import Physics
 from petmjx.world.landing import FAST_M_S, lasts_steps, pull, stiffening
 
-_CALM_M_S2 = 0.5
+CALM_M_S2 = 0.5
 """Root of the sum of squares of all accelerations, m/s² and rad/s², up to which steps are taken many at a time: in five
 steps a box becomes faster by at most 5 mm/s."""
 
@@ -67,7 +67,7 @@ class Landings:
         if placed != live.n_placed or self.left.any():
             return False
         speed, acceleration = data.qvel, data.qacc
-        return bool(speed.dot(speed) < (0.5 * FAST_M_S) ** 2 and acceleration.dot(acceleration) < _CALM_M_S2**2)
+        return bool(speed.dot(speed) < (0.5 * FAST_M_S) ** 2 and acceleration.dot(acceleration) < CALM_M_S2**2)
 
     def act(self, live: MovingWorld) -> None:
         """Between collision and solver: find boxes that begin to land, and change the contacts while any does."""

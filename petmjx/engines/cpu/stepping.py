@@ -8,6 +8,7 @@ import numpy as np
 
 from petmjx.basics.units import FloatArray
 from petmjx.engines.cpu.forces import pressed
+from petmjx.engines.cpu.landing import CALM_M_S2
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.engines.cpu.running import OracleMetrics
 from petmjx.engines.cpu.soft import SoftWorld
@@ -17,10 +18,6 @@ from petmjx.options.config import Simulation
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
 """A pallet whose squares of speeds, m/s and rad/s, add up to no more has no point within 1 m of its box's centre that
 is faster than ``RESTLESS_M_S``."""
-
-_CALM_SQUARE = 0.5**2
-"""The same of accelerations, m/s² and rad/s²: in five steps, the time between two looks for quiet, a box becomes faster
-by at most 5 mm/s."""
 
 
 class Stepper:
@@ -81,4 +78,4 @@ class Stepper:
 def _is_calm(live: LiveWorld | SoftWorld) -> bool:
     """Whether no box is fast, nor becomes fast before the next look for quiet."""
     speed, acceleration = live.data.qvel, live.data.qacc
-    return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= _CALM_SQUARE)
+    return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= CALM_M_S2**2)
