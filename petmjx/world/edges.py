@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.world.balanced import BEYOND_M, balanced
-from petmjx.world.bearing import Bearing, bearings_of, find_bearings, together
+from petmjx.world.bearing import Bearing, find_bearings, together
 from petmjx.world.scene import Scene
 
 ROUNDING_M: Final = 1e-9
@@ -44,13 +44,8 @@ class Edges(NamedTuple):
         return nearer
 
 
-def plan_edges(scenes: Sequence[Scene], placed: Sequence[int]) -> list[Edges]:
-    """The edges of each scene's boxes by the plan, once so many are ``placed``."""
-    return edges_of(bearings_of(scenes), placed)
-
-
 def rest_edges(scenes: Sequence[Scene], pos: Sequence[FloatArray]) -> list[Edges]:
-    """The same where the boxes of pallets that stand have come to rest: (n, 3) centres of each scene, m."""
+    """The edges of the boxes of pallets that stand where they have come to rest: (n, 3) centres of each scene, m."""
     return edges_of(find_bearings(scenes, pos), [scene.n_boxes for scene in scenes])
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.edges import plan_edges
 from support.plans import Box, make_plan, make_scene, stack
 
 from petmjx.engines.cpu.live import LiveWorld
@@ -14,7 +15,6 @@ from petmjx.history import CARRIER
 from petmjx.options.config import Simulation
 from petmjx.options.physics import PHYSICS
 from petmjx.world.bearing import bearing_of, bearings_of, find_bearing, find_bearings, together
-from petmjx.world.edges import plan_edges
 from petmjx.world.hull import hull_edges, hull_table
 from petmjx.world.release import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene, build_scene

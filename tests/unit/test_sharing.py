@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import linprog, nnls
+from support.edges import plan_edges
 from support.plans import Box, make_scene
 
 import petmjx
@@ -17,7 +18,6 @@ from petmjx.options.config import Simulation
 from petmjx.world import building
 from petmjx.world.bearing import bearing_of, bearings_of, together
 from petmjx.world.building import building_edges, built_of
-from petmjx.world.edges import plan_edges
 from petmjx.world.hull import hull_table
 from petmjx.world.pushing import on_edges, pulls, pushes
 from petmjx.world.scene import Scene, build_scene
