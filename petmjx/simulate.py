@@ -25,6 +25,7 @@ from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.by_place import LARGE, Places
+from petmjx.results.going_on import engine_of_run
 from petmjx.results.manifest import Manifest, PlanRecord, records_of
 from petmjx.results.placements import placements_table
 from petmjx.results.plain import plain
@@ -102,7 +103,9 @@ def simulate(
         notes = [*found.notes, *about]
         found = replace(found, skipped=[*found.skipped, *late], notes=notes)
         records = records_of(study.everything, found.numbers)
-    with engine_for(options, study.work, ahead) as (engine, choice):
+    earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
+    hands_over = not options.record_details  # which C MuJoCo records alone
+    with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, found, records, orders, engine, choice, recording, intervals)
         return run.results(watcher, {} if are_files(plans) else {each.plan_id: each for each in study.everything})

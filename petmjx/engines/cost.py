@@ -9,7 +9,7 @@ that square, too; but of plans with more boxes more steps are at rest, so that t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -210,6 +210,11 @@ class ThreadCosts:
     errors: Errors
     film_s: float = 0.0
 
+    def slowed(self, factor: float) -> ThreadCosts:
+        """Those of a thread that takes so many times as long."""
+        times = ("rest_s", "overhead_s", "landing_s", "shaken_s", "fall_s", "film_s")
+        return replace(self, **{name: factor * getattr(self, name) for name in times})
+
     def seconds(self, work: Work, threads: int) -> float:
         """Expected time, s, with the worlds shared out over threads: at least that of the longest one."""
         placing_s, driving_s = self.placing_s(work), self.driving_s(work.boxes, work.drive_steps)
@@ -262,6 +267,16 @@ class Costs:
     tail_worlds: int = 900
     gpu_start_s: float = 17.0
 
+    def slowed(self, factor: float) -> Costs:
+        """Those of a machine whose CPU threads take so many times as long; of GPUs nothing is known."""
+        return replace(
+            self,
+            mujoco=self.mujoco.slowed(factor),
+            kernel=self.kernel.slowed(factor),
+            kernel_start_s=factor * self.kernel_start_s,
+            jax_step_s=factor * self.jax_step_s,
+        )
+
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
         """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
         n_plans = len(work.boxes)
@@ -279,11 +294,12 @@ class Costs:
             + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER, work.drive_steps).mean())),
         }
 
-    def of_jobs(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
-        """(n,) expected time of each job on one CPU thread, s."""
-        each, placements, drive_steps = _expected(jobs, sim, self.mujoco.errors)
-        drives_s = self.mujoco.driving_s(each.boxes, drive_steps)
-        return np.asarray(placements * self.mujoco.placing_s(each) + drives_s)
+    def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
+        """(n,) expected time of each job on one CPU thread, s. costs: of the engine; None: of ``mujoco``."""
+        costs = costs or self.mujoco
+        work, placements, drive_steps = _expected(jobs, sim, costs.errors)
+        drives_s = costs.driving_s(work.boxes, drive_steps)
+        return np.asarray(placements * costs.placing_s(work) + drives_s)
 
     def of_jobs_on_device(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
         """(n,) expected time of each job in a thread block of ``mjx-warp``, in units of a step of one box."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from typing import Final
@@ -72,7 +73,7 @@ class MujocoEngine(Engine):
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
         begun = 0
-        pending: set[Future[Outcome]] = set()
+        pending: set[Future[tuple[Outcome, float]]] = set()
         with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
                 while pending or begun < len(jobs):  # jobs may have been appended meanwhile
@@ -83,9 +84,10 @@ class MujocoEngine(Engine):
                     if not finished and progress.pauses:
                         yield None  # type: ignore[misc]  # who asked for pauses takes it
                     outcomes = [future.result() for future in finished]
-                    for more, outcome in zip(reversed(range(len(outcomes))), outcomes, strict=True):
+                    for more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
                         progress.at_hand = more
                         progress.worlds_done += 1
+                        progress.thread_s += thread_s
                         progress.world_steps += outcome.n_steps
                         yield outcome
             finally:
@@ -93,10 +95,15 @@ class MujocoEngine(Engine):
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event, timeout_s: float | None = None) -> Outcome:
+def _simulate(
+    index: int, job: Job, sim: Simulation, stop: threading.Event, timeout_s: float | None = None
+) -> tuple[Outcome, float]:
+    """A world's outcome, and the CPU time of this thread that it took, s."""
+    begin_s = time.thread_time()
     try:
-        return WorldRun(index, job, sim, stop.is_set, timeout_s).run()
+        outcome = WorldRun(index, job, sim, stop.is_set, timeout_s).run()
     except Cancelled:
         raise
     except Exception as error:
-        return failed_outcome(index, job, sim, one_line(error))
+        outcome = failed_outcome(index, job, sim, one_line(error))
+    return outcome, time.thread_time() - begin_s
