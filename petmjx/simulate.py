@@ -33,6 +33,7 @@ from petmjx.results.reader import RunResults
 from petmjx.results.recording import Recording, recording_of
 from petmjx.results.writer import RunWriter
 from petmjx.study import FinishedWorld, Study
+from petmjx.verdict import Reason
 from petmjx.world.idle import notes_about
 from petmjx.world.scene import Scene
 
@@ -231,7 +232,8 @@ class _Run:
         writer.add(plan, index, study.sim.schedule.value, outcome, world.attempts, values, interval_n)
         if world.outcome.message:
             variant = f", variant {index}" if study.params else ""
-            writer.warn(f"plan {shown(plan.plan_id)}{variant}: failed: {world.outcome.message}")
+            failed = "failed: " if world.outcome.reason is Reason.FAILED else ""
+            writer.warn(f"plan {shown(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
         """(n, 2) least and most force on top of each box, N; None where that is not asked for, and after a drive, since
