@@ -168,8 +168,10 @@ def resolve_engine(
         name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
     if hands_over and asked == AUTO and name == "mujoco" and options.world_timeout_s is None:
-        from petmjx.engines.handover import HandoverEngine  # it imports MuJoCo
+        from petmjx.engines.cpu.engine import MujocoEngine  # it imports MuJoCo
+        from petmjx.engines.handover import HandoverEngine
 
         kernels = "mjx-warp-cpu"
+        assert isinstance(engine, MujocoEngine)
         return HandoverEngine(engine, lambda: make_engine(kernels, **options_of(kernels, options)), costs), choice
     return engine, choice
