@@ -1,4 +1,7 @@
-"""Estimates of time against what runs took: scores, scores with errors, static checks, drives, searches."""
+"""Estimates of time against what runs took: scores, scores with errors, static checks, drives, searches.
+
+A line has how slow the machine was meanwhile (petmjx/engines/speed.py), and the estimate for that.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,16 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from typing import Any, Final
 
+import numpy as np
+
 from benchmarks.record import environment, timed
 from petmjx.engines.cost import MEASURED, Work
+from petmjx.engines.speed import REFERENCE_S, block_s
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import generate_one
+from petmjx.plans.samples.orders import draw_order
 from petmjx.plans.validate import parse_plan
 from petmjx.simulate import simulate
 from petmjx.study import Nominal, Study
@@ -35,8 +42,12 @@ def cases() -> Iterator[tuple[str, str, Simulation, Ask]]:
         sure = confidence_sweep(4, None, chosen)
         for name in ("tiny", "small", "few", "first given"):
             yield what, name, sure.simulation, partial(SweepStudy, sure, confidence=4)
-    for name in ("middle", "given"):
+    yield "score", "falling", usual, partial(Nominal, usual)
+    for name in ("middle", "falling", "given"):
         yield "static", name, static, partial(Nominal, static)
+    for what, chosen in (("score epal-1", {"carrier": "epal-1"}), ("score hand", {"placing": "hand"})):
+        sim = Simulation(**chosen)
+        yield what, "small", sim, partial(Nominal, sim)
     for sweep_name, name in SWEEPS:
         sweep = load_sweep(find_sweep(sweep_name), plans_given=True)
         yield sweep_name, name, sweep.simulation, partial(SweepStudy, sweep)
@@ -46,6 +57,7 @@ SWEEPS: Final = (
     ("eumos", "stack"),
     ("eumos", "few"),
     ("eumos-search", "few"),
+    ("wrap-search", "stack"),
     ("tilt", "few"),
     ("placement-error", "stack"),
     ("placement-error", "one"),
@@ -63,6 +75,7 @@ def sizes(given: Sequence[Plan] = ()) -> dict[str, list[Plan]]:
         "small": by_size[:12],
         "middle": drawn[:8],
         "large": by_size[-4:],
+        "falling": [shelf_plan(number) for number in range(20, 30)],
         "few": drawn[12:14],
         "one": by_size[1:2],
         **({"given": list(given), "first given": list(given[:1])} if given else {}),
@@ -73,6 +86,23 @@ def plan_of(index: int) -> Plan:
     """A plan of the packer ``balanced``."""
     plan_id, placements = generate_one(index, SEED, packer="balanced")
     return parse_plan(plan_id, "estimates", placements, len(placements), {})
+
+
+def shelf_plan(number: int) -> Plan:
+    """Boxes in rows, by falling height, each layer on top of the tallest box below: most of them stand on little."""
+    x = y = z = row = layer = 0.0
+    size_mm, corner_mm, mass_kg = [], [], []
+    for item in sorted(draw_order(3, number).items, key=lambda item: -item.height_mm)[:24]:
+        length, width, height = item.length_mm, item.width_mm, item.height_mm
+        if x + length > 1200:
+            x, y, row = 0.0, y + row, 0.0
+        if y + width > 800:
+            x, y, z, layer, row = 0.0, 0.0, z + layer, 0.0, 0.0
+        size_mm.append((length, width, height))
+        corner_mm.append((x, y, z))
+        mass_kg.append(item.weight_kg)
+        x, row, layer = x + length, max(row, width), max(layer, height)
+    return Plan.from_boxes(f"shelf-{number}", size_mm=size_mm, corner_mm=corner_mm, mass_kg=mass_kg)
 
 
 def cut(plan: Plan, n: int) -> Plan:
@@ -97,8 +127,10 @@ def compared(
             continue
         options = RunOptions(engine=engine, threads=threads)
         study: Study = ask(some, options)
+        slow = block_s()
         with timed() as clock:
             results = simulate(ask, sim, some, options)
+        slow = (slow + block_s()) / 2 / REFERENCE_S
         compile_s = float(results.info["timings"].get("compile_s", 0.0))
         yield {
             "case": "estimates",
@@ -107,7 +139,8 @@ def compared(
             "plans": name,
             "engine": engine,
             "threads": threads,
-            "estimate_s": round(MEASURED.seconds(study.work, threads)[engine] - start_s(engine), 2),
+            "slowness": round(slow, 2),
+            "estimate_s": round(slow * (MEASURED.seconds(study.work, threads)[engine] - start_s(engine)), 2),
             "seconds": round(clock.wall_s - compile_s, 2),
             "cpu_s": round(clock.cpu_s - compile_s, 2),
             "compile_s": round(compile_s, 2),
@@ -129,6 +162,9 @@ def described(work: Work) -> dict[str, Any]:
         "carried": work.carried,
         "drives": work.drives,
         "drive_steps": work.drive_steps,
+        "carrier": str(work.sim.carrier),
+        "filmed": work.filmed,
+        "placed_share": np.round(np.asarray(work.placed_share, dtype=float), 3).tolist(),
     }
 
 

@@ -25,6 +25,7 @@ from petmjx.plans.ordered import OrderCheck, check_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.results.by_place import LARGE, Places
+from petmjx.results.going_on import engine_of_run
 from petmjx.results.manifest import Manifest, PlanRecord, records_of
 from petmjx.results.placements import placements_table
 from petmjx.results.plain import plain
@@ -32,6 +33,7 @@ from petmjx.results.reader import RunResults
 from petmjx.results.recording import Recording, recording_of
 from petmjx.results.writer import RunWriter
 from petmjx.study import FinishedWorld, Study
+from petmjx.verdict import Reason
 from petmjx.world.idle import notes_about
 from petmjx.world.scene import Scene
 
@@ -102,7 +104,9 @@ def simulate(
         notes = [*found.notes, *about]
         found = replace(found, skipped=[*found.skipped, *late], notes=notes)
         records = records_of(study.everything, found.numbers)
-    with engine_for(options, study.work, ahead) as (engine, choice):
+    earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
+    hands_over = not options.record_details  # which C MuJoCo records alone
+    with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, found, records, orders, engine, choice, recording, intervals)
         return run.results(watcher, {} if are_files(plans) else {each.plan_id: each for each in study.everything})
@@ -228,7 +232,8 @@ class _Run:
         writer.add(plan, index, study.sim.schedule.value, outcome, world.attempts, values, interval_n)
         if world.outcome.message:
             variant = f", variant {index}" if study.params else ""
-            writer.warn(f"plan {shown(plan.plan_id)}{variant}: failed: {world.outcome.message}")
+            failed = "failed: " if world.outcome.reason is Reason.FAILED else ""
+            writer.warn(f"plan {shown(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
         """(n, 2) least and most force on top of each box, N; None where that is not asked for, and after a drive, since

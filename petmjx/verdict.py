@@ -112,7 +112,7 @@ class Outcome:
     """Least distances of loads from edges, m, whose they are, and after which box is placed; -1 for none. Filled in by
     petmjx.engines.looked_at, too, as those of boxes are."""
     message: str = ""
-    """Why there is no result, in one line, if ``reason`` is ``failed``."""
+    """Why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
     """The frames, if the job asked for them."""
 

@@ -27,6 +27,7 @@ class Progress:
     """Totals that an engine updates while it runs.
 
     Attributes:
+        thread_s: CPU time of ``mujoco``'s threads for worlds that have ended, s.
         message: what it is doing (compiling, …).
         at_hand: so many outcomes follow the last one at once, or more; None where the engine does not say. It is
             believed where the engine's ``run`` is marked with ``says_at_hand``.
@@ -37,6 +38,7 @@ class Progress:
 
     worlds_done: int = 0
     world_steps: int = 0
+    thread_s: float = 0.0
     compile_s: float = 0.0
     message: str = ""
     at_hand: int | None = None
@@ -132,12 +134,15 @@ class Engine(Simulates, Protocol):
             first part is small, so that it begins soon.
         looks: whether it has looked at its outcomes (petmjx/engines/looked_at.py).
         devices: GPUs that simulate at the same time: it is given so many times as many worlds at once.
+        names_engines: whether it has several engines. Its outcomes then say which made them, and its jobs have the
+            states that they start from with the engines that made these (``KeptState``).
     """
 
     takes_more: bool = False
     takes_parts: bool = False
     looks: bool = False
     devices: int = 1
+    names_engines: bool = False
 
     @property
     def device(self) -> str:

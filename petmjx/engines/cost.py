@@ -9,11 +9,13 @@ that square, too; but of plans with more boxes more steps are at rest, so that t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray, seconds_to_steps
+from petmjx.options.carrier import Carrier
 from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.world.job import Drive, Job
 
@@ -62,6 +64,14 @@ FALL_STEPS = 1350
 """Steps from the first box that tips over to the drop that ends a world placed box by box: 22 plans of two shelf
 packers, of which all fall, take 1,730 to 1,910 steps in the mean, of which placing takes some 450."""
 
+STATIC_FALL_STEPS = 600
+"""Steps in which boxes of a static check fall until one has dropped, at most: 480 of ten shelf packings, with more
+iterations each than where single boxes fall."""
+
+BOARDS_COST = 1.25
+"""Cost of a step on a carrier of boards, relative to a slab: 1.2 to 1.5 times with scores, drives and searches of 5 to
+30 boxes on epal-1 and gma-48x40."""
+
 FALL_BOXES = 7
 """Boxes that are placed meanwhile, in the same plans."""
 
@@ -85,9 +95,9 @@ class Errors:
         return self.displaced if job.has_errors else 1.0
 
 
-ERROR_STEPS = Errors(displaced=2.1, carried=4.0)
-"""Their steps: shares of 0.154 and 0.285 of the fixed schedule's, for 0.072; by hand 0.45 with few boxes, 0.24 with
-many."""
+ERROR_STEPS = Errors(displaced=1.1, carried=4.0)
+"""Their steps: where boxes are moved apart before they appear, hardly more than as planned; by hand a share of 0.285 of
+the fixed schedule's, for 0.072: 0.45 with few boxes, 0.24 with many."""
 
 ON_DEVICE = Errors(displaced=2.8, carried=4.5)
 """Their cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s, where 10,003 without
@@ -136,18 +146,32 @@ class Work:
     @property
     def share(self) -> FloatArray:
         """(n,) share of the boxes of each plan that are placed before the world ends."""
-        known = len(self.placed_share) > 0 and self.sim.check is Check.ONE_BY_ONE and self.sim.early_stop
+        known = self._falls.any() and self.sim.check is Check.ONE_BY_ONE
         return np.asarray(self.placed_share, dtype=float) if known else np.ones(len(self.boxes))
+
+    @property
+    def _falls(self) -> NDArray[np.bool_]:
+        """(n,) whether a box of each plan tips over, which ends the world."""
+        known = len(self.placed_share) > 0 and self.sim.early_stop
+        return np.asarray(self.placed_share, dtype=float) < 1.0 if known else np.zeros(len(self.boxes), dtype=bool)
 
     @property
     def fall_steps(self) -> FloatArray:
         """(n,) steps in which boxes fall, before the world ends."""
-        return np.where(self.share < 1.0, float(FALL_STEPS), 0.0)
+        if self.sim.check is Check.ONE_BY_ONE:
+            return np.where(self._falls, float(FALL_STEPS), 0.0)
+        return np.where(self._falls, np.minimum(self.fixed_steps, STATIC_FALL_STEPS), 0.0)
 
     @property
     def shaken(self) -> FloatArray:
         """(n,) drives of each plan: what does not stand is not shaken."""
-        return np.where(self.share < 1.0, 0.0, float(self.drives))
+        return np.where(self._falls, 0.0, float(self.drives))
+
+    @property
+    def on_boards(self) -> bool:
+        """Whether the carrier has boards."""
+        slabs = (Carrier.FOOTPRINT, Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
+        return self.sim.carrier not in slabs
 
     @property
     def fixed_steps(self) -> FloatArray:
@@ -196,6 +220,8 @@ class ThreadCosts:
         rest_s: time for a step of a world at rest, s per box to the power ``REST_POWER``.
         overhead_s: time that any step takes in addition, s.
         landing_s: time that it takes in addition until a box has landed, s per box² of those that stand then.
+        driven_s: time that a step of a drive takes in addition, s: forces of each count, and contacts slide.
+        board_s: time that a step takes in addition on a carrier of boards, s per box: all pairs are looked at.
         shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
         fall_s: time that a step takes in addition in which boxes of a placement fall, s per box².
         errors: what placements with errors cost.
@@ -209,6 +235,13 @@ class ThreadCosts:
     fall_s: float
     errors: Errors
     film_s: float = 0.0
+    driven_s: float = 0.0
+    board_s: float = 0.0
+
+    def slowed(self, factor: float) -> ThreadCosts:
+        """Those of a thread that takes so many times as long."""
+        times = ("rest_s", "overhead_s", "landing_s", "shaken_s", "fall_s", "film_s", "driven_s", "board_s")
+        return replace(self, **{name: factor * getattr(self, name) for name in times})
 
     def seconds(self, work: Work, threads: int) -> float:
         """Expected time, s, with the worlds shared out over threads: at least that of the longest one."""
@@ -217,6 +250,10 @@ class ThreadCosts:
         thread_s = float((work.as_planned(self.errors) * placing_s + work.shaken * driving_s).sum())
         each_s = (self.errors.carried if work.carried else self.errors.displaced if work.displaced else 1.0) * placing_s
         longest_s = float((each_s + np.where(work.shaken > 0, driving_s, 0.0)).max())
+        if work.on_boards:
+            # of the boxes half are there, in the mean
+            thread_s += 0.5 * self.board_s * float((work.steps * np.asarray(work.boxes)).sum())
+            return BOARDS_COST * max(thread_s / threads, longest_s)
         return max(thread_s / threads, longest_s)
 
     def placing_s(self, work: Work) -> FloatArray:
@@ -235,7 +272,8 @@ class ThreadCosts:
         """(n,) time of a drive of each plan, s. steps: of the drive."""
         n = np.asarray(boxes, dtype=float)
         at_rest = self.rest_s * n**REST_POWER + self.overhead_s
-        return np.asarray(at_rest * steps + self.shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS))
+        shaken_s = self.shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS)
+        return np.asarray((at_rest + self.driven_s) * steps + shaken_s)
 
 
 @dataclass(frozen=True)
@@ -253,14 +291,26 @@ class Costs:
         gpu_start_s: time to start the device engine, with compilation, s.
     """
 
-    mujoco: ThreadCosts = ThreadCosts(1.3e-6, 2.2e-5, 1.9e-6, 6.5e-7, 1e-6, Errors(8.0, 9.5), film_s=2.5e-4)
-    kernel: ThreadCosts = ThreadCosts(4e-7, 6e-6, 9e-7, 6e-8, 1.5e-7, Errors(5.5, 5.5))
+    mujoco: ThreadCosts = ThreadCosts(
+        1.3e-6, 2.2e-5, 1.9e-6, 6.5e-7, 1e-6, Errors(2.0, 9.5), film_s=1.2e-4, driven_s=3.5e-5
+    )
+    kernel: ThreadCosts = ThreadCosts(4e-7, 6e-6, 9e-7, 6e-8, 1.5e-7, Errors(1.3, 4.9), board_s=3e-6)
     kernel_start_s: float = 10.0
     jax_step_s: float = 1.1e-5
     gpu_step_s: float = 2.6e-6
     full_worlds: int = 264
     tail_worlds: int = 900
     gpu_start_s: float = 17.0
+
+    def slowed(self, factor: float) -> Costs:
+        """Those of a machine whose CPU threads take so many times as long; of GPUs nothing is known."""
+        return replace(
+            self,
+            mujoco=self.mujoco.slowed(factor),
+            kernel=self.kernel.slowed(factor),
+            kernel_start_s=factor * self.kernel_start_s,
+            jax_step_s=factor * self.jax_step_s,
+        )
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
         """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
@@ -279,11 +329,12 @@ class Costs:
             + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER, work.drive_steps).mean())),
         }
 
-    def of_jobs(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
-        """(n,) expected time of each job on one CPU thread, s."""
-        each, placements, drive_steps = _expected(jobs, sim, self.mujoco.errors)
-        drives_s = self.mujoco.driving_s(each.boxes, drive_steps)
-        return np.asarray(placements * self.mujoco.placing_s(each) + drives_s)
+    def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
+        """(n,) expected time of each job on one CPU thread, s. costs: of the engine; None: of ``mujoco``."""
+        costs = costs or self.mujoco
+        work, placements, drive_steps = _expected(jobs, sim, costs.errors)
+        drives_s = costs.driving_s(work.boxes, drive_steps)
+        return np.asarray(placements * costs.placing_s(work) + drives_s)
 
     def of_jobs_on_device(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
         """(n,) expected time of each job in a thread block of ``mjx-warp``, in units of a step of one box."""
@@ -309,7 +360,8 @@ MEASURED = Costs()
 benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, with which tests compare it, and those of
 tests/unit/test_choose.py.
 
-CPU threads: one thread of two virtual EPYC cores, physics ``pallet``: scores of generated plans of 5 to 80 boxes and
+CPU threads: one thread of two virtual EPYC cores, and a busier one that was 2.3 to 3.6 times as slow
+(petmjx/engines/speed.py), physics ``pallet``: scores of generated plans of 5 to 80 boxes and
 third-party ones of 16 to 241, static checks, both schedules, scores with confidence, placed exactly and by hand,
 EUMOS's drives and search, tilts, placement errors. Plans in which a box tips over as soon as it is let go are fitted to
 shelf packings of 24 boxes (tests/unit/test_falling_plans.py), and film to EUMOS's drives of 8, 20 and 44 boxes with 1

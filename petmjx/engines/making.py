@@ -124,7 +124,7 @@ class Making(Generic[AnyWorld]):
         Args:
             batch: is emptied, as of ``run``.
         """
-        asked = _Asked[AnyWorld]()
+        asked, maker = _Asked[AnyWorld](), "" if engine.names_engines else engine.name
         jobs = self._jobs_of(batch, asked, engine)
         batch.clear()
         takes_more = self.more is not None and engine.takes_more
@@ -142,7 +142,7 @@ class Making(Generic[AnyWorld]):
             except BaseException as error:  # ctrl-C, too, loses nothing that has come
                 if self.lookers is not None and not isinstance(error, Exception):
                     self.lookers.hurry()
-                yield from self.made(came, engine.name, looks=engine.looks)
+                yield from self.made(came, maker, looks=engine.looks)
                 if not isinstance(error, Exception):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
@@ -152,7 +152,7 @@ class Making(Generic[AnyWorld]):
                 self.engines.note_failure(engine.name, self.attempt.number, len(asked.unanswered), self._message)
                 return list(asked.unanswered.values())
             if answer is None and tells:
-                yield from self.made([], engine.name, looks=engine.looks, wait=False)
+                yield from self.made([], maker, looks=engine.looks, wait=False)
                 yield None
                 continue
             if answer is _END:
@@ -165,12 +165,12 @@ class Making(Generic[AnyWorld]):
             idle = not (tells and progress.at_hand)
             if len(came) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
-                yield from self.made(came, engine.name, looks=engine.looks, wait=idle, until=until)
+                yield from self.made(came, maker, looks=engine.looks, wait=idle, until=until)
                 came = []
             if takes_more:
                 assert self.more is not None
                 jobs += self._more_jobs(self.more(), asked, engine)
-        yield from self.made(came, engine.name, looks=engine.looks)
+        yield from self.made(came, maker, looks=engine.looks)
         if asked.unanswered:
             raise RuntimeError(f"engine {engine.name} did not answer {len(asked.unanswered)} of {asked.count} jobs")
         return []
@@ -210,7 +210,10 @@ class Making(Generic[AnyWorld]):
 
     def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
         """The jobs of worlds of which an engine is asked now. After an error it is asked of none."""
-        jobs = self.attempt.apply_to_jobs([ready_for(engine.name, pending[0].job) for pending in batch])
+        jobs = [pending[0].job for pending in batch]
+        jobs = self.attempt.apply_to_jobs(
+            jobs if engine.names_engines else [ready_for(engine.name, job) for job in jobs]
+        )
         asked.add(batch)
         return jobs
 
@@ -226,6 +229,7 @@ class Making(Generic[AnyWorld]):
         """What becomes of the answers of many worlds.
 
         Args:
+            engine: that made them; empty where each says it.
             looks: the engine has looked at them itself.
             wait: for those that are looked at beside the run; else some of them follow in later calls.
             until: as in ``Lookers.exchanged``.
@@ -241,10 +245,10 @@ class Making(Generic[AnyWorld]):
             outcomes = looked_at([answer for _, answer in came], jobs, self.sim)
             found = [(pending, outcome) for (pending, _), outcome in zip(came, outcomes, strict=True)]
         for (world, before, records), outcome in found:
-            outcome.attempt, outcome.engine = self.attempt.number, engine
+            outcome.attempt, outcome.engine = self.attempt.number, engine or outcome.engine
             outcome.solver = self.sim.solver.value
             if outcome.state is not None and not isinstance(outcome.state, KeptState):
-                outcome.state = KeptState(engine, outcome.state)
+                outcome.state = KeptState(outcome.engine, outcome.state)
             records = (*records, Attempt.of(outcome, self.sim.physics.timestep_s))
             if self.attempt.checks and before is not None:
                 outcome = self._checked(world, before, outcome)

@@ -14,9 +14,10 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.machine import cpu_threads, cuda_devices, device_name
 from petmjx.basics.shield import shielded
 from petmjx.engines.base import Engine, Progress, Simulates
-from petmjx.engines.choose import Choice, choose, make_engine, options_of
+from petmjx.engines.choose import ENGINES, Choice, choose, make_engine, options_of
 from petmjx.engines.cost import MEASURED, Costs, Work
 from petmjx.engines.open import MOST_BOXES, OpenWorlds
+from petmjx.engines.speed import costs_here
 from petmjx.engines.start import start_gpu
 from petmjx.options.config import Simulation
 from petmjx.options.run_options import AUTO, RunOptions
@@ -44,6 +45,7 @@ class Lent(Engine):
         self.takes_parts = bool(getattr(own, "takes_parts", False))
         self.looks = bool(getattr(own, "looks", False))
         self.devices = int(getattr(own, "devices", 1))
+        self.names_engines = bool(getattr(own, "names_engines", False))
 
     @property
     def tells(self) -> bool:
@@ -108,9 +110,16 @@ def _bytes_of(plans: object) -> int:
 
 
 @contextmanager
-def engine_for(options: RunOptions, work: Work, ahead: WorkersAhead | None = None) -> Iterator[tuple[Engine, Choice]]:
+def engine_for(
+    options: RunOptions,
+    work: Work,
+    ahead: WorkersAhead | None = None,
+    *,
+    hands_over: bool = False,
+    earlier: str | None = None,
+) -> Iterator[tuple[Engine, Choice]]:
     """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
-    engine, choice = resolve_engine(options, work, ahead=ahead)
+    engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice
     finally:
@@ -119,13 +128,22 @@ def engine_for(options: RunOptions, work: Work, ahead: WorkersAhead | None = Non
 
 
 def resolve_engine(
-    options: RunOptions, work: Work, costs: Costs = MEASURED, ahead: WorkersAhead | None = None
+    options: RunOptions,
+    work: Work,
+    costs: Costs | None = None,
+    ahead: WorkersAhead | None = None,
+    *,
+    hands_over: bool = False,
+    earlier: str | None = None,
 ) -> tuple[Engine, Choice]:
     """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
     engine does not have.
 
     Args:
+        costs: of the engines; None: as measured, on a machine as fast as this one.
         ahead: workers that have been started already for these options (``starting``).
+        hands_over: whether an engine that ``auto`` takes may hand worlds over to another one (``HandoverEngine``).
+        earlier: the engine that the run had before, which ``auto`` keeps: the machine may be busier than then.
 
     Raises:
         InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
@@ -140,8 +158,20 @@ def resolve_engine(
     if options.asked_workers is not None:
         from petmjx.engines.workers.resolve import resolve_workers  # most runs have none
 
-        return resolve_workers(options, work, costs, ahead)
+        return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
+    costs = costs or costs_here(work, threads)
     seconds = costs.seconds(work, threads)
-    name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
-    return make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
+    if asked == AUTO and earlier in ENGINES:
+        name, reason = earlier, "as before"
+    else:
+        name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
+    engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
+    if hands_over and asked == AUTO and name == "mujoco" and options.world_timeout_s is None:
+        from petmjx.engines.cpu.engine import MujocoEngine  # it imports MuJoCo
+        from petmjx.engines.handover import HandoverEngine
+
+        kernels = "mjx-warp-cpu"
+        assert isinstance(engine, MujocoEngine)
+        return HandoverEngine(engine, lambda: make_engine(kernels, **options_of(kernels, options)), costs), choice
+    return engine, choice

@@ -138,7 +138,8 @@ class RunOptions(Checked):
     world_timeout_s: Annotated[float | None, within(0, 1e9), CliFlag("--world-timeout", "S")] = Field(
         None,
         gt=0,
-        description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only",
+        description="wall-clock time after which a world is given up as invalid by timeout, s; engine mujoco only; by "
+        "default 20 times the CPU time that is expected of it, but at least 30 s in a static check and 300 s else",
     )
     workers: Annotated[int | str | None, BeforeValidator(_workers), CliFlag("--workers", "N|auto")] = Field(
         None,

@@ -12,6 +12,15 @@ from petmjx.results.manifest import Manifest
 from petmjx.results.reader import read_info, told_apart
 
 
+def engine_of_run(folder: Path) -> str | None:
+    """The engine of the run in a folder; None: no run of petmjx can be read there."""
+    try:
+        engine = read_info(folder).get("identity", {}).get("engine")
+    except InputError:  # whoever goes on with the run says what is wrong with it
+        return None
+    return engine if isinstance(engine, str) else None
+
+
 def run_there(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:

@@ -76,10 +76,10 @@ def test_drives_from_one_placement_worked_out_by_hand() -> None:
     work = Work(sim, [10], placements=1, drives=64, drive_steps=450)
     assert work.steps.tolist() == [200 + 250 + 64 * 450]
     placing_s = 450 * rest_s(10) + STATIC_LANDINGS * 100 * CPU.landing_s
-    assert cpu_s(work) == pytest.approx(placing_s + 64 * 450 * (rest_s(10) + CPU.shaken_s * 100))
+    assert cpu_s(work) == pytest.approx(placing_s + 64 * 450 * (rest_s(10) + CPU.driven_s + CPU.shaken_s * 100))
     # most of a long drive is at rest
     longer = Work(sim, [10], placements=1, drives=64, drive_steps=10_000)
-    more_s = 9550 * rest_s(10) + (SHAKEN_STEPS - 450) * CPU.shaken_s * 100
+    more_s = 9550 * (rest_s(10) + CPU.driven_s) + (SHAKEN_STEPS - 450) * CPU.shaken_s * 100
     assert cpu_s(longer) - cpu_s(work) == pytest.approx(64 * more_s)
 
 

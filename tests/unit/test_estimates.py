@@ -23,7 +23,8 @@ RECORDS = [
 def work_of(line: dict[str, Any]) -> Work:
     """What a record's run had to simulate. Of many plans it has a few sizes that stand for all."""
     values = dict(line["work"])
-    sim = Simulation(check=values.pop("check"), schedule=values.pop("schedule"))
+    carrier = values.pop("carrier", "footprint")
+    sim = Simulation(check=values.pop("check"), schedule=values.pop("schedule"), carrier=carrier)
     boxes = values.pop("boxes")
     return Work(sim, np.resize(boxes, values.pop("n_plans", len(boxes))).tolist(), **values)
 
@@ -35,8 +36,9 @@ def name_of(line: dict[str, Any]) -> str:
 @pytest.mark.parametrize("line", RECORDS, ids=map(name_of, RECORDS))
 def test_estimates_are_within_a_factor_of_two(line: dict[str, Any]) -> None:
     work, engine = work_of(line), line["engine"]
-    start_s = MEASURED.seconds(Work(work.sim, []), 1)[engine]
-    expected_s = MEASURED.seconds(work, line["threads"])[engine] - start_s
+    costs = MEASURED.slowed(line.get("slowness", 1.0))
+    start_s = costs.seconds(Work(work.sim, []), 1)[engine]
+    expected_s = costs.seconds(work, line["threads"])[engine] - start_s
     assert 1 / 2 < expected_s / line["cpu_s" if "cpu_s" in line else "seconds"] < 2
     if "steps" in line:
         soft_starts = 2 * SOFT_START_STEPS * work.placements * len(work.boxes)

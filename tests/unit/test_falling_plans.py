@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan
 
+from benchmarks.estimates import shelf_plan
 from petmjx.engines.choose import choose
-from petmjx.engines.cost import FALL_BOXES, FALL_STEPS, MEASURED, SOFT_STARTS, STEP_SHARE, Work
+from petmjx.engines.cost import FALL_BOXES, FALL_STEPS, MEASURED, SOFT_STARTS, STATIC_FALL_STEPS, STEP_SHARE, Work
 from petmjx.options.config import Check, Schedule, Simulation
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.loose import MOST_LOOKED_AT, first_loose, placed_shares
 from petmjx.plans.plan import Plan
 from petmjx.plans.samples import generate_one
-from petmjx.plans.samples.orders import draw_order
 from petmjx.plans.validate import parse_plan
 from petmjx.study import Nominal
 from petmjx.sweeps.file import load_sweep
@@ -95,31 +95,21 @@ def test_a_fall_worked_out_by_hand() -> None:
         Work(SIM.changed(early_stop=False), [20], placed_share=[0.5]),
     ):
         assert MEASURED.seconds(other, 1)["mujoco"] == MEASURED.seconds(Work(SIM, [20]), 1)["mujoco"]
+    # in a static check all boxes are there, and fall from the beginning
     static = Simulation(check=Check.STATIC)
-    assert Work(static, [20], placed_share=[0.5]).steps.tolist() == Work(static, [20]).steps.tolist()
+    falls, stands = Work(static, [20], placed_share=[0.5]), Work(static, [20])
+    assert (falls.steps - stands.steps).tolist() == [STATIC_FALL_STEPS]
+    step_s = CPU.rest_s * 20**1.25 + CPU.overhead_s + CPU.fall_s * 20**2
+    more_s = MEASURED.seconds(falls, 1)["mujoco"] - MEASURED.seconds(stands, 1)["mujoco"]
+    assert more_s == pytest.approx(STATIC_FALL_STEPS * step_s)
     # what does not stand is not shaken
     shaken = Work(SIM, [20, 20], drives=8, drive_steps=500, placed_share=[0.5, 1.0])
     assert shaken.shaken.tolist() == [0, 8]
 
 
-def shelves(number: int) -> Plan:
-    """Boxes in rows, by falling height, each layer on top of the tallest box below: most of them stand on little."""
-    x = y = z = row = layer = 0.0
-    made: list[Box] = []
-    for item in sorted(draw_order(3, number).items, key=lambda item: -item.height_mm)[:24]:
-        length, width, height = item.length_mm, item.width_mm, item.height_mm
-        if x + length > 1200:
-            x, y, row = 0.0, y + row, 0.0
-        if y + width > 800:
-            x, y, z, layer, row = 0.0, 0.0, z + layer, 0.0, 0.0
-        made.append(((length, width, height), (x, y, z), item.weight_kg))
-        x, row, layer = x + length, max(row, width), max(layer, height)
-    return make_plan(f"shelf-{number}", made)
-
-
 def test_auto_takes_the_faster_engine_for_plans_that_fall() -> None:
     """200 plans of shelves: C MuJoCo takes many times as long as for as many that stand."""
-    plans = [shelves(number % 20) for number in range(200)]
+    plans = [shelf_plan(number % 20) for number in range(200)]
     work = Nominal(SIM, plans, RunOptions()).work
     assert (work.share < 1).mean() > 0.9
     seconds, if_they_stood = (MEASURED.seconds(each, 2) for each in (work, Work(SIM, work.boxes)))
@@ -132,14 +122,14 @@ def test_auto_takes_the_faster_engine_for_plans_that_fall() -> None:
 
 
 RECORDED = (("mujoco", 12.46, 30404), ("mjx-warp-cpu", 2.77, 29945))
-"""Engine, CPU time in s, and steps: plans 20 to 35 of ``shelves``, all of which fall; the median of three runs without
-compilation. One thread of two cores that other programs kept busy: plans that stand took 1.3 times as long as
+"""Engine, CPU time in s, and steps: plans 20 to 35 of ``shelf_plan``, all of which fall; the median of three runs
+without compilation. One thread of two cores that other programs kept busy: plans that stand took 1.3 times as long as
 expected there."""
 
 
 @pytest.mark.parametrize(("engine", "cpu_s", "steps"), RECORDED)
 def test_estimates_of_falling_plans_are_within_a_factor_of_two(engine: str, cpu_s: float, steps: int) -> None:
-    plans = [shelves(number) for number in range(20, 36)]
+    plans = [shelf_plan(number) for number in range(20, 36)]
     work = Nominal(SIM, plans, RunOptions()).work
     start_s = MEASURED.seconds(Work(SIM, []), 1)[engine]
     assert 1 / 2 < (MEASURED.seconds(work, 1)[engine] - start_s) / cpu_s < 2

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from typing import Final
 
 from petmjx.basics.machine import cpu_threads, device_name
 from petmjx.basics.text import one_line
 from petmjx.basics.units import FloatArray
 from petmjx.engines.base import Engine, Progress, says_at_hand
+from petmjx.engines.cpu.budget import Budget
 from petmjx.engines.cpu.free_bodies import paths
 from petmjx.engines.cpu.log import QUIET_MUJOCO
 from petmjx.engines.cpu.open_worlds import MujocoWorlds
@@ -38,7 +41,8 @@ class MujocoEngine(Engine):
 
     Args:
         threads: number of worlds simulated at once; None: as many CPU threads as this process may use.
-        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: no limit.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: by what is expected of it
+            (petmjx/engines/cpu/budget.py).
     """
 
     name = "mujoco"
@@ -71,21 +75,26 @@ class MujocoEngine(Engine):
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
-        begun = 0
-        pending: set[Future[Outcome]] = set()
+        begun, said = 0, ""
+        running: dict[int, Budget] = {}
+        pending: set[Future[tuple[Outcome, float]]] = set()
         with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
                 while pending or begun < len(jobs):  # jobs may have been appended meanwhile
                     while begun < len(jobs) and len(pending) < 2 * self.threads:
-                        pending.add(pool.submit(_simulate, begun, jobs[begun], sim, stop, self.world_timeout_s))
+                        job = jobs[begun]
+                        timeout_s = self.world_timeout_s
+                        pending.add(pool.submit(_simulate, begun, job, sim, stop, timeout_s, running))
                         begun += 1
                     finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
+                    said = _say(progress, said, "" if finished else _oldest(running))
                     if not finished and progress.pauses:
                         yield None  # type: ignore[misc]  # who asked for pauses takes it
                     outcomes = [future.result() for future in finished]
-                    for more, outcome in zip(reversed(range(len(outcomes))), outcomes, strict=True):
+                    for more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
                         progress.at_hand = more
                         progress.worlds_done += 1
+                        progress.thread_s += thread_s
                         progress.world_steps += outcome.n_steps
                         yield outcome
             finally:
@@ -93,10 +102,42 @@ class MujocoEngine(Engine):
                 pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _simulate(index: int, job: Job, sim: Simulation, stop: threading.Event, timeout_s: float | None = None) -> Outcome:
+def _oldest(running: Mapping[int, Budget]) -> str:
+    """How far the world is that began first, if it takes long; empty: none does."""
+    with suppress(ValueError, KeyError, RuntimeError):  # worlds begin and end meanwhile
+        return running[min(running)].so_far
+    return ""
+
+
+def _say(progress: Progress, said: str, words: str) -> str:
+    """Show how far a world is, unless something else is to be said. Returns what is shown.
+
+    Args:
+        said: what was shown before; ``words``: what there is to show now.
+    """
+    if progress.message != said:
+        return said
+    progress.message = words
+    return words
+
+
+def _simulate(
+    index: int,
+    job: Job,
+    sim: Simulation,
+    stop: threading.Event,
+    timeout_s: float | None,
+    running: dict[int, Budget],
+) -> tuple[Outcome, float]:
+    """A world's outcome, and the CPU time of this thread that it took, s. running: times of worlds that run, by job."""
+    begin_s = time.thread_time()
     try:
-        return WorldRun(index, job, sim, stop.is_set, timeout_s).run()
+        running[index] = budget = Budget(job, sim, timeout_s)
+        outcome = WorldRun(index, job, sim, stop.is_set, budget).run()
     except Cancelled:
         raise
     except Exception as error:
-        return failed_outcome(index, job, sim, one_line(error))
+        outcome = failed_outcome(index, job, sim, one_line(error))
+    finally:
+        running.pop(index, None)
+    return outcome, time.thread_time() - begin_s

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 
 from petmjx.basics.units import FloatArray
+from petmjx.engines.cpu.budget import Budget
 from petmjx.engines.cpu.forces import pressed
 from petmjx.engines.cpu.landing import CALM_M_S2
 from petmjx.engines.cpu.live import LiveWorld
@@ -25,13 +24,18 @@ class Stepper:
 
     Args:
         sim: says which steps count between samples, beside those in which a box lands: looks for quiet.
-        timeout_s: seconds that the world may take; None: as many as it needs.
+        budget: the world's time; None: as much as it needs.
     """
 
-    def __init__(self, sim: Simulation, timeout_s: float | None) -> None:
+    def __init__(self, sim: Simulation, budget: Budget | None) -> None:
         self._looks, self._poll_steps = sim.waits_for_rest, sim.quiet.poll_steps
-        self._give_up_at = time.monotonic() + timeout_s if timeout_s is not None else None
+        self._budget = budget
         self._placed, self._restless = 0, True
+
+    @property
+    def why_it_ended(self) -> str:
+        """Of a world whose time was up."""
+        return self._budget.words if self._budget is not None else ""
 
     def take(
         self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
@@ -43,21 +47,23 @@ class Stepper:
             metrics: take in forces of steps.
             acts: a drive does, so that the forces of all steps may be larger than those before.
         """
-        number, end = first, first + count
+        number, end, budget = first, first + count, self._budget
         while number < end:
+            if budget is not None and budget.is_spent(number - 1, live.n_placed):
+                return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
                 # whatever the steps of a call: a recorded world, which stops at frames, is the same
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
-            if self._give_up_at is None and counts is None:
+            if counts is None and (budget is None or not budget.slow):
                 live.step(last - number)
                 number = last
                 continue
             rising = live.data.qacc[2::6]
             while number < last:
-                if self._give_up_at is not None and time.monotonic() > self._give_up_at:
+                if budget is not None and budget.slow and budget.is_spent(number - 1, live.n_placed):
                     return number - first
                 live.step(1)
                 if counts is not None:

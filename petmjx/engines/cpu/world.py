@@ -9,6 +9,7 @@ import numpy as np
 
 from petmjx.basics.units import seconds_to_steps
 from petmjx.engines.clock import Clock
+from petmjx.engines.cpu.budget import Budget
 from petmjx.engines.cpu.drive import ActingDrive
 from petmjx.engines.cpu.explosion import Explosion
 from petmjx.engines.cpu.hand import Hand
@@ -22,7 +23,7 @@ from petmjx.engines.cpu.soft import SoftWorld
 from petmjx.engines.cpu.stepping import Stepper
 from petmjx.engines.cpu.waits import NEVER, Waits
 from petmjx.options.config import SOFT_START_STEPS, Check, Simulation
-from petmjx.verdict import Flag, Outcome, Verdict, judge
+from petmjx.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.world.job import Drive, Job
 
 _FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
@@ -41,11 +42,10 @@ class WorldRun:
         job: Job,
         sim: Simulation,
         cancelled: Callable[[], bool],
-        timeout_s: float | None = None,
+        budget: Budget | None = None,
     ) -> None:
-        self._stepper = Stepper(sim, timeout_s)
-        self._begun = False
-        self._index = index
+        self._stepper = Stepper(sim, budget)
+        self._begun, self._index = False, index
         self._job = job
         self._sim = sim
         self._cancelled = cancelled
@@ -160,7 +160,7 @@ class WorldRun:
         acts = self._drive is not None and self._drive.acts(self._step)
         taken = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
         if taken < count:
-            self._flags |= Flag.TIMEOUT
+            self._flags |= Flag.EARLY_STOP if self._begun and self._metrics.has_failed else Flag.TIMEOUT
         return taken
 
     # ------------------------------------------------------------------ events
@@ -387,6 +387,7 @@ class WorldRun:
             boxes=boxes,
             n_at_sign=n_at_sign,
             solver=self._sim.solver.value,
+            message=self._stepper.why_it_ended if reason is Reason.TIMEOUT else "",
         )
         if self._recorder is not None:
             self._recorder.look(self._step, live)

@@ -1,0 +1,222 @@
+"""``auto`` changes its mind: worlds that have not begun go to the faster engine where C MuJoCo takes too long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.outcomes import make_outcome
+from support.plans import make_plan, make_scene, stack
+
+import petmjx
+from petmjx.basics.errors import EngineUnavailable
+from petmjx.engines.base import Engine, GrowingJobs, Progress
+from petmjx.engines.choose import Choice
+from petmjx.engines.cost import MEASURED, Costs, Work
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.handover import LEAST_WORLDS, HandoverEngine
+from petmjx.engines.resolve import resolve_engine
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
+from petmjx.verdict import Outcome, Verdict
+from petmjx.world.job import Job, KeptState
+
+SIM = Simulation()
+BOXES = 3
+EXPECTED_S = float(MEASURED.of_jobs([Job(make_scene(BOXES))], SIM)[0])
+CHEAP = replace(MEASURED, kernel_start_s=0.0)
+"""Kernels that need no compiler: few worlds are worth a change."""
+
+
+class Slow(MujocoEngine):
+    """Each world takes so many times as long as expected, by its own account. States say who made them."""
+
+    def __init__(self, times: float) -> None:
+        super().__init__(1)
+        self.times = times
+        self.starts: list[object] = []
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        assert progress is not None
+        number = 0
+        while number < len(jobs):
+            self.starts.append(jobs[number].start)
+            progress.thread_s += self.times * EXPECTED_S
+            yield answer(jobs[number], number)
+            number += 1
+
+
+class Kernels(Engine):
+    """Takes over; fails after so many worlds."""
+
+    name, takes_more = "mjx-warp-cpu", True
+
+    def __init__(self, fails_after: int | None = None) -> None:
+        self.fails_after, self.asked, self.closed = fails_after, 0, False
+        self.starts: list[object] = []
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        number = 0
+        while number < len(jobs):
+            if self.asked == self.fails_after:
+                raise RuntimeError("no more memory")
+            self.asked += 1
+            self.starts.append(jobs[number].start)
+            yield answer(jobs[number], number)
+            number += 1
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def answer(job: Job, number: int) -> Outcome:
+    return replace(make_outcome(job.scene.n_boxes, Verdict.STABLE), job=number)
+
+
+def jobs(count: int) -> list[Job]:
+    scene = make_scene(BOXES)
+    return [Job(scene) for _ in range(count)]
+
+
+def ended(
+    times: float, count: int, costs: Costs = CHEAP, make: Callable[[], Engine] = Kernels, sim: Simulation = SIM
+) -> tuple[list[Outcome], Progress]:
+    progress = Progress()
+    engine = HandoverEngine(Slow(times), make, costs)
+    return list(engine.run(jobs(count), sim, progress)), progress
+
+
+def test_what_has_not_begun_goes_to_the_faster_engine() -> None:
+    outcomes, progress = ended(5.0, 300)
+    assert sorted(each.job for each in outcomes) == list(range(300))
+    by_engine = [each.engine for each in sorted(outcomes, key=lambda each: each.job)]
+    # one thread has two worlds at a time: one more had begun
+    assert by_engine == ["mujoco"] * (LEAST_WORLDS + 1) + ["mjx-warp-cpu"] * (300 - LEAST_WORLDS - 1)
+    (note,) = progress.notes
+    assert note == (
+        "auto: 20 worlds took 5 times as long as expected on mujoco; 279 worlds that had not begun went to mjx-warp-cpu"
+    )
+
+
+@pytest.mark.parametrize(
+    ("times", "count", "costs"),
+    [
+        (1.9, 300, CHEAP),  # as expected, within a factor of two
+        (5.0, LEAST_WORLDS, CHEAP),  # none is left
+        (5.0, 300, MEASURED),  # the compiler takes longer than all of them
+    ],
+)
+def test_it_stays_where_nothing_is_gained(times: float, count: int, costs: Costs) -> None:
+    outcomes, progress = ended(times, count, costs)
+    assert [each.engine for each in outcomes] == ["mujoco"] * count
+    assert not progress.notes
+
+
+def test_the_gain_is_worked_out_with_what_was_measured() -> None:
+    """Compiling takes the time of 100 worlds on C MuJoCo as they are: the last world counts where it is worth it."""
+    ratio = float(MEASURED.of_jobs(jobs(1), SIM, MEASURED.kernel)[0]) / EXPECTED_S
+    costs = replace(MEASURED, kernel_start_s=100 * 5 * EXPECTED_S)
+    worth = 1.5 * 100 / (1 - 1.5 * ratio)  # left × 5 × expected = 1.5 × (start + left × 5 × expected × ratio)
+    for left, changes in ((worth - 2, False), (worth + 2, True)):
+        outcomes, _ = ended(5.0, LEAST_WORLDS + 1 + round(left), costs)
+        assert (outcomes[-1].engine == "mjx-warp-cpu") == changes
+
+
+def test_without_kernels_it_stays() -> None:
+    def missing() -> Engine:
+        raise EngineUnavailable("Warp is not installed")
+
+    outcomes, progress = ended(5.0, 100, make=missing)
+    assert [each.engine for each in outcomes] == ["mujoco"] * 100
+    assert not progress.notes
+
+
+def test_an_error_of_the_kernels_loses_no_world() -> None:
+    outcomes, progress = ended(5.0, 100, make=lambda: Kernels(fails_after=10))
+    assert sorted(each.job for each in outcomes) == list(range(100))
+    assert [each.engine for each in outcomes].count("mjx-warp-cpu") == 10
+    assert "mjx-warp-cpu failed (RuntimeError: no more memory); 69 worlds: went to mujoco" in progress.notes
+
+
+def test_further_attempts_and_the_solver_cg_stay() -> None:
+    engine = HandoverEngine(Slow(5.0), Kernels, CHEAP)
+    assert len(list(engine.run(jobs(50), SIM, Progress()))) == 50
+    again = list(engine.run(jobs(50), SIM.changed(solver_iterations=400), Progress()))
+    assert {each.engine for each in again} == {"mujoco"}
+    outcomes, _ = ended(5.0, 50, sim=SIM.changed(solver="cg"))
+    assert {each.engine for each in outcomes} == {"mujoco"}
+
+
+def test_each_engine_starts_from_its_own_states() -> None:
+    """A drive from a state of the other engine is placed again; jobs that follow from results are taken, too."""
+    mujoco, kernels = Slow(5.0), Kernels()
+    engine = HandoverEngine(mujoco, lambda: kernels, CHEAP)
+    growing = GrowingJobs(jobs(100))
+    outcomes = []
+    for outcome in engine.run(growing, SIM, Progress()):
+        outcomes.append(outcome)
+        if outcome.job == 99:
+            scene = growing[0].scene
+            growing += [Job(scene, start=KeptState(name, name)) for name in ("mujoco", "mjx-warp-cpu")]  # type: ignore[arg-type]
+    assert sorted(each.job for each in outcomes) == list(range(102))
+    assert kernels.starts[-2:] == [None, "mjx-warp-cpu"]
+    assert not any(mujoco.starts)
+    engine.close()
+    assert kernels.closed
+
+
+def test_a_run_of_both_engines_goes_on_after_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Real worlds; the kernels are C MuJoCo under another name."""
+
+    class Named(MujocoEngine):
+        name = "mjx-warp-cpu"
+        interrupt_after = 3
+
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            for outcome in super().run(jobs, sim, progress):
+                if self.interrupt_after == 0:
+                    raise KeyboardInterrupt
+                self.interrupt_after -= 1
+                yield outcome
+
+    engines: list[str | None] = []
+
+    def resolved(options: RunOptions, work: Work, *, earlier: str | None, **_: Any) -> tuple[Engine, Choice]:
+        engines.append(earlier)
+        cheap = replace(CHEAP, mujoco=CHEAP.mujoco.slowed(0.001), kernel=CHEAP.kernel.slowed(0.0001))
+        return HandoverEngine(MujocoEngine(1), lambda: Named(1), cheap), Choice("mujoco", "for this test", 1.0)
+
+    monkeypatch.setattr("petmjx.engines.resolve.resolve_engine", resolved)
+    plans = [make_plan(f"p{number}", stack(1)) for number in range(30)]
+    with pytest.raises(KeyboardInterrupt):
+        petmjx.score(plans, out=tmp_path / "run")
+    begun = petmjx.load_run(tmp_path / "run")
+    by_engine = begun.worlds["engine"].value_counts().to_dict()
+    assert by_engine == {"mujoco": LEAST_WORLDS + 1, "mjx-warp-cpu": 3}
+    assert any(note.startswith("auto: 20 worlds took ") for note in begun.info["warnings"])
+    results = petmjx.score(plans, out=tmp_path / "run", resume=True)
+    assert engines == [None, "mujoco"]
+    assert results.worlds["plan_id"].tolist() == [plan.plan_id for plan in plans]
+    assert results.worlds["engine"].value_counts().to_dict() == {"mujoco": 27, "mjx-warp-cpu": 3}
+    assert results.info["status"] == "finished"
+
+
+def test_auto_keeps_the_engine_of_a_run_that_goes_on() -> None:
+    work = Work(SIM, [2])
+    assert resolve_engine(RunOptions(threads=1), work, MEASURED)[1].reason.startswith("about 0 s")
+    engine, choice = resolve_engine(RunOptions(threads=1), Work(SIM, [40] * 5000), MEASURED, earlier="mujoco")
+    assert (engine.name, choice.name, choice.reason) == ("mujoco", "mujoco", "as before")
+    unknown = resolve_engine(RunOptions(threads=1), work, MEASURED, earlier="of a newer petmjx")
+    assert unknown[1].name == "mujoco"
+
+
+def test_only_what_auto_took_hands_over() -> None:
+    for options, kind in (
+        (RunOptions(threads=1), HandoverEngine),
+        (RunOptions(threads=1, world_timeout_s=9), MujocoEngine),
+        (RunOptions(threads=1, engine="mujoco"), MujocoEngine),
+    ):
+        assert isinstance(resolve_engine(options, Work(SIM, [2]), MEASURED, hands_over=True)[0], kind)

@@ -1,0 +1,54 @@
+"""Estimates for this machine: its speed is measured where that matters, and CPU times follow it."""
+
+from __future__ import annotations
+
+import pytest
+
+from petmjx.engines import speed
+from petmjx.engines.choose import Choice
+from petmjx.engines.cost import MEASURED, Work
+from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.resolve import resolve_engine
+from petmjx.options.config import Simulation
+from petmjx.options.run_options import RunOptions
+from petmjx.verdict import Verdict
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+
+SIM = Simulation()
+SHORT, LONG = Work(SIM, [5]), Work(SIM, [40] * 1000)
+
+
+def test_times_of_cpus_grow_with_the_factor_and_those_of_gpus_do_not() -> None:
+    work = Work(
+        Simulation(carrier="epal-1"), [40] * 9, placements=3, displaced=1, drives=4, drive_steps=700, filmed=True
+    )
+    usual, slow = MEASURED.seconds(work, 2), MEASURED.slowed(3.0).seconds(work, 2)
+    times = {name: slow[name] / usual[name] for name in usual}
+    assert times == pytest.approx({"mujoco": 3.0, "mjx-warp-cpu": 3.0, "mjx-jax": 3.0, "mjx-warp": 1.0})
+
+
+def test_only_runs_of_some_seconds_are_worth_a_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed, "slowness", lambda: 2.5)
+    assert speed.costs_here(SHORT, 1) is MEASURED
+    assert speed.costs_here(LONG, 1) == MEASURED.slowed(2.5)
+    _, choice = resolve_engine(RunOptions(engine="mujoco", threads=1), LONG)
+    assert choice == Choice("mujoco", "as asked for", MEASURED.slowed(2.5).seconds(LONG, 1)["mujoco"])
+
+
+@pytest.mark.parametrize(("seconds", "factor"), [(1.0, 2.0), (100.0, speed.SLOWEST), (0.0, speed.FASTEST)])
+def test_the_fastest_round_counts_within_bounds(seconds: float, factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    rounds = iter([seconds * speed.REFERENCE_S * 2.0, seconds * speed.REFERENCE_S * 3.0])
+    monkeypatch.setattr(speed, "block_s", lambda: next(rounds))
+    speed.slowness.cache_clear()
+    try:
+        assert speed.slowness() == pytest.approx(factor)
+    finally:
+        speed.slowness.cache_clear()
+
+
+def test_the_block_stands() -> None:
+    """So its steps are those of pallets at rest, and it takes as many on any machine."""
+    (outcome,) = MujocoEngine(1).run([Job(build_scene(speed.block(), SIM))], SIM)
+    assert (outcome.verdict, outcome.n_boxes) == (Verdict.STABLE, speed.SIDE**2 * speed.LAYERS)
+    assert speed.block_s() > 0.0
