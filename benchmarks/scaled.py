@@ -13,7 +13,7 @@ import argparse
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,18 +91,21 @@ def thresholds(factor: float) -> Thresholds:
     return usual.model_copy(update={name: factor * getattr(usual, name) for name in lengths})
 
 
-def scaled(seed: int, piles: int, engine: str | Engine, threads: int = 1) -> pd.DataFrame:
+def scaled(
+    seed: int, piles: int, engine: str | Engine, factors: Sequence[float] = FACTORS, threads: int = 1
+) -> pd.DataFrame:
     """Worlds of all piles in all sizes: columns of ``worlds``, with ``factor``; one row a pile and factor.
 
     Args:
         seed: of the piles.
         engine: name of an engine, or one.
+        factors: of all lengths.
     """
     rng = np.random.default_rng(seed)
     drawn = [pile(rng) for _ in range(piles)]
     width = len(str(piles - 1))
     frames = []
-    for factor in FACTORS:
+    for factor in factors:
         plans = [each.plan(f"pile-{number:0{width}}", factor) for number, each in enumerate(drawn)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
