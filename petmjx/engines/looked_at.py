@@ -102,7 +102,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
         plan_edge_m, rest_edge_m = plan.least, outcome.boxes.rest_edge_m
         outcome.plan_edge_m, outcome.plan_edge_box = _least(plan_edge_m)
         outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step, nearest_m = least_built
-        near = [[nearest_m], *plan]
+        near = [np.array([nearest_m]), *plan]
         edge_m = np.concatenate([[outcome.build_edge_m], *plan])
         if k in of_rest:
             rest_edge_m = of_rest[k].least

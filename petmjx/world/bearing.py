@@ -181,6 +181,13 @@ class Bearing:
         several = self.n_supports[self.upper] > 1
         return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
 
+    def share_hulls(self, number: int, one: Bearing) -> None:
+        """Let the bearing ``one`` of a scene, the number of which is given, have the hulls of all scenes together."""
+        begin, end = self.boxes.first[number : number + 2].tolist()
+        before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
+        hulls = slice(before, before + count)
+        vars(one).setdefault("hulls", HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]))
+
     @cached_property
     def number_of_hull(self) -> IntArray:
         """(n,) which of ``hulls`` is a box's, if it has several supports."""

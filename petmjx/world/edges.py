@@ -74,6 +74,7 @@ def loads_and_edges(
     ).tolist():
         boxes = slice(*bearing.boxes.first[number : number + 2].tolist())
         one = bearings[number]
+        bearing.share_hulls(number, one)
         load[boxes, :3], by_load[boxes] = rebalanced(one, load[boxes], by_load[boxes], among[boxes])
     return load, by_weight, by_load
 

@@ -1,4 +1,4 @@
-"""Plans that once had a wrong answer, as they were reported (../shared/cases): each has the right one.
+"""Plans that once had a wrong answer, as they were reported: each has the right one.
 
 Other cases of these kinds have tests of their own. So do those that are no plans: commands that replaced files
 (test_outputs.py, test_overwriting.py), leaderboards (test_ratings.py), outcomes held back (test_held_back.py), Parquet
