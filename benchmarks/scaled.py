@@ -21,7 +21,7 @@ import pandas as pd
 
 import petmjx
 from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Engine
+from petmjx.option_types import EngineName
 from petmjx.options.config import Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.verdict import Flag
@@ -92,13 +92,12 @@ def thresholds(factor: float) -> Thresholds:
 
 
 def scaled(
-    seed: int, piles: int, engine: str | Engine, factors: Sequence[float] = FACTORS, threads: int = 1
+    seed: int, piles: int, engine: EngineName, factors: Sequence[float] = FACTORS, threads: int = 1
 ) -> pd.DataFrame:
     """Worlds of all piles in all sizes: columns of ``worlds``, with ``factor``; one row a pile and factor.
 
     Args:
         seed: of the piles.
-        engine: name of an engine, or one.
         factors: of all lengths.
     """
     rng = np.random.default_rng(seed)
@@ -109,9 +108,7 @@ def scaled(
         plans = [each.plan(f"pile-{number:0{width}}", factor) for number, each in enumerate(drawn)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            run = petmjx.score(
-                plans, engine=engine, threads=threads, thresholds=thresholds(factor).model_dump(), keep="worlds"
-            )
+            run = petmjx.score(plans, engine=engine, threads=threads, thresholds=thresholds(factor), keep="worlds")
         frames.append(run.worlds.assign(factor=factor))
     return pd.concat(frames, ignore_index=True)
 
