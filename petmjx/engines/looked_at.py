@@ -21,7 +21,7 @@ from petmjx.options.config import Check, Simulation
 from petmjx.verdict import Flag, Outcome, Verdict, margin_of
 from petmjx.world.bearing import bearings_of, together
 from petmjx.world.building import LeastBuilt, building_edges
-from petmjx.world.edges import Edges, edges_of, rest_edges
+from petmjx.world.edges import Edges, edges_of
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -42,8 +42,9 @@ LOWER_M: Final = 0.005
 """A box that lies lower than planned by more than this does so, too: as much as soft contacts may give way
 (``petmjx.engines.leaning.BOUND_SHARE``)."""
 
-MOST_TOGETHER: Final = 64
-"""At most so many outcomes are looked at together; one by one, this took longer than the simulation on a GPU."""
+MOST_TOGETHER: Final = 128
+"""At most so many outcomes are looked at together; one by one, this took longer than the simulation on a GPU. 128 take
+a tenth of a second."""
 
 _NOT_BUILT: Final = LeastBuilt(np.nan, -1, -1, np.nan)
 
@@ -89,51 +90,53 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
     valid = [k for k, outcome in enumerate(outcomes) if outcome.verdict is not Verdict.INVALID]
     # drives share a scene
     planned = dict.fromkeys((scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid)
-    by_plan = dict(zip(planned, _by_plan(list(planned)), strict=True))
     at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]
-    resting = rest_edges([scenes[k] for k in at_rest], [outcomes[k].boxes.pos for k in at_rest])
+    edges, built, resting = _all_edges(
+        list(planned), [scenes[k] for k in at_rest], [outcomes[k].boxes.pos for k in at_rest]
+    )
+    by_plan = dict(zip(planned, zip(edges, built, strict=True), strict=True))
     of_rest = dict(zip(at_rest, resting, strict=True))
     for k in valid:
         outcome = outcomes[k]
-        plan, built = by_plan[scenes[k], outcome.n_placed, in_order and not jobs[k].has_errors]
+        plan, least_built = by_plan[scenes[k], outcome.n_placed, in_order and not jobs[k].has_errors]
         plan_edge_m, rest_edge_m = plan.least, outcome.boxes.rest_edge_m
         outcome.plan_edge_m, outcome.plan_edge_box = _least(plan_edge_m)
-        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step, nearest_m = built
-        near = [nearest_m, *map(_nearest_m, plan)]
+        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step, nearest_m = least_built
+        near = [np.array([nearest_m]), *plan]
         edge_m = np.concatenate([[outcome.build_edge_m], *plan])
         if k in of_rest:
             rest_edge_m = of_rest[k].least
             outcome.rest_edge_m, outcome.rest_edge_box = _least(rest_edge_m)
-            near += map(_nearest_m, of_rest[k])
+            near += of_rest[k]
         outcome.boxes = replace(outcome.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
         contradicts = (edge_m < 0) if outcome.verdict is Verdict.STABLE else (edge_m >= 0)
-        if np.fmin.reduce(near) <= KNIFE_EDGE_M or (contradicts & (np.abs(edge_m) <= NEAR_M)).any():
+        is_near = np.fmin.reduce(np.abs(np.concatenate(near))) <= KNIFE_EDGE_M
+        if is_near or (contradicts & (np.abs(edge_m) <= NEAR_M)).any():
             outcome.flags |= Flag.KNIFE_EDGE
 
 
-def _by_plan(planned: Sequence[tuple[Scene, int, bool]]) -> list[tuple[Edges, LeastBuilt]]:
-    """Edges of scenes with so many boxes placed, and the least ones while those are built of which it is asked."""
+def _all_edges(
+    planned: Sequence[tuple[Scene, int, bool]], at_rest: Sequence[Scene], pos: Sequence[FloatArray]
+) -> tuple[list[Edges], list[LeastBuilt], list[Edges]]:
+    """Of scenes with so many boxes placed the edges, and the least ones while those are built of which it is asked; and
+    the edges of those that are at rest with their boxes at (n, 3) places. All are computed at once: what takes time
+    is the number of calls."""
     if not planned:
-        return []
+        return [], [], []
     scenes, placed, asked = zip(*planned, strict=True)
-    bearings = bearings_of(scenes)
+    bearings = bearings_of(scenes, at_rest, pos)
     joined = together(bearings)
-    edges = edges_of(bearings, placed, joined)
+    edges = edges_of(bearings, [*placed, *(scene.n_boxes for scene in at_rest)], joined)
     some = [k for k, is_asked in enumerate(asked) if is_asked]
     counts = [scenes[k].n_boxes for k in some]
     built = building_edges([bearings[k] for k in some], counts, joined if len(some) == len(planned) else None)
     of_some = dict(zip(some, built, strict=True))
-    return [(edge, of_some.get(k, _NOT_BUILT)) for k, edge in enumerate(edges)]
+    number = len(planned)
+    return edges[:number], [of_some.get(k, _NOT_BUILT) for k in range(number)], edges[number:]
 
 
 def _least(edge_m: FloatArray) -> tuple[float, int]:
     """The least of the distances and whose it is; NaN and -1 if there is none."""
-    if np.isnan(edge_m).all():
-        return np.nan, -1
-    box = int(np.nanargmin(edge_m))
-    return float(edge_m[box]), box
-
-
-def _nearest_m(edge_m: FloatArray) -> float:
-    """The least distance from an edge on either side; NaN if there is none."""
-    return float(np.fmin.reduce(np.abs(edge_m), initial=np.nan))
+    known = np.where(np.isnan(edge_m), np.inf, edge_m)
+    box = int(known.argmin()) if len(known) else -1
+    return (float(edge_m[box]), box) if box >= 0 and known[box] < np.inf else (np.nan, -1)

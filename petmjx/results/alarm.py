@@ -6,7 +6,10 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import Any
+from typing import Any, Final
+
+AGAIN_S: Final = 10.0
+"""After an error: a disk that is full gets no more than a part to pack in this time, and what waits little older."""
 
 
 class Alarm:
@@ -19,12 +22,12 @@ class Alarm:
     Args:
         lock: of all that ``call`` changes.
         call: what to do then; it may set the alarm again.
+        again_s: how long after an error it calls again, s.
     """
 
-    def __init__(self, lock: AbstractContextManager[Any], call: Callable[[], None]) -> None:
-        self._lock, self._call = lock, call
+    def __init__(self, lock: AbstractContextManager[Any], call: Callable[[], None], again_s: float = AGAIN_S) -> None:
+        self._lock, self._call, self._again_s = lock, call, again_s
         self._due_s: float | None = None
-        self._seconds = 0.0
         self._changed = threading.Event()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="petmjx-alarm", daemon=True)
@@ -36,8 +39,9 @@ class Alarm:
 
     def set(self, seconds: float) -> None:
         """Call so many seconds from now, and not when it was to be until now."""
-        self._due_s, self._seconds = time.monotonic() + seconds, seconds
-        self._changed.set()
+        before, self._due_s = self._due_s, time.monotonic() + seconds
+        if before is None or self._due_s < before:  # else the thread wakes at the time of before, and waits on
+            self._changed.set()
 
     def off(self) -> None:
         """Do not call."""
@@ -63,5 +67,4 @@ class Alarm:
         try:
             self._call()
         except Exception:  # it is tried again: what the call could not do is told by who can raise it
-            if self._due_s is None:
-                self.set(self._seconds)
+            self.set(self._again_s)

@@ -188,6 +188,11 @@ class ByPlace:
         now = time.monotonic()
         return [n for n, waiting in self._waiting.items() if waiting.count and now - waiting.since_s >= seconds]
 
+    def due_s(self, seconds: float) -> float | None:
+        """In which time :meth:`late` will name a part; None: no world waits."""
+        since = min((waiting.since_s for waiting in self._waiting.values() if waiting.count), default=None)
+        return None if since is None else max(since + seconds - time.monotonic(), 0.0)
+
     def left(self, early: bool = False) -> list[int]:
         """Parts of which worlds wait; ``early``: also those that were written in pieces and are whole."""
         return [n for n, waiting in self._waiting.items() if waiting.count or (early and self._whole(n))]

@@ -7,6 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from petmjx.basics.errors import InputError
+from petmjx.basics.option_names import option
+from petmjx.basics.text import counted
+from petmjx.options.run_options import WORLDS
+from petmjx.results.files import part_name
 from petmjx.results.listed import Parts
 from petmjx.results.manifest import Manifest
 from petmjx.results.reader import read_info, told_apart
@@ -44,4 +48,18 @@ def run_there(
         before = info["versions"].get(name)
         if before != version:
             warnings.append(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
-    return info, parts.with_worlds(), warnings
+    parts = parts.with_worlds()
+    lacking = parts.lacking_boxes() if info["config"].get("keep") != WORLDS else []
+    if lacking:  # petmjx before 0.3 left such folders where a merge was cut short
+        if parts.files("frames"):
+            raise InputError(
+                f"{folder / 'boxes' / part_name(lacking[0])}: missing, though the worlds of this part are there; "
+                f"simulate the run again, with {option('--overwrite', 'True')}"
+            )
+        before = sum(len(table) for table in parts.table("worlds", ("variant",)))
+        parts = parts.without_numbers(lacking)
+        again = before - sum(len(table) for table in parts.table("worlds", ("variant",)))
+        warnings.append(
+            f"{counted(again, 'world')} had no boxes, and {'was' if again == 1 else 'were'} simulated again"
+        )
+    return info, parts, warnings

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import platform
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 
@@ -18,12 +19,16 @@ from petmjx.basics.errors import PetmjxError
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.counts import WorldCounts
-from petmjx.results.listed import Parts
+from petmjx.results.listed import LISTED, Parts
 from petmjx.results.memory import MemoryTables
 from petmjx.results.ordered import counts_block, orders_block
 from petmjx.results.reader import FINISHED
+from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import SCHEMA_VERSION, Param
 from petmjx.results.tables import Tables
+
+RUNNING: Final = "running"
+"""The status of a run that has not ended; or was killed."""
 
 
 class RunInfo:
@@ -53,7 +58,7 @@ class RunInfo:
         self.odd_plans: list[str] = []
         self.timings: dict[str, float] = {}
         self.earlier_s: dict[str, float] = {}
-        self.status = "running"
+        self.status = RUNNING
         self.error: str | None = None
         self.orders = orders
         self._started = time.monotonic()
@@ -112,6 +117,8 @@ class RunFolder(RunInfo):
 
     def _hold(self, out_dir: str | Path | None) -> None:
         """Name the folder; None: tables are held in memory."""
+        self._lock = threading.Lock()  # of what is gathered, of tables and of run.json
+        self._is_behind = False  # whether run.json could not be written the last time
         self._in_memory = out_dir is None
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self.out_dir = Path(out_dir or "")
@@ -122,13 +129,30 @@ class RunFolder(RunInfo):
         """The files of the tables, as they are now."""
         return self._tables.parts
 
+    @property
+    def counts(self) -> WorldCounts:
+        """Of the worlds that are written."""
+        raise NotImplementedError
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
+        return {**self.entries(self.counts), LISTED: self.parts.digests}
+
+    def _write_info(self) -> None:
+        if not self._in_memory:
+            self._is_behind = True
+            with self._writing():
+                write_run_file(self.info, self.out_dir)
+            self._is_behind = False
+
     def write_summary(self, answers: pa.Table) -> None:
         """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An old one is replaced.
 
         Raises:
             PetmjxError: the file cannot be written.
         """
-        with self._writing():
+        with self._lock, self._writing():
             self._tables.write_first("summary", answers)
 
     @contextlib.contextmanager

@@ -125,6 +125,11 @@ class Parts:
         }
         return Parts(self.folder, kept)
 
+    def lacking_boxes(self) -> list[int]:
+        """Numbers of the parts of ``worlds`` without one of ``boxes``."""
+        have = {part_number(file) for file in self.files("boxes")}
+        return [number for number in map(part_number, self.files("worlds")) if number not in have]
+
     def next_number(self, *tables: str) -> int:
         """The number of the next part: no file of these tables has it."""
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)

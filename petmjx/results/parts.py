@@ -28,7 +28,10 @@ WORLDS_PER_PART: Final = 1_000
 """A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little, two parts at most."""
 
 SECONDS_PER_PART: Final = 60.0
-"""A part is written at the latest after this time, even if worlds finish slowly."""
+"""A world is on disk at the latest after this time and what it takes to write a part, even if worlds finish slowly."""
+
+LANDING_S: Final = 1.0
+"""How often it is looked whether a part has landed that a thread writes."""
 
 HISTORY_BYTES_PER_PART: Final = 64 << 20
 """Histories of a part, in memory: of about 60 worlds of 43 boxes, a third as many with details."""
@@ -215,11 +218,6 @@ class Gathering:
         """The one that is gathered."""
         return self._pending.part
 
-    @property
-    def waits(self) -> bool:
-        """Whether there are worlds that do not count yet."""
-        return bool(self.part.rows) or self._beside is not None
-
     def begin(self, number: int, counts: WorldCounts | None = None) -> None:
         """Gather for the part of this number, with no world so far; none may be on its way.
 
@@ -237,6 +235,17 @@ class Gathering:
     def is_old(self, seconds: float) -> bool:
         """Whether the first world of the part came so long ago."""
         return bool(self.part.rows) and time.monotonic() - self._pending.since_s >= seconds
+
+    def due_s(self, seconds: float) -> float | None:
+        """In which time something is to be done though no world comes; None: nothing waits.
+
+        Args:
+            seconds: how long the first world of a part may wait.
+        """
+        due = [LANDING_S] if self._beside is not None else []
+        if self.part.rows:
+            due.append(max(self._pending.since_s + seconds - time.monotonic(), 0.0))
+        return min(due, default=None)
 
     def is_full(self, worlds: int) -> bool:
         """Whether the part has so many worlds, or as large histories as one may have."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Collection, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -35,6 +36,7 @@ class Tables:
     def __init__(self, folder: Path, parts: Parts | None = None) -> None:
         self._folder = folder
         self._placements: Future[tuple[Path, str] | None] | None = None
+        self._content: Callable[[], pa.Table | None] = lambda: None  # of placements
         self.parts = parts or Parts(folder, {})
 
     def write_plans(self, plans: pa.Table, placements: Callable[[], pa.Table | None] = lambda: None) -> bool:
@@ -44,9 +46,8 @@ class Tables:
         landed.
         """
         if self._placements is None and not self.parts.files("placements"):
-            thread = ThreadPoolExecutor(1, "petmjx-plans")
-            self._placements = thread.submit(self._write_placements, placements)
-            thread.shutdown(wait=False)
+            self._content = placements
+            self._begin_placements()
         if [plans] == self.parts.table("plans"):
             return False
         number = self.parts.next_number("plans")
@@ -54,24 +55,44 @@ class Tables:
         self.write_part(number, [("plans", plans)])
         return True
 
-    def _write_placements(self, placements: Callable[[], pa.Table | None]) -> tuple[Path, str] | None:
-        content = placements()
+    def _begin_placements(self) -> None:
+        thread = ThreadPoolExecutor(1, "petmjx-plans")
+        self._placements = thread.submit(self._write_placements)
+        thread.shutdown(wait=False)
+
+    def _write_placements(self) -> tuple[Path, str] | None:
+        content = self._content()
         return None if content is None else write_hidden(content, self._folder / "placements" / part_name(0))
 
     def land_placements(self, *, wait: bool) -> bool:
-        """Let the table count that the thread has written; whether there was one. ``wait``: until it is written."""
+        """Let the table count that the thread has written; whether there was one. ``wait``: until it is written.
+
+        After an error the thread begins again: the next call may let the table count.
+        """
         if self._placements is None or not (wait or self._placements.done()):
             return False
-        written = self._placements.exception() or self._placements.result()  # an interrupt here changes nothing
+        self._placements.exception()  # an interrupt here changes nothing
+        try:
+            written = self._placements.result()
+            if written is not None:
+                hidden, digest = written
+                place = self._folder / "placements" / part_name(0)
+                appear({place: hidden})
+                self.parts.add({place: digest})
+        except Exception:
+            self.drop_placements()
+            self._begin_placements()
+            raise
         self._placements = None
-        if isinstance(written, BaseException):
-            raise written
-        if written is not None:
-            hidden, digest = written
-            place = self._folder / "placements" / part_name(0)
-            appear({place: hidden})
-            self.parts.add({place: digest})
         return written is not None
+
+    def drop_placements(self) -> None:
+        """Wait for the thread, and take away what it wrote, if that does not count."""
+        if self._placements is not None:
+            with contextlib.suppress(Exception):
+                if (written := self._placements.result()) is not None:
+                    written[0].unlink(missing_ok=True)
+            self._placements = None
 
     def write_part(self, number: int, tables: Iterable[tuple[str, pa.Table]]) -> None:
         """Write the tables of a part, by name. None counts before all are there."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-import threading
 import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,14 +16,14 @@ from petmjx.basics.text import one_line
 from petmjx.basics.units import FloatArray
 from petmjx.plans.ordered import OrderCheck
 from petmjx.plans.plan import Plan
-from petmjx.results.alarm import Alarm
+from petmjx.results.alarm import AGAIN_S, Alarm
 from petmjx.results.by_place import ByPlace, Places
 from petmjx.results.counts import COUNTED, WorldCounts
 from petmjx.results.files import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
 from petmjx.results.given import Given
 from petmjx.results.going_on import run_there
-from petmjx.results.info import RunFolder, now
-from petmjx.results.listed import LISTED, Parts
+from petmjx.results.info import RUNNING, RunFolder, now
+from petmjx.results.listed import Parts
 from petmjx.results.lock import locked
 from petmjx.results.manifest import Manifest
 from petmjx.results.memory import MemoryParts
@@ -32,7 +31,6 @@ from petmjx.results.parts import SECONDS_PER_PART, WORLDS_PER_PART, Gathering, R
 from petmjx.results.plain import plain
 from petmjx.results.reader import FINISHED, RunResults, load_run
 from petmjx.results.recorded import Recorded
-from petmjx.results.run_file import write_run_file
 from petmjx.results.schema import Param, schemas
 from petmjx.results.sorting import SORTED, sort_parts
 from petmjx.results.tables import Tables
@@ -62,8 +60,7 @@ class RunWriter(RunFolder):
     Attributes:
         recorded: the worlds of a resumed run that are there already.
 
-    Raises:
-        InputError: the folder has a run already (another one, with ``resume``), or cannot be written.
+    Raises InputError if the folder has a run already (another one, with ``resume``), or cannot be written.
     """
 
     def __init__(
@@ -96,7 +93,6 @@ class RunWriter(RunFolder):
         self.recorded = Recorded()
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
-        self._lock = threading.Lock()  # of what is gathered and of run.json
         self._alarm: Alarm | None = None  # of a run in a folder
         self._gathering = Gathering()
         self._by_place = None if places is None else ByPlace(places, self.schemas)
@@ -126,6 +122,7 @@ class RunWriter(RunFolder):
 
     @property
     def counts(self) -> WorldCounts:
+        """Of the worlds that are written."""
         return (self._by_place or self._gathering).counts
 
     def _open(self) -> None:
@@ -139,6 +136,7 @@ class RunWriter(RunFolder):
                 self.out_dir.mkdir(parents=True, exist_ok=True)
                 if not until_exit.enter_context(locked(self.out_dir)):
                     self.warn("the file system has no locks: petmjx cannot notice another run in the same folder")
+                until_exit.callback(lambda: self._tables.drop_placements())
                 check_run_folder(self.out_dir, self._overwrite, self._resume)
                 tidy(self.out_dir)
                 if self._resume and (self.out_dir / RUN_FILE).exists():
@@ -150,15 +148,11 @@ class RunWriter(RunFolder):
                 self._write_info()
             except OSError as error:
                 raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
-            self._alarm = Alarm(self._lock, self._time_is_up)
+            self._alarm = Alarm(self._lock, self._time_is_up, min(AGAIN_S, self._seconds_per_part))
             self._until_exit = until_exit.pop_all()
 
     def _leave_memory(self) -> None:
-        """Go on in a temporary folder.
-
-        Raises:
-            InputError: it cannot be written.
-        """
+        """Go on in a temporary folder. Raises InputError if it cannot be written."""
         before = self.parts
         assert isinstance(before, MemoryParts)
         self._temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
@@ -192,6 +186,8 @@ class RunWriter(RunFolder):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        if self.status != RUNNING:  # it has ended, and another run may have the folder by now
+            return
         # of several Ctrl-C in a row the first one ends the run; the others must not cost what it has gathered
         closing = contextlib.closing(self._gathering)
         with shielded(afterwards=error is None), self._unless_temporary(), self._until_exit, closing:
@@ -208,6 +204,9 @@ class RunWriter(RunFolder):
                 self.error = f"{self.error}; {also}" if self.error else also
             with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
                 self._write_info()
+                if cause is not None and not self._in_memory:
+                    with contextlib.suppress(OSError):  # a part that was half written, which others might read
+                        self._tables.drop_others()
             if error is None and trouble is not None:
                 raise trouble
 
@@ -228,11 +227,6 @@ class RunWriter(RunFolder):
         """Write the plans if there are none that say the same; returns whether it did."""
         of_plan, manifest = self.orders.of_plan if self.orders else None, self._manifest
         return manifest is not None and self._tables.write_plans(manifest.table(of_plan), manifest.placements)
-
-    @property
-    def info(self) -> dict[str, Any]:
-        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
-        return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def add(
         self,
@@ -266,20 +260,22 @@ class RunWriter(RunFolder):
         with self._lock:
             if self._by_place is not None:
                 self._write_by_place(self._by_place.add(row))
-                self._set_alarm(again=False)
+                self._set_alarm(anew=False)
                 return
             self._gathering.add(row)
-            self._set_alarm(again=len(self._gathering.part.rows) == 1)
+            self._set_alarm(anew=len(self._gathering.part.rows) == 1)
             late = self._gathering.is_old(self._seconds_per_part) and not self._in_memory
             if late or self._gathering.is_full(self._worlds_per_part):
                 self._write_part(beside=True)
             else:
                 self._land(wait=False)
 
-    def _set_alarm(self, again: bool = True) -> None:
-        """Have written after a while what waits then. ``again``: put off an alarm that is set."""
-        if self._alarm is not None and (again or not self._alarm.is_set):
-            self._alarm.set(self._seconds_per_part)
+    def _set_alarm(self, anew: bool = True) -> None:
+        """Have written in time what waits, though no world follows. ``anew``: also if the alarm is set."""
+        waits = self._gathering if self._by_place is None else self._by_place
+        if self._alarm is not None and (anew or not self._alarm.is_set):
+            due_s = waits.due_s(self._seconds_per_part)
+            self._alarm.off() if due_s is None else self._alarm.set(due_s)
 
     def flush(self) -> None:
         """Write what has been gathered, so that others can read the folder before the run ends.
@@ -350,11 +346,13 @@ class RunWriter(RunFolder):
         if self._by_place is not None:
             self._write_by_place(self._by_place.late(self._seconds_per_part))
         else:
-            self._land(wait=False)
+            with contextlib.suppress(Exception):  # what could not be written is gathered again, and may be old
+                self._land(wait=False)
             if self._gathering.is_old(self._seconds_per_part):
                 self._write_part()
-        if self._gathering.waits if self._by_place is None else self._by_place.left():
-            self._set_alarm()
+        if self._is_behind:
+            self._write_info()
+        self._set_alarm()
 
     def _write_part(self, last: bool = False, beside: bool = False) -> None:
         """Write the gathered part, with the lock held. ``beside``: by a thread; ``last``: a run in memory stays so."""
@@ -385,16 +383,16 @@ class RunWriter(RunFolder):
             self._write_info()
 
     def _write_by_place(self, numbers: Sequence[int]) -> None:
-        """Write what there is of some parts of a large run, with the lock held."""
-        for number in numbers:
-            assert self._by_place is not None
-            with shielded(afterwards=True), self._writing():
-                put_together = self._by_place.write(number, self._tables)
-                self._write_info()
-                if put_together:
-                    self._tables.drop_others()
+        """Write what there is of some parts of a large run, with the lock held. One that cannot be written does not
+        keep the others from disk."""
+        with contextlib.ExitStack() as parts:  # calls all, whatever some of them raise
+            for number in reversed(numbers):
+                parts.callback(self._write_one, number)
 
-    def _write_info(self) -> None:
-        if not self._in_memory:
-            with self._writing():
-                write_run_file(self.info, self.out_dir)
+    def _write_one(self, number: int) -> None:
+        assert self._by_place is not None
+        with shielded(afterwards=True), self._writing():
+            put_together = self._by_place.write(number, self._tables)
+            self._write_info()
+            if put_together:
+                self._tables.drop_others()

@@ -181,6 +181,13 @@ class Bearing:
         several = self.n_supports[self.upper] > 1
         return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
 
+    def share_hulls(self, number: int, one: Bearing) -> None:
+        """Let the bearing ``one`` of a scene, the number of which is given, have the hulls of all scenes together."""
+        begin, end = self.boxes.first[number : number + 2].tolist()
+        before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
+        hulls = slice(before, before + count)
+        vars(one).setdefault("hulls", HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]))
+
     @cached_property
     def number_of_hull(self) -> IntArray:
         """(n,) which of ``hulls`` is a box's, if it has several supports."""
@@ -268,14 +275,16 @@ def bearing_of(scene: Scene) -> Bearing:
     return find_bearing(scene)
 
 
-def bearings_of(scenes: Sequence[Scene]) -> list[Bearing]:
-    """``bearing_of`` of each scene."""
+def bearings_of(
+    scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()
+) -> list[Bearing]:
+    """``bearing_of`` of each scene, and then of those that are at rest with their boxes at (n, 3) places, m."""
     different = list({id(scene): scene for scene in scenes}.values())
     if len(different) == 1:
-        return [bearing_of(different[0])] * len(scenes)
-    found = find_bearings(different, [scene.target for scene in different])
-    of_scene = dict(zip(map(id, different), found, strict=True))
-    return [of_scene[id(scene)] for scene in scenes]
+        return [bearing_of(different[0])] * len(scenes) + find_bearings(at_rest, pos)
+    found = find_bearings([*different, *at_rest], [*(scene.target for scene in different), *pos])
+    of_scene = dict(zip(map(id, different), found, strict=False))
+    return [of_scene[id(scene)] for scene in scenes] + found[len(different) :]
 
 
 def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float = TOUCH_M) -> list[Bearing]:
@@ -318,10 +327,9 @@ def _found_alike(scenes: Sequence[Scene], target: FloatArray, most_gap_m: float)
     order = wide[np.lexsort((lower[wide], upper[wide], world[wide]))]
     ends = np.searchsorted(world[order], np.arange(m + 1)).tolist()
     every = upper[order], lower[order], area_low[order], area_high[order]
+    first, centred = np.array([0, n]), np.zeros((n, 3))
     for k, scene in enumerate(scenes):
-        own = Boxes(
-            np.array([0, n]), target[k], half_size[k], scene.mass, np.zeros((n, 3)), np.full(n, scene.carrier.mass)
-        )
+        own = Boxes(first, target[k], half_size[k], scene.mass, centred, np.full(n, scene.carrier.mass))
         yield Bearing(own, *(values[ends[k] : ends[k + 1]] for values in every))
 
 

@@ -66,15 +66,17 @@ def building_edges(
     """The least edges over all placements of the first so many boxes of each scene.
 
     Args:
-        joined: the bearings together, where they are at hand.
+        joined: the bearings together, and maybe others after them, where they are at hand.
     """
     if not bearings:
         return []
     bearing, in_order = joined or together(bearings), list(bearings)
-    if not (bearing.lower < bearing.upper).all():
+    theirs = bearing.upper < bearing.boxes.first[len(bearings)]
+    if not (bearing.lower < bearing.upper)[theirs].all():
         in_order = [_in_order(one) for one in bearings]
         bearing = together(in_order)
-    built = built_of(bearing, placed)
+    others = len(bearing.boxes.first) - 1 - len(bearings)
+    built = built_of(bearing, [*placed, *[0] * others])
     beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
     scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
     surely, perhaps = (np.bincount(scene[beyond & which], minlength=len(bearings)) > 0 for which in (~depends, depends))
@@ -283,10 +285,10 @@ def balanced_after(bearing: Bearing, built: Built, step: int) -> tuple[IntArray,
 
 def _least(built: Built) -> LeastBuilt:
     """The least of one scene's edges."""
-    if np.isnan(built.edge_m).all():
+    known = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
+    if not (known < np.inf).any():
         return LeastBuilt(np.nan, -1, -1, np.nan)
-    place = int(np.nanargmin(built.edge_m))
-    nearest = float(np.nanmin(np.abs(built.edge_m)))
+    place, nearest = int(known.argmin()), float(np.abs(known).min())
     return LeastBuilt(float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), nearest)
 
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.world.balanced import BEYOND_M, balanced
-from petmjx.world.bearing import Bearing, find_bearings, together
-from petmjx.world.scene import Scene
+from petmjx.world.bearing import Bearing, together
 
 ROUNDING_M: Final = 1e-9
 """A load that is less beyond an edge lies on it: rounding errors of sums of millimetres."""
@@ -42,11 +41,6 @@ class Edges(NamedTuple):
         held = (self.by_weight < 0) & (self.by_load >= 0)
         nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
         return nearer
-
-
-def rest_edges(scenes: Sequence[Scene], pos: Sequence[FloatArray]) -> list[Edges]:
-    """The edges of the boxes of pallets that stand where they have come to rest: (n, 3) centres of each scene, m."""
-    return edges_of(find_bearings(scenes, pos), [scene.n_boxes for scene in scenes])
 
 
 def edges_of(bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None) -> list[Edges]:
@@ -80,6 +74,7 @@ def loads_and_edges(
     ).tolist():
         boxes = slice(*bearing.boxes.first[number : number + 2].tolist())
         one = bearings[number]
+        bearing.share_hulls(number, one)
         load[boxes, :3], by_load[boxes] = rebalanced(one, load[boxes], by_load[boxes], among[boxes])
     return load, by_weight, by_load
 

@@ -35,7 +35,7 @@ class Calls:
         self.lock = Lock()
         self.errors = list(errors)
         self.count = 0
-        self.alarm = Alarm(self.lock, self.call)
+        self.alarm = Alarm(self.lock, self.call, again_s=0.01)
 
     def call(self) -> None:
         assert self.lock.locked()

@@ -45,6 +45,20 @@ def test_worlds_that_were_taken_away_are_simulated_again(run: Path) -> None:
     assert petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True).worlds.equals(whole)
 
 
+def test_worlds_without_boxes_are_simulated_again(run: Path) -> None:
+    """As a merge of petmjx 0.2 left them that was cut short."""
+    whole = petmjx.load_run(run)
+    worlds, boxes = whole.worlds, whole.boxes
+    (run / "boxes/part-00000.parquet").unlink()
+    edit_info(run, lambda info: info["parts"]["boxes"].pop("part-00000.parquet"))
+    again = petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True)
+    assert again.boxes.equals(boxes)
+    assert again.worlds.equals(worlds)
+    assert [line for line in again.info["warnings"] if "had no boxes" in line] == [
+        f"{len(worlds)} worlds had no boxes, and were simulated again"
+    ]
+
+
 @pytest.mark.parametrize("table", ["worlds", "boxes"])
 def test_a_damaged_part_is_named_with_its_cure(table: str, run: Path) -> None:
     whole = petmjx.load_run(run)

@@ -21,10 +21,12 @@ from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.basics.errors import InputError, PetmjxError
-from petmjx.results import files, tables, writer
-from petmjx.results.parts import Gathering, Part
+from petmjx.results import files, info, parts, tables
+from petmjx.results.by_place import ByPlace, Places
+from petmjx.results.parts import Gathering, Part, Row
 from petmjx.results.reader import load_run
 from petmjx.results.run_file import write_run_file
+from petmjx.results.schema import schemas
 from petmjx.results.writer import RunWriter
 
 
@@ -92,7 +94,8 @@ def test_worlds_are_gathered_while_a_part_is_written(tmp_path: Path, monkeypatch
     assert load_run(tmp_path).worlds.plan_id.tolist() == list("012")
 
 
-def test_a_part_lands_though_no_world_follows(tmp_path: Path) -> None:
+def test_a_part_lands_though_no_world_follows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "LANDING_S", 0.05)
     with RunWriter(tmp_path, {}, worlds_per_part=2, seconds_per_part=0.2) as run:
         for number in range(2):
             run.add(make_plan(str(number)), 0, "fixed", make_outcome())
@@ -118,11 +121,11 @@ def test_a_part_is_written_after_a_while_though_no_world_follows(
 def test_run_json_says_finished_when_all_worlds_are_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = []
 
-    def noted(info: dict[str, Any], folder: Path) -> None:
-        said.append((info["status"], info["counts"]["worlds"]))
-        write_run_file(info, folder)
+    def noted(entries: dict[str, Any], folder: Path) -> None:
+        said.append((entries["status"], entries["counts"]["worlds"]))
+        write_run_file(entries, folder)
 
-    monkeypatch.setattr(writer, "write_run_file", noted)
+    monkeypatch.setattr(info, "write_run_file", noted)
     write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
     assert said == [("running", 0), ("running", 2), ("running", 3), ("finished", 3)]
 
@@ -190,8 +193,8 @@ def assert_has_whole(folder: Path, worlds: int) -> None:
 def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError):
         write_run(tmp_path, ids=("a",), end=RuntimeError("the engine\nbroke"))
-    info = load_run(tmp_path).info
-    assert (info["status"], info["error"], info["counts"]["worlds"]) == ("failed", "RuntimeError: the engine broke", 1)
+    said = load_run(tmp_path).info
+    assert (said["status"], said["error"], said["counts"]["worlds"]) == ("failed", "RuntimeError: the engine broke", 1)
 
 
 def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -224,8 +227,8 @@ def test_an_error_of_another_kind_in_the_last_part_is_told(tmp_path: Path, monke
     monkeypatch.setattr(Part, "worlds", no_room)
     with pytest.raises(MemoryError):
         write_run(tmp_path)
-    info = load_run(tmp_path).info
-    assert (info["status"], info["error"], info["counts"]["worlds"]) == ("failed", "MemoryError: no room", 0)
+    said = load_run(tmp_path).info
+    assert (said["status"], said["error"], said["counts"]["worlds"]) == ("failed", "MemoryError: no room", 0)
 
 
 def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,6 +237,97 @@ def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeyp
         run.add(make_plan(), 0, "fixed", make_outcome())
         wait_for(lambda: worlds_on_disk(tmp_path))
     assert next(calls) > 1
+
+
+def test_a_part_written_beside_lands_soon_though_others_are_gathered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its worlds do not wait as long as those of the next part may."""
+    monkeypatch.setattr(parts, "LANDING_S", 0.05)
+    holding = Holding(monkeypatch)
+    with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
+        for number in range(3):
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+        holding.let_go.set()
+        wait_for(lambda: worlds_on_disk(tmp_path) == 2)
+
+
+def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The part is on disk, and no world follows."""
+    failures = [OSError(28, "No space left on device")] * 2
+
+    def failing(entries: dict[str, Any], folder: Path) -> None:
+        if failures:
+            raise failures.pop()
+        write_run_file(entries, folder)
+
+    with RunWriter(tmp_path, {}, seconds_per_part=0.05) as run:
+        monkeypatch.setattr(info, "write_run_file", failing)
+        run.add(make_plan(), 0, "fixed", make_outcome())
+        wait_for(lambda: worlds_on_disk(tmp_path) == 1)
+    assert not failures
+
+
+def test_what_waits_is_due_a_minute_after_it_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of parts by place those too that were begun while the alarm was set for another one."""
+    now_s = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    plans = [make_plan(str(number)) for number in range(4)]
+    rows = [Row.of(plan, 0, "fixed", make_outcome(), (), {}) for plan in plans]
+    places = ByPlace(Places([plan.plan_id for plan in plans], 1, 0, per_part=2), schemas())
+    gathering = Gathering()
+    assert places.due_s(60.0) is gathering.due_s(60.0) is None
+    places.add(rows[0])
+    gathering.add(rows[0])
+    now_s = 140.0
+    places.add(rows[2])
+    gathering.add(rows[2])
+    assert places.due_s(60.0) == gathering.due_s(60.0) == 20.0
+    assert [places.late(60.0), places.late(40.0)] == [[], [0]]
+    places._waiting[0].written_early(7)
+    gathering.written()
+    assert (places.due_s(60.0), gathering.due_s(60.0)) == (60.0, None)
+    now_s = 300.0
+    assert places.due_s(60.0) == 0.0
+    gathering.close()
+
+
+def test_a_part_that_cannot_be_written_does_not_keep_others_from_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    places = Places([str(number) for number in range(6)], 1, 0, per_part=2)
+    with RunWriter(tmp_path, {}, places=places) as run:
+        for number in (0, 2, 4):
+            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+        full_once(monkeypatch)
+        with pytest.raises(PetmjxError, match="No space left"):
+            run.flush()
+        assert worlds_on_disk(tmp_path) == 2
+    assert sorted(load_run(tmp_path).worlds.plan_id) == ["0", "2", "4"]
+
+
+def test_a_run_ends_once(tmp_path: Path) -> None:
+    """Another run may have its folder by then."""
+    with RunWriter(tmp_path, {}) as run:
+        run.add(make_plan("mine"), 0, "fixed", make_outcome())
+    write_run(tmp_path, ids=("theirs",), overwrite=True)
+    before = (tmp_path / "run.json").read_bytes()
+    run.__exit__(None, None, None)
+    run.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert (tmp_path / "run.json").read_bytes() == before
+    assert load_run(tmp_path).worlds.plan_id.tolist() == ["theirs"]
+
+
+def test_a_part_that_failed_leaves_no_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Readers that know nothing of run.json read all files of a table."""
+
+    def no_room(*_: Any) -> None:
+        raise MemoryError("no room")
+
+    monkeypatch.setattr(Part, "worlds", no_room)
+    with pytest.raises(MemoryError):
+        write_run(tmp_path)
+    assert part_files(tmp_path) == ["run.json"]
 
 
 CRASH = """

@@ -191,6 +191,19 @@ def test_forces_of_a_drive_are_set_against_strength(tmp_path: Path) -> None:
     assert world["max_peak_share"] == pytest.approx(peak_n / (0.6 * weight_n), rel=1e-5)
 
 
+def test_what_film_does_to_forces_at_rest_is_said(tmp_path: Path) -> None:
+    """After a drive, and where there is film; the command prints it."""
+    sweep, out = tmp_path / "sweep.toml", tmp_path / "run"
+    sweep.write_text('[axes]\nprofile = "eumos-40509"\nlevel = [0.2]\ndirection = ["+x"]\nwrap_turns = [0, 2]\n')
+    results = petmjx.sweep(sweep, [stacked((0, 0, 0))], engine="mujoco", threads=1, carrier="euro-pallet", out=out)
+    said = [note for note in petmjx.loads(results).notes if "film" in note]
+    assert said == [
+        "film presses boxes together, and friction between them moves forces at rest from layer to layer after a drive"
+    ]
+    bare = petmjx.score([stacked((0, 0, 0))], engine="mujoco", threads=1, wrap={"turns": 2})
+    assert not [note for note in petmjx.loads(bare).notes if "film" in note]
+
+
 def test_boxes_without_strength_and_article() -> None:
     plan = Plan.from_boxes(
         "p", size_mm=[SIZE] * 2, corner_mm=[[0, 0, 0], [0, 0, 200]], mass_kg=[5, 5], strength_n=[900, np.nan]

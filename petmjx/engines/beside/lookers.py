@@ -28,7 +28,7 @@ THREADS_EACH: Final = 4
 """So many CPU threads of a machine are worth one of them."""
 
 MOST_WAITING: Final = 8
-"""Looks that wait for one of them: with 64 outcomes each, 5 MB."""
+"""Looks that wait for one of them: with 128 outcomes each, 10 MB."""
 
 LOOK_S: Final = 0.005
 """Longest wait for an answer, s: a signal is noticed after it, or that there is something else to do."""

@@ -1,0 +1,279 @@
+"""Runs of a few worlds, and the moments at which they ask something of the file system: a disk that is full then, or a
+kill.
+
+    python tests/support/moments.py FOLDER 0 1
+
+kills runs at each of their moments (at those from 3 on, every 20th: FOLDER 3 20), checks what is there, and lets them
+go on. Children are forked from a process that has imported everything and started no thread.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from petmjx.basics.errors import PetmjxError
+from petmjx.results import files
+from petmjx.results.by_place import Places
+from petmjx.results.manifest import Manifest, records_of
+from petmjx.results.placements import placements_table
+from petmjx.results.reader import load_run
+from petmjx.results.schema import summary_table
+from petmjx.results.writer import RunWriter
+from support.outcomes import make_outcome, make_plan
+
+KINDS: Final = ("in order", "sorted", "by place", "resumed", "merged")
+
+WRITING: Final = ("fsync", "replace", "mkdir", "pwrite", "ftruncate")
+"""Functions of ``os`` that need room on a disk; beside these, opening a new file, and writing a table."""
+
+TAKING_AWAY: Final = ("unlink",)
+
+PLANS: Final = [make_plan(f"p{number}", 2) for number in range(5)]
+
+
+@dataclass
+class Moments:
+    """Counts the moments, and acts at one.
+
+    Attributes:
+        act: called at the moment number ``at``, and at all that follow if ``lasts``; None: nothing happens.
+        count: of the moments so far.
+    """
+
+    act: Callable[[], None] | None = None
+    at: int = -1
+    lasts: bool = False
+    count: int = 0
+    _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
+
+    def watch(self, monkeypatch: pytest.MonkeyPatch, *, taking_away: bool = False) -> None:
+        """Let all moments pass here from now on. Nothing is brought to a real disk."""
+        monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+        for name in (*WRITING, *(TAKING_AWAY if taking_away else ())):
+            monkeypatch.setattr(os, name, self._after_passing(getattr(os, name)))
+        monkeypatch.setattr(files.pq, "write_table", self._after_passing(files.pq.write_table))
+        real = os.open
+
+        def opened(path: Any, flags: int, *rest: Any, **options: Any) -> int:
+            if flags & os.O_CREAT:
+                self._pass()
+            return real(path, flags, *rest, **options)
+
+        monkeypatch.setattr(os, "open", opened)
+
+    def _pass(self) -> None:
+        with self._lock:
+            number, self.count = self.count, self.count + 1
+        if self.act is not None and (number == self.at or (self.lasts and number > self.at)):
+            self.act()
+
+    def _after_passing(self, real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*args: Any, **options: Any) -> Any:
+            self._pass()
+            return real(*args, **options)
+
+        return call
+
+
+@dataclass
+class Run:
+    """A run of five worlds, in parts of two.
+
+    Attributes:
+        kind: of ``KINDS``. ``in order``: worlds end in the order given; ``sorted``: they do not; ``by place``: as runs
+            of very many worlds; ``resumed``: some are there already; ``merged``: from two other runs.
+        folder: where these others are.
+        ended: ids of the plans whose worlds have ended.
+    """
+
+    kind: str
+    folder: Path
+    ended: list[str] = field(default_factory=list)
+
+    def prepare(self, out: Path) -> None:
+        """What is there before the run begins."""
+        if self.kind == "resumed":
+            if not (self.folder / "half").exists():
+                self._write(self.folder / "half", order=(1, 3, 0))
+            shutil.copytree(self.folder / "half", out)
+        if self.kind == "merged" and not (self.folder / "two").exists():
+            for name, order in (("one", (3, 0)), ("two", (4, 1, 2))):
+                self._write(self.folder / name, order=order)
+        self.ended.clear()
+
+    def write(self, out: Path) -> None:
+        """The run, or the rest of one that is there."""
+        if self.kind == "merged" and not (out / files.RUN_FILE).exists():
+            with self._writer(out) as writer:
+                for name in ("one", "two"):
+                    others = load_run(self.folder / name)
+                    self.ended += others.worlds["plan_id"].tolist()
+                    writer.adopt(others.parts)
+                self._finish(writer)
+        else:
+            self._write(out, order=range(5) if self.kind == "in order" else (3, 0, 4, 1, 2), whole=True)
+
+    def _write(self, out: Path, order: Any, whole: bool = False) -> None:
+        with self._writer(out) as writer:
+            for number in order:
+                plan = PLANS[number]
+                if (plan.plan_id, 0) in writer.recorded:
+                    continue
+                self.ended.append(plan.plan_id)
+                writer.add(plan, 0, "fixed", make_outcome(2, sim_time_s=float(number)))
+                if number == 4:
+                    writer.flush()
+            if whole:
+                self._finish(writer)
+
+    def _writer(self, out: Path) -> RunWriter:
+        manifest = Manifest({"command": "score"}, records_of(PLANS, {}), lambda: placements_table(PLANS))
+        places = Places([plan.plan_id for plan in PLANS], 1, 0, per_part=2) if self.kind == "by place" else None
+        return RunWriter(
+            out, {}, manifest=manifest, versions={}, places=places, resume=True, worlds_per_part=2, expected_worlds=5
+        )
+
+    def _finish(self, writer: RunWriter) -> None:
+        writer.put_in_order()
+        tables = [table.to_pandas() for table in writer.parts.table("worlds", ("plan_id",))]
+        known = len(pd.concat(tables)) if tables else 0
+        frame = pd.DataFrame({"plan_id": ["all"], "known": [known]})
+        writer.write_summary(summary_table(frame, {"known": "1"}, {"plan_id": "whose", "known": "worlds on disk"}))
+
+
+def worlds_said(out: Path) -> int:
+    """Worlds that a folder's run.json has; 0 where there is none."""
+    try:
+        found: int = json.loads((out / files.RUN_FILE).read_text())["counts"]["worlds"]
+        return found
+    except FileNotFoundError:
+        return 0
+
+
+def assert_sound(out: Path, at_least: int, ended: list[str] | None = None) -> None:
+    """What a folder has is whole: each of its worlds once, with its boxes; and it has enough of them."""
+    if not (out / files.RUN_FILE).exists():
+        assert at_least == 0
+        return
+    results = load_run(out)
+    ids = results.worlds["plan_id"].tolist()
+    assert results.info["counts"]["worlds"] == len(ids) == len(set(ids)) >= at_least
+    assert sorted(results.boxes["plan_id"]) == sorted(2 * ids)
+    assert ended is None or set(ids) <= set(ended)
+
+
+def assert_complete(out: Path) -> None:
+    """A finished run has all, and nothing that does not count."""
+    results = load_run(out)
+    assert results.info["status"] == "finished"
+    assert results.worlds["plan_id"].tolist() == [plan.plan_id for plan in PLANS]
+    assert results.worlds["sim_time_s"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert results.boxes["plan_id"].tolist() == [plan.plan_id for plan in PLANS for _ in range(2)]
+    assert results.placements["plan_id"].tolist() == results.boxes["plan_id"].tolist()
+    assert results.summary is not None
+    listed = {f"{table}/{name}" for table, names in results.info["parts"].items() for name in names}
+    assert {str(file.relative_to(out)) for file in out.rglob("*") if file.is_file()} == listed | {files.RUN_FILE}
+
+
+def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:
+    """Let a run meet a full disk at a moment, check what is there, and let it go on; False: it has no such moment.
+
+    For a moment: no world is lost. From then on: none that run.json had at that moment.
+    """
+    run.prepare(out)
+    said: list[int] = []
+
+    def full() -> None:
+        said.append(worlds_said(out))
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        Moments(full, at, lasts).watch(monkeypatch)
+        trouble = ""
+        try:
+            run.write(out)
+        except PetmjxError as error:
+            trouble = str(error)
+    if trouble:
+        assert "No space left on device" in trouble
+    else:
+        assert_complete(out)
+    if not said:
+        return False
+    if out.exists():
+        assert_sound(out, at_least=said[0], ended=None if run.kind == "resumed" else run.ended)
+        if not lasts and run.ended and run.kind != "merged":
+            assert set(run.ended) <= set(load_run(out).worlds["plan_id"])
+            assert not list(out.rglob("*.tmp"))
+    _go_on(run, out)
+    return True
+
+
+def kill(run: Run, out: Path, at: int) -> bool:
+    """The same of a kill. Both runs are in processes of their own."""
+
+    def killed() -> None:
+        run.prepare(out)
+        Moments(lambda: os._exit(9), at).watch(pytest.MonkeyPatch(), taking_away=True)
+        run.write(out)
+
+    def goes_on() -> None:
+        if out.exists():
+            assert_sound(out, 0)
+        _go_on(run, out)
+
+    ended = _in_child(killed)
+    assert ended in (0, 9)
+    assert _in_child(goes_on) == 0
+    return ended == 9
+
+
+def _go_on(run: Run, out: Path) -> None:
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+        run.write(out)
+    assert_complete(out)
+
+
+def _in_child(act: Callable[[], None]) -> int:
+    """How a call ends in a process of its own: 0, 1 after an error, 9 after a kill."""
+    child = os.fork()
+    if child:
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    try:
+        act()
+    except BaseException:
+        traceback.print_exc()
+        sys.stderr.flush()
+        os._exit(1)
+    os._exit(0)
+
+
+def main(folder: Path, first: int, every: int, most: int = 1000) -> None:
+    """Kill each kind of run at some of its moments, at most so many."""
+    for kind in KINDS:
+        run = Run(kind, folder / kind)
+        run.folder.mkdir(parents=True)
+        assert _in_child(lambda: run.prepare(run.folder / "unused")) == 0  # noqa: B023 - called at once
+        killed = 0
+        while killed < most and kill(run, run.folder / f"at-{killed}", first + killed * every):
+            killed += 1
+        print(f"{kind}: killed at {killed} moments", flush=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), *map(int, sys.argv[2:]))

@@ -1,0 +1,42 @@
+"""A disk that is full, and a kill, at moments of a run: what had been written is there, and the run can go on.
+
+All moments take minutes: tests/support/moments.py.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.moments import KINDS, Run, fill
+
+
+@pytest.mark.parametrize(
+    ("kind", "lasts", "at"),
+    [
+        ("sorted", False, 5),  # placements
+        ("sorted", False, 18),  # run.json
+        ("sorted", False, 41),  # a part that a thread writes
+        ("sorted", False, 100),  # tables in order
+        ("sorted", True, 60),
+        ("by place", False, 31),
+        ("by place", True, 75),
+        ("resumed", False, 9),
+        ("resumed", True, 25),
+        ("merged", False, 50),
+    ],
+)
+def test_a_disk_that_is_full(kind: str, lasts: bool, at: int, tmp_path: Path) -> None:
+    assert fill(Run(kind, tmp_path), tmp_path / "out", at, lasts)
+
+
+def test_a_kill(tmp_path: Path) -> None:
+    here = Path(__file__).parents[1]
+    environment = {**os.environ, "PYTHONPATH": str(here.parent)}
+    command = [sys.executable, str(here / "support/moments.py"), str(tmp_path / "runs"), "37", "1", "1"]
+    ended = subprocess.run(command, check=False, timeout=300, env=environment, capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.count("killed at") == len(KINDS)
