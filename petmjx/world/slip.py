@@ -64,6 +64,11 @@ def slack_m_s2(physics: Physics) -> float:
     return 0.0 if is_stiff(physics) else SLACK_M_S2
 
 
+def kinetic_share(physics: Physics) -> float:
+    """Friction of contacts that slide fast, as a share of that at rest."""
+    return physics.kinetic_friction_share if physics.cone is Cone.ELLIPTIC else 1.0
+
+
 def friction_share(slip_m_s: FloatArray, kinetic: float) -> FloatArray:
     """What contacts have of their friction at rest, by how fast they slide. ``kinetic``: if they slide fast."""
     return 1.0 - (1.0 - kinetic) * np.clip(slip_m_s / STICKS_M_S - 1.0, 0.0, 1.0)

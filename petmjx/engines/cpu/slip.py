@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.options.physics import Cone, Physics
-from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, friction_share, slack_m_s2
+from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, friction_share, kinetic_share, slack_m_s2
 
 LOOK_STEPS = 5
 """Steps from one look whether anything moves to the next. A pallet at rest takes them in one call of C, without the
@@ -31,7 +31,7 @@ class SlipLaw:
 
     def __init__(self, physics: Physics) -> None:
         self._slack = slack_m_s2(physics)
-        self._share = physics.kinetic_friction_share
+        self._share = kinetic_share(physics)
         self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._share < 1)
         """Whether it changes anything."""
 
