@@ -87,7 +87,7 @@ def test_the_farthest_place_counts_not_the_last() -> None:
          ["eumos-40509 reaches 0.6 g from level 0.6 on: with friction 0.5 no unsecured load stays in place"]),
         ("mode = 'sample'\nsample = 2\n[axes]\nprofile = 'eumos-40509'\nlevel = {from = 0.2, to = 1.0}",
          ["eumos-40509 reaches 0.6 g from level 0.6 on: with friction 0.5 no unsecured load stays in place"]),
-        ("[simulation]\nphysics = {kinetic_friction_share = 0.7}\n[axes]\nprofile = 'eumos-40509'\nlevel = [0.52, 0.54]",
+        ("[simulation]\nphysics = {kinetic_friction_share = 0.7}\n[axes]\nprofile = 'eumos-40509'\nlevel = [0.52, 1]",
          ["eumos-40509 reaches 0.52 g from level 0.52 on: with friction 0.5 no unsecured load stays in place"]),
         ("[axes]\nprofile = 'tilt'", ["tilt reaches 45°: with friction 0.5 no unsecured load stays in place"]),
         ("[axes]\nprofile = ['half-sine', 'eumos-40509']\nlevel = 0.5", []),

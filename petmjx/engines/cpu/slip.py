@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.options.physics import Cone, Physics
-from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, friction_share, kinetic_share, slack_m_s2
+from petmjx.world.slip import (
+    ENOUGH_M_S2,
+    MOST_ROUNDS,
+    RELAXATION,
+    STICKS_M_S,
+    friction_share,
+    kinetic_share,
+    slack_m_s2,
+)
 
 LOOK_STEPS = 5
 """Steps from one look whether anything moves to the next. A pallet at rest takes them in one call of C, without the
