@@ -11,7 +11,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -231,12 +231,13 @@ def largest_level_g(block: RockingBlock, friction: float) -> float:
     return rocks if needed < friction else min(rocks, slides)
 
 
-def _largest(survives: Callable[[float], bool], most: int = 3 * LEVEL_STEPS) -> float:
-    low, high = 0, most
+def _largest(survives: Callable[[float], bool], steps: int = LEVEL_STEPS) -> float:
+    """The largest level up to 3 g that is survived. ``steps``: levels looked at in 1 g."""
+    low, high = 0, 3 * steps
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if survives(middle / LEVEL_STEPS) else (low, middle)
-    return low / LEVEL_STEPS
+        low, high = (middle, high) if survives(middle / steps) else (low, middle)
+    return low / steps
 
 
 # ---------------------------------------------------------------------- what petmjx says
@@ -273,6 +274,7 @@ def rows(engine: EngineName = "mujoco") -> Iterator[Row]:
     """All rows of this module, as they are simulated."""
     yield from free_rocking(engine)
     yield from overturning(engine)
+    yield from overturning_limits(engine)
     yield from tilting(engine)
     yield from eumos_levels(engine)
 
@@ -364,6 +366,44 @@ def overturning(engine: EngineName) -> Iterator[Row]:
             same += fell == (verdicts[f"p{k}", level] != "stable")
         quantity = f"block {width:g} × {height:g} mm: pulses with the same end, of 96"
         yield Row(quantity, "Housner 1963, integrated", 96, same, engine)
+
+
+LIMITS_S: Final = (0.15, 0.2, 0.3, 0.4)
+"""Lengths of pulses whose limits are looked for."""
+LIMIT_STEPS: Final = 1000
+"""Levels of these searches in 1 g."""
+
+
+@cache
+def pulse_limit_g(block: RockingBlock, pulse_s: float) -> float:
+    """The largest half-sine pulse that a block survives, in thousandths of 1 g."""
+    return _largest(lambda level: not block.rock(half_sine(level, pulse_s), SETTLES_S, pulse_s).fell, LIMIT_STEPS)
+
+
+def overturning_limits(
+    engine: EngineName, pulses_s: Sequence[float] = LIMITS_S, physics: str = "", within: float = 0.03
+) -> Iterator[Row]:
+    """The largest half-sine pulses that a block survives, in thousandths of 1 g.
+
+    Args:
+        physics: a line of a sweep's table of physics.
+        within: how far from the block's own limit is looked, as a share.
+    """
+    block = FREE_BLOCKS[1]
+    width, height = 1000 * block.width_m, 1000 * block.height_m
+    for pulse_s in pulses_s:
+        expected = pulse_limit_g(block, pulse_s)
+        lower, upper = (1 - within) * expected, (1 + within) * expected
+        tables = (
+            f"[simulation.physics]\n{physics}\n"
+            f'[axes]\nprofile = "pulse"\ndirection = "+x"\nfriction_factor = {ROUGH / BOX_FRICTION}\n'
+            f'[profiles.pulse]\nkind = "half-sine"\nduration_ms = {1e3 * pulse_s}\n'
+            f"[search]\nlower = {lower:.3f}\nupper = {upper:.3f}\ntolerance = {1 / LIMIT_STEPS}\n"
+        )
+        summary = swept([block_plan("b", width, [height])], engine, tables).summary
+        assert summary is not None
+        quantity = f"block {width:g} × {height:g} mm: largest pulse of {pulse_s:g} s, g"
+        yield Row(quantity, "Housner 1963, integrated", expected, float(summary.largest_level_g.iloc[0]), engine)
 
 
 TILT_RATES: Final = {"tilt": 5.0, "tilt-quasi-static": 0.5}

@@ -36,7 +36,7 @@ friction: sawn timber against wood; shrink film against shrink film; shrink film
 
 FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {**_CTU, **_GUIDELINES}
 """Coefficient of static friction between two materials, which are in alphabetical order. The CTU Code takes 75 % of it
-for cargo that slides; petmjx has one coefficient, as MuJoCo does."""
+for cargo that slides: ``physics.kinetic_friction_share``."""
 
 _MOST_NAMED: Final = 5
 

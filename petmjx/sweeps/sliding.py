@@ -15,6 +15,7 @@ from petmjx.world.apply import MIN_FRICTION_FRACTION
 from petmjx.world.carriers import carrier_friction
 from petmjx.world.job import ACCELERATION
 from petmjx.world.profiles.acceleration import Tilt
+from petmjx.world.slip import friction_share, kinetic_share
 from petmjx.world.variants import Distribution, DistributionShape
 
 RANGE_POINTS = 9
@@ -25,13 +26,19 @@ LARGEST_SD = 4.0
 
 
 def slide_m(
-    acceleration: FloatArray, friction: float, gravity_m_s2: float, timestep_s: float, enough_m: float = math.inf
+    acceleration: FloatArray,
+    friction: float,
+    gravity_m_s2: float,
+    timestep_s: float,
+    enough_m: float = math.inf,
+    kinetic: float = 1.0,
 ) -> float:
     """How far a block slides on a carrier that moves: its largest distance from where it stood, m.
 
     Coulomb's friction: the block stays while the carrier's horizontal acceleration is at most friction × (gravity +
-    vertical acceleration); beyond that friction has just this value, against the sliding. Exact for an acceleration
-    along one line that is constant within each step, except for the step in which the block stops.
+    vertical acceleration); beyond that friction has just this value, against the sliding, or what a block that slides
+    has of it. Exact for an acceleration along one line that is constant within each step, except for the steps in which
+    the block stops or its friction changes.
 
     A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
     horizontal force is at most friction × the vertical one, as on the block. So its centre of mass, and with it at
@@ -40,6 +47,7 @@ def slide_m(
     Args:
         acceleration: (n_steps, 3) of the carrier, m/s².
         enough_m: ends as soon as it has slid farther than that.
+        kinetic: friction of a block that slides fast, as a share of that at rest (petmjx/world/slip.py).
     """
     grip = friction * np.maximum(gravity_m_s2 + acceleration[:, 2], 0.0)
     slips = np.flatnonzero(np.hypot(acceleration[:, 0], acceleration[:, 1]) > grip)
@@ -52,14 +60,15 @@ def slide_m(
                 break
             step = int(slips[next_slip])
         if step == len(acceleration):  # what is left of its speed is braked on a carrier at rest
-            speed, brake = math.hypot(vx, vy), friction * gravity_m_s2
+            speed, brake = math.hypot(vx, vy), friction * kinetic * gravity_m_s2
             if brake == 0:
                 return math.inf
             stop_s = speed / (2 * brake)
             return max(farthest, math.hypot(x + vx * stop_s, y + vy * stop_s))
+        held = float(grip[step] * friction_share(np.array(math.hypot(vx, vy)), kinetic))
         pushed_x, pushed_y = (v - float(a) * timestep_s for v, a in zip((vx, vy), acceleration[step, :2], strict=True))
         speed = math.hypot(pushed_x, pushed_y)
-        kept = max(1.0 - float(grip[step]) * timestep_s / speed, 0.0) if speed > 0 else 0.0
+        kept = max(1.0 - held * timestep_s / speed, 0.0) if speed > 0 else 0.0
         x += (vx + pushed_x * kept) / 2 * timestep_s
         y += (vy + pushed_y * kept) / 2 * timestep_s
         vx, vy = pushed_x * kept, pushed_y * kept
@@ -132,6 +141,9 @@ def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: floa
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 
     def slides(strength: float) -> bool:
-        return slide_m(strength * unit, friction, physics.gravity_m_s2, physics.timestep_s, limit_m) > limit_m
+        way = slide_m(
+            strength * unit, friction, physics.gravity_m_s2, physics.timestep_s, limit_m, kinetic_share(physics)
+        )
+        return way > limit_m
 
     return bisect_left(strengths, True, key=slides)

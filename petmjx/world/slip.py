@@ -57,11 +57,39 @@ MOST_ROUNDS: Final = 6
 a heap in which everything slides at once has not converged after twenty, by 1 m/s² in the median."""
 
 
+FIRST_SHARE: Final = 1.1
+"""Share of an excess's first change in a step, where each contact has a share of its own after that (``next_share``).
+Bricks that slide and tip are then solved 2.4 times a step; with 0.8 2.6 times, with ``RELAXATION`` alone 3.1 times."""
+
+LEAST_M_S2: Final = ENOUGH_M_S2 / 10
+"""Smaller changes of an excess say nothing about the next one: the solver's own tolerance is in them."""
+
+MOST_LEFT: Final = 0.6
+"""Of a change, after a share of it was taken. Where the excess is worked out as if more were left, other contacts have
+moved it."""
+
+
 def slack_m_s2(physics: Physics) -> float:
     """Excess up to which contacts that slide are not corrected, m/s²; inf: none is."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
+
+
+def kinetic_share(physics: Physics) -> float:
+    """Friction of contacts that slide fast, as a share of that at rest."""
+    return physics.kinetic_friction_share if physics.cone is Cone.ELLIPTIC else 1.0
+
+
+def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
+    """Shares of an excess's change that the next iteration takes, of contacts by themselves: those with which the last
+    one would have left no change, if the excess is linear (Aitken's delta-squared process).
+
+    Args:
+        share: (k,) taken of the last change. change: (k,) what is left, m/s². last: (k,) the last one, 0 at first.
+    """
+    left = np.divide(change, last, out=np.zeros_like(change), where=np.abs(last) > LEAST_M_S2)
+    return share / (1.0 - np.clip(left, -1.0, MOST_LEFT))
 
 
 def friction_share(slip_m_s: FloatArray, kinetic: float) -> FloatArray:

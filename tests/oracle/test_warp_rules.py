@@ -106,7 +106,8 @@ def random_worlds(sim: Simulation, rng: np.random.Generator) -> tuple[Worlds, St
         quat = np.concatenate([np.ones((WORLDS, BOXES, 1)), turn], -1)
         qpos[..., 3:] = quat / np.linalg.norm(quat, axis=-1, keepdims=True)
         poses.append(jnp.asarray(qpos, jnp.float32))
-    slow = np.where(some(0.7, (WORLDS, 1, 1)), 0.05, 3.0) * sim.quiet.quiet_m_s
+    # some are slow enough to be still, others only quiet, and some neither
+    slow = rng.choice([0.002, 0.05, 3.0], (WORLDS, 1, 1), p=[0.35, 0.35, 0.3]) * sim.quiet.quiet_m_s
     hard = np.where(some(0.3, (WORLDS, 1, 1)), 1000.0, 1.0)
     landed = np.maximum(step - pick(0, 5, 40, 90, 149, 150, 151), 0)
     if sim.check is Check.STATIC:
@@ -232,6 +233,11 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     was, now = np.asarray(after.end), found["end"]
     assert ((now < was) & (was != NEVER)).any() == adapts
     assert ((now > was) & (now != NEVER)).any() == sim.waits_for_rest
+    # Some that have not moved since do now.
+    last = (np.asarray(after.step) > 0) & (was <= np.asarray(after.step)) & (found["status"] == Status.RUNNING)
+    way = np.asarray(motion.moved(after.still_qpos, after.qpos, worlds.half))
+    has_moved = (stood & (way > sim.quiet.still_m_s * timetable.still_steps * sim.physics.timestep_s)).any(axis=1)
+    assert (last & ~has_moved).any() == sim.waits_for_rest
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):
         assert (found["flags"] & int(flag)).any(), flag
     stopped, dropped = found["flags"] & int(Flag.EARLY_STOP) != 0, (found["drop_step"] >= 0).any(axis=1)

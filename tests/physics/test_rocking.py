@@ -17,6 +17,7 @@ from benchmarks.rocking import (
     block_plan,
     eumos_levels,
     largest_level_g,
+    overturning_limits,
     swept,
     tilting,
     trapezoid,
@@ -28,6 +29,8 @@ needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="warp-lang is 
 
 LEVEL_G = 0.01
 """Levels are searched in these steps; a test at a level tells nothing finer."""
+OVERTURNS_G = 0.004
+"""By how much less a pulse of 0.2 s may be that overturns a block of 150 × 600 mm: 0.7 %."""
 LATE_DEG = 0.06
 """Of how late a tilt is: a look, 0.05° at 5°/s, and what contacts give way."""
 
@@ -70,6 +73,15 @@ def test_the_largest_levels_of_eumos_s_test_are_those_of_a_rigid_block() -> None
     """A stack that slides from 0.34 g on, and one that rocks instead, and falls from 0.36 g on."""
     for row in eumos_levels("mujoco", stacks=(3, 5), frictions=(0.3,)):
         assert row.value == pytest.approx(row.expected, abs=1.001 * LEVEL_G), row
+
+
+def test_a_pulse_overturns_a_block_at_housner_s_level_but_for_what_its_edge_sinks() -> None:
+    """Contacts set in within a tenth of a millimetre, and the block has to rise by 9.2 mm to fall."""
+    (row,) = overturning_limits("mujoco", pulses_s=(0.2,), within=0.008)
+    assert row.expected == 0.602
+    assert 0 < row.expected - row.value <= OVERTURNS_G
+    (sharp,) = overturning_limits("mujoco", (0.2,), "solimp = [0.1, 0.999, 0.00002]", within=0.008)
+    assert sharp.expected - sharp.value <= OVERTURNS_G / 3
 
 
 def test_tilts_are_late_by_what_closed_forms_say() -> None:

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import jax
+import mujoco
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import petmjx
+from petmjx.engines.cpu.slip import SlipLaw
+from petmjx.sweeps.sliding import slide_m
+from petmjx.world.profiles.acceleration import eumos_40509
+from petmjx.world.slip import FIRST_SHARE, MOST_ROUNDS, next_share
 
 G = petmjx.Physics().gravity_m_s2
-ENGINES = ("mujoco", "mjx-warp-cpu", "mjx-jax")
+ENGINES = ("mujoco", "mjx-warp-cpu")
 
 FRICTION = np.array([0.2, 0.2, 0.5, 0.5, 0.7, 0.7])
 SPEED_M_S = np.array([0.5, 2.0] * 3)
@@ -58,15 +64,21 @@ def way_m(friction: NDArray[np.float64]) -> NDArray[np.float64]:
     return SPEED_M_S * stops_s - friction * G * stops_s**2 / 2
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_level_box_that_slides_stays_on_the_ground_and_slides_as_far_as_coulomb_says(engine: str) -> None:
-    place = slide(engine)
+@pytest.mark.parametrize(
+    ("engine", "kinetic"),
+    [("mujoco", 1.0), ("mujoco", 0.75), ("mjx-warp-cpu", 1.0), ("mjx-warp-cpu", 0.75), ("mjx-jax", 0.75)],
+)
+def test_a_level_box_that_slides_stays_on_the_ground_and_slides_as_far_as_coulomb_says(
+    engine: str, kinetic: float
+) -> None:
+    # mjx-jax takes half a minute to compile: it has the harder of the two
+    place = slide(engine, physics={"kinetic_friction_share": kinetic})
     assert (place[..., 2] - place[:, -1:, 2]).max() < LIFT_M
-    np.testing.assert_allclose(place[:, -1, 0], way_m(FRICTION), rtol=WAY, atol=WAY_M)
+    np.testing.assert_allclose(place[:, -1, 0], way_m(kinetic * FRICTION), rtol=WAY, atol=WAY_M)
     assert np.abs(place[..., 1]).max() < LIFT_M
 
 
-@pytest.mark.parametrize("engine", ENGINES[:2])
+@pytest.mark.parametrize("engine", ENGINES)
 def test_one_that_slides_on_another_box_stays_on_it(engine: str) -> None:
     place = slide(engine, n_boxes=2)
     kept = way_m(FRICTION) < 0.9  # the centre stays above the lower box
@@ -74,12 +86,70 @@ def test_one_that_slides_on_another_box_stays_on_it(engine: str) -> None:
     np.testing.assert_allclose(place[kept, -1, 0] + 0.5, way_m(FRICTION)[kept], rtol=WAY, atol=WAY_M)
 
 
-@pytest.mark.parametrize("engine", ENGINES[:2])
-def test_kinetic_friction_is_a_share_of_that_at_rest(engine: str) -> None:
-    place = slide(engine, physics={"kinetic_friction_share": 0.75})
-    np.testing.assert_allclose(place[:, -1, 0], way_m(0.75 * FRICTION), rtol=WAY, atol=WAY_M)
+@pytest.mark.parametrize("engine", ENGINES)
+def test_kinetic_friction_acts_in_drives_and_only_once_a_box_slides(engine: str, tmp_path: Path) -> None:
+    levels = [0.48, 0.6, 0.7]  # friction at rest is 0.5
+    plan = petmjx.Plan.from_boxes("box", size_mm=[[400, 300, 100]], corner_mm=[[400, 250, 0]], mass_kg=[10.0])
+    file = tmp_path / "drive.toml"
+    file.write_text(f"""
+        [simulation]
+        carrier = "euro-pallet"
+        early_stop = false
+        thresholds = {{ shift_m = 1.0 }}
+        physics = {{ kinetic_friction_share = 0.75 }}
+        [axes]
+        profile = "eumos-40509"
+        level = {levels}
+    """)
+    boxes = petmjx.sweep(file, [plan], engine=engine, threads=1).boxes
+    samples = eumos_40509().excitation(petmjx.Physics().timestep_s).samples
+    ways = [slide_m(level * samples, 0.5, G, petmjx.Physics().timestep_s, kinetic=0.75) for level in levels]
+    assert ways[0] == 0
+    np.testing.assert_allclose(0.6 - boxes.pos_x_m, ways, rtol=WAY, atol=WAY_M)
 
 
 def test_without_the_correction_it_hops() -> None:
     place = slide("mujoco", physics={"slip_correction": False})
     assert (place[..., 2] - place[:, -1:, 2]).max() > 20 * LIFT_M
+
+
+def test_the_next_share_of_an_excess_leaves_no_change_where_it_is_linear() -> None:
+    slope = np.array([0.5, 0.7, 1.0, 1.5])  # of the change by the excess
+    share, change, none = np.full(4, FIRST_SHARE), np.array([3.0, -2.0, 0.5, 8.0]), np.zeros(4)
+    np.testing.assert_array_equal(next_share(share, change, none), share)
+    left = (1 - share * slope) * change
+    np.testing.assert_allclose((1 - next_share(share, left, change) * slope) * left, none, atol=1e-12)
+    # one that the last share made larger the other way gets half of it
+    assert next_share(share, -2 * change, change)[0] == FIRST_SHARE / 2
+
+
+def test_a_heap_that_tumbles_needs_few_solutions_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    solved = []
+    solve, law = mujoco.mj_fwdConstraint, SlipLaw._solve
+
+    def counted(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        solved[-1] += 1
+        solve(model, data)
+
+    def step(self: SlipLaw, *of_step: Any) -> None:
+        solved.append(0)
+        law(self, *of_step)
+
+    monkeypatch.setattr(mujoco, "mj_fwdConstraint", counted)
+    monkeypatch.setattr(SlipLaw, "_solve", step)
+    n = 8  # bricks that fall beside and onto each other
+    rng = np.random.default_rng(5)
+    petmjx.release(
+        size_mm=np.tile((300.0, 200.0, 100.0), (1, n, 1)),
+        mass_kg=np.full((1, n), 4.0),
+        pos_m=np.stack([0.1 * rng.normal(size=n), 0.1 * rng.normal(size=n), 0.1 + 0.15 * np.arange(n)], axis=-1)[None],
+        quat_wxyz=(1.0, 0.0, 0.0, 0.0),
+        vel_m_s=rng.normal(0, 0.5, (1, n, 3)),
+        angvel_rad_s=rng.normal(0, 2.0, (1, n, 3)),
+        times_s=[1.0],
+        friction=0.5,
+        engine="mujoco",
+    )
+    assert len(solved) > 200
+    assert np.mean(solved) < 4.1  # with a fixed share of 0.8: 4.5
+    assert np.mean(np.array(solved) > MOST_ROUNDS) < 0.15  # 0.17

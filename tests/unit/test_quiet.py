@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -148,3 +149,24 @@ def test_a_box_that_begins_to_topple_is_waited_for() -> None:
     assert outcomes["fixed"].verdict is Verdict.UNSTABLE
     assert outcomes["adaptive"].verdict is Verdict.UNSTABLE
     assert outcomes["hasty"].verdict is Verdict.STABLE
+
+
+@pytest.mark.parametrize("phase_s", np.linspace(-0.12, 0.12, 9))
+def test_a_box_that_turns_round_does_not_rest(phase_s: float) -> None:
+    """A box that rocks by 5 mm in 5 s is slower than ``still_m_s`` for a moment where it turns round, and has not moved
+    in a window around it."""
+    rule = QuietRule(ADAPTIVE, make_scene(1))
+    rate, amplitude_m = 2 * math.pi / 5.0, 0.005
+    window_s = QUIET.still_steps * ADAPTIVE.physics.timestep_s
+
+    def pose(time_s: float) -> np.ndarray:
+        return np.array([[amplitude_m * math.cos(rate * time_s), 0, 0, 1, 0, 0, 0]])
+
+    velocity = np.zeros((1, 6))
+    velocity[0, 0] = -amplitude_m * rate * math.sin(rate * phase_s)
+    before, after = pose(phase_s - window_s), pose(phase_s)
+    assert rule.motion(before, after, velocity, window_s) == (True, True)
+    assert rule.motion(after, after, np.zeros((1, 6)), window_s) == (False, False)
+    # preset reference, whose boxes creep by themselves, asks for their way alone
+    creeps = QuietRule(Simulation(physics="reference"), make_scene(1))
+    assert creeps.motion(after, after, np.full((1, 6), 1.0), window_s) == (False, False)

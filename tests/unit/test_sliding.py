@@ -15,6 +15,7 @@ from petmjx.sweeps.file import load_sweep
 from petmjx.sweeps.ready import find_sweep
 from petmjx.sweeps.sliding import hopeless_profiles, slide_m
 from petmjx.world.profiles.acceleration import eumos_40509
+from petmjx.world.slip import STICKS_M_S
 
 G = 9.81
 DT = 0.002
@@ -55,6 +56,19 @@ def test_a_block_and_a_single_box_agree() -> None:
     assert slide_m(0.53 * unit, 0.5, G, DT) < 0.02 < slide_m(0.54 * unit, 0.5, G, DT)
 
 
+def test_a_block_that_slides_has_its_kinetic_friction() -> None:
+    # 0.6 g for 0.3 s. Friction is 0.5 up to 1 cm/s, and 0.4 from 2 cm/s on; in between the acceleration grows with the
+    # speed, from 0.1 g to 0.2 g
+    push_s, share = 0.3, 0.8
+    unit_s = STICKS_M_S / (0.1 * G)
+    begin, begin_m = unit_s * (1 + math.log(2)), unit_s * STICKS_M_S * (1 / 2 + 1)
+    speed = 2 * STICKS_M_S + 0.2 * G * (push_s - begin)
+    expected = begin_m + (speed + 2 * STICKS_M_S) / 2 * (push_s - begin) + speed**2 / (2 * 0.4 * G)
+    push = steady((0.6 * G, 0, 0), push_s)
+    assert slide_m(push, 0.5, G, DT, kinetic=share) == pytest.approx(expected, rel=0.01)
+    assert slide_m(steady((0.4999 * G, 0, 0), 10.0), 0.5, G, DT, kinetic=share) == 0.0
+
+
 def test_the_farthest_place_counts_not_the_last() -> None:
     there = steady((0.8 * G, 0, 0), 0.3)
     back = np.vstack([there, -2 * there, there])
@@ -73,6 +87,8 @@ def test_the_farthest_place_counts_not_the_last() -> None:
          ["eumos-40509 reaches 0.6 g from level 0.6 on: with friction 0.5 no unsecured load stays in place"]),
         ("mode = 'sample'\nsample = 2\n[axes]\nprofile = 'eumos-40509'\nlevel = {from = 0.2, to = 1.0}",
          ["eumos-40509 reaches 0.6 g from level 0.6 on: with friction 0.5 no unsecured load stays in place"]),
+        ("[simulation]\nphysics = {kinetic_friction_share = 0.7}\n[axes]\nprofile = 'eumos-40509'\nlevel = [0.52, 1]",
+         ["eumos-40509 reaches 0.52 g from level 0.52 on: with friction 0.5 no unsecured load stays in place"]),
         ("[axes]\nprofile = 'tilt'", ["tilt reaches 45°: with friction 0.5 no unsecured load stays in place"]),
         ("[axes]\nprofile = ['half-sine', 'eumos-40509']\nlevel = 0.5", []),
         ("[axes]\nprofile = 'radial'\nscale = 100", []),

@@ -79,6 +79,12 @@ def test_ready_made_sweeps_load_and_make_the_worlds_they_promise(name: str) -> N
     assert sweep.resolved()["simulation"]["interval_s"] > 0
 
 
+def test_kinetic_friction_is_that_of_the_ctu_code_where_a_sweep_is_by_it() -> None:
+    shares = {name: load_sweep(SWEEPS / name).simulation.physics.kinetic_friction_share for name in READY_MADE}
+    assert {name: share for name, share in shares.items() if share != 1} == {"en-12195-1.toml": 0.75}
+    assert "CTU Code" in (SWEEPS / "en-12195-1.toml").read_text(encoding="utf-8")
+
+
 def test_every_sweep_of_the_list_is_there() -> None:
     assert sorted(WORLDS) == READY_MADE
 

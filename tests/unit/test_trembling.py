@@ -109,8 +109,10 @@ def test_what_trembles_is_not_waited_for() -> None:
     assert quiet.index(True) == 2 * PERIOD + SIM.quiet.steps // SIM.quiet.poll_steps - 1
     assert not rule.holds  # whoever goes on then has the flag of worlds that move
     moved = np.array([[0.5 * SIM.quiet.slow_m_s * 0.1, 0, 0, 0, 0, 0, 0]])
-    assert rule.motion(poses[0], poses[0] + moved, 0.1) == (True, False)
-    assert rule.motion(poses[0], poses[0] + 3 * moved, 0.1) == (True, True)
+    fast = velocities[-1]
+    assert rule.motion(poses[0], poses[0] + moved, fast, 0.1) == (True, False)
+    assert rule.motion(poses[0], poses[0] + 3 * moved, fast, 0.1) == (True, True)
+    assert rule.motion(poses[0], poses[0], fast, 0.1) == (False, False)
     # another box is placed: the first one may move otherwise now
     assert rule.trembling.which(1).tolist() == [True]
     assert rule.trembling.which(2).tolist() == [False, False]

@@ -381,8 +381,9 @@ class Rules:
         trembles = trembling.trembling(state, sim)
         most = jnp.where(trembles, sim.quiet.slow_m_s, sim.quiet.still_m_s) * seconds[:, None]
         standing = self.standing(state)
-        moves = (standing & (moved > sim.quiet.still_m_s * seconds[:, None])).any(-1)
-        waits = (standing & (moved > most)).any(-1)
+        turns = sim.waits_for_rest & ~trembles & (motion.speed(state.qvel, worlds.half) > sim.quiet.still_m_s)
+        moves = (standing & (turns | (moved > sim.quiet.still_m_s * seconds[:, None]))).any(-1)
+        waits = (standing & (turns | (moved > most))).any(-1)
         last_end = jnp.full_like(state.end, NEVER)
         if self.driven:
             drive_end = _drive_end(state, worlds)

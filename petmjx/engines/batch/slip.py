@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.engines.batch.mjx import mjx
 from petmjx.options.physics import Physics
-from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, slack_m_s2
+from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, kinetic_share, slack_m_s2
 
 
 class SlipLaw:
@@ -26,7 +26,7 @@ class SlipLaw:
 
     def __init__(self, physics: Physics, model_of: Callable[[Any], Any]) -> None:
         self._slack = slack_m_s2(physics)
-        self._kinetic = physics.kinetic_friction_share
+        self._kinetic = kinetic_share(physics)
         self._model_of = model_of
 
     def solve(self, fields: Any, data: Any) -> Any:

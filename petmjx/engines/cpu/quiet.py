@@ -75,9 +75,18 @@ class QuietRule:
         """Whether these boxes are slower than a quiet pallet's."""
         return bool((motion_np.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
-    def motion(self, before: FloatArray, after: FloatArray, seconds: float) -> tuple[bool, bool]:
-        """Whether a point of a box moved faster than ``still_m_s``, from (k, 7) poses and the time between them, and
-        whether a world with such boxes has to wait: not if they tremble, up to ``slow_m_s``."""
-        moved = motion_np.moved(before, after, self._radius_m[: len(after)])
-        most = np.where(self.trembling.which(len(after)), self._rule.slow_m_s, self._rule.still_m_s)
-        return bool((moved > self._rule.still_m_s * seconds).any()), bool((moved > most * seconds).any())
+    def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
+        """Whether a point of a box moved faster than ``still_m_s``, or does now, and whether a world with such boxes
+        has to wait: not if they tremble, up to ``slow_m_s``.
+
+        Args:
+            before, after: (k, 7) poses, so many ``seconds`` apart: on the average a box that rocks has not moved while
+                it turns round.
+            velocity: (k, 6) now.
+        """
+        rule, radius = self._rule, self._radius_m[: len(after)]
+        moved = motion_np.moved(before, after, radius)
+        trembles = self.trembling.which(len(after))
+        turns = self._waits_for_creep & ~trembles & (motion_np.speed(velocity, radius) > rule.still_m_s)
+        most = np.where(trembles, rule.slow_m_s, rule.still_m_s)
+        return bool((turns | (moved > rule.still_m_s * seconds)).any()), bool((turns | (moved > most * seconds)).any())

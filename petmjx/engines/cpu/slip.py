@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
 from petmjx.options.physics import Cone, Physics
-from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, friction_share, slack_m_s2
+from petmjx.world.slip import (
+    ENOUGH_M_S2,
+    FIRST_SHARE,
+    MOST_ROUNDS,
+    STICKS_M_S,
+    friction_share,
+    kinetic_share,
+    next_share,
+    slack_m_s2,
+)
 
 LOOK_STEPS = 5
 """Steps from one look whether anything moves to the next. A pallet at rest takes them in one call of C, without the
@@ -31,7 +40,7 @@ class SlipLaw:
 
     def __init__(self, physics: Physics) -> None:
         self._slack = slack_m_s2(physics)
-        self._share = physics.kinetic_friction_share
+        self._share = kinetic_share(physics)
         self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._share < 1)
         """Whether it changes anything."""
 
@@ -56,8 +65,10 @@ class SlipLaw:
             active, share = data.efc_id[first::3], friction_share(np.hypot(*slip.T), self._share)
             data.contact.friction[active, :2] *= share[:, None]
             data.contact.mu[active] *= share
-        reference = np.square(data.efc_aref[first:].reshape(-1, 3)[:, 1:]).sum(axis=1)
-        slides = np.flatnonzero(reference > self._slack**2)
+        aref = data.efc_aref[first:]
+        one, two = aref[1::3], aref[2::3]
+        reference = one * one + two * two
+        slides = (reference > self._slack**2).nonzero()[0]
         if not len(slides):
             mujoco.mj_step2(model, data)
             return
@@ -90,14 +101,17 @@ class SlipLaw:
             return excess
 
         excess: FloatArray = np.minimum(excess_at(data.qacc_warmstart, 0.0), reference - self._slack)
+        force, share = data.efc_force, np.full(len(normal), FIRST_SHARE)
+        last = np.zeros(len(normal))
         for rounds in range(MOST_ROUNDS + 1):
             aref[normal] = before - friction * excess
             mujoco.mj_fwdConstraint(model, data)
             if rounds == MOST_ROUNDS:
                 break
-            force = data.efc_force
             change = excess_at(data.qacc, lag * np.hypot(force[one], force[two])) - excess
             if (friction * np.abs(change)).max() <= ENOUGH_M_S2:
                 break
-            excess += RELAXATION * change
+            share = next_share(share, change, last)
+            excess += share * change
+            last = change
             data.qacc_warmstart[:] = data.qacc

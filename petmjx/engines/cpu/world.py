@@ -310,7 +310,8 @@ class WorldRun:
         pose = self._live.pose[:k]
         if self._step % self._sample_steps:
             self._metrics.add_pose(self._clock.time_s(self._step), pose[:, :3], pose[:, 3:])
-        moves, waits = self._quiet.motion(self._still_pose[:k], pose, (self._step - self._still_from) * self._dt)
+        seconds = (self._step - self._still_from) * self._dt
+        moves, waits = self._quiet.motion(self._still_pose[:k], pose, self._live.velocity[:k], seconds)
         last_end = self._waits.last_end(self._step)
         lost = self._metrics.is_lost(pose[:, :3], pose[:, 3:], self._job.drive if self._driving else None)
         if waits and (last_end != NEVER or not lost) and self._waits.may_go_on(self._step):

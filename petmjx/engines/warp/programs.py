@@ -26,7 +26,7 @@ from petmjx.options.physics import Cone, Physics
 from petmjx.world.contact import MOST_IMPEDANCE
 from petmjx.world.landing import lasts_steps
 from petmjx.world.placing import lowering_rate_1_s, rate_1_s, stuck_steps
-from petmjx.world.slip import slack_m_s2
+from petmjx.world.slip import kinetic_share, slack_m_s2
 from petmjx.world.wrap import spring_rate_1_s
 
 TOLERANCE = 1e-8
@@ -65,7 +65,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "pyramidal": int(physics.cone is Cone.PYRAMIDAL),
         "friction_damping": friction_damping(physics),
         "slip_slack": slack_m_s2(physics),
-        "kinetic_share": physics.kinetic_friction_share if physics.cone is Cone.ELLIPTIC else 1.0,
+        "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
         "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other

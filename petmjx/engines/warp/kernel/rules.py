@@ -15,7 +15,7 @@ from petmjx.engines.warp.kernel.hand import lets_go, missed, take_up
 from petmjx.engines.warp.kernel.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernel.quiet import count_quiet, has_failed
 from petmjx.engines.warp.kernel.samples import HALF, LAST_BOX, length_of, measure, press, sway_of, tilt_of
-from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, trembles
+from petmjx.engines.warp.kernel.trembling import find_trembling, moved_since, speed_unless_trembling, trembles
 from petmjx.engines.warp.records import Model, State, Thread, Workspace, Worlds
 from petmjx.verdict import Flag
 from petmjx.world import release
@@ -92,18 +92,22 @@ def _look_at_the_end(
     # Data in:
     state: State,
 ) -> tuple[bool, bool, bool]:
-    """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago,
-    whether one has that must be waited for, and whether a box is lost: it has dropped, or is tilted too far now and, in
-    a drive, away by what it allows."""
+    """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago, or
+    does now, whether one has that must be waited for, and whether a box is lost: it has dropped, or is tilted too far
+    now and, in a drive, away by what it allows."""
     world = at.world
     moves = bool(False)
     waits = bool(False)
     lost = bool(False)
     for box in range(at.thread, at.placed, at.threads):
         moved = moved_since(worlds, state, state.still_qpos, world, box)
-        moves = moves or moved > model.still_speed * seconds
+        speed = float(0.0)
+        if model.waits_for_rest != 0:
+            speed = speed_unless_trembling(model, worlds, state, looks, world, box)
+        turns = speed > model.still_speed
+        moves = moves or turns or moved > model.still_speed * seconds
         most = wp.where(trembles(model, state, looks, world, box), model.slow_speed, model.still_speed)
-        waits = waits or moved > most * seconds
+        waits = waits or turns or moved > most * seconds
         q = orientation(state, world, box + 1)
         tilted = tilt_of(q) > model.tilt
         if driven:
