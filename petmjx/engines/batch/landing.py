@@ -53,9 +53,8 @@ def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, physics: Ph
     opening = share * came
     if share > 0:
         fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
-        height = jnp.maximum(depth - AT_REST * physics.solimp[2], 0.0)
-        out = jnp.sqrt((fall * step_s) ** 2 + opening**2 + 2 * fall * height) - fall * step_s
-        opening = jnp.maximum(opening, out)
+        energy = jnp.maximum(opening**2 + 2 * fall * (depth - AT_REST * physics.solimp[2]), 0.0)
+        opening = jnp.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2
     enough = (closing + opening) / step_s
     most = (1 + share) * came / physics.landing_s
     rigid = contact.solimp[:, 1] >= physics.solimp[1] * (1 - 1e-6)

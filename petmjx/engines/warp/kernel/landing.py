@@ -133,10 +133,10 @@ def land(
             opening = model.restitution * before
             if model.restitution > 0.0:
                 fall = wp.abs(number_of(work.efc, block, contact, 2)) * model.gravity
-                height = wp.max(depth - AT_REST * model.solimp[2], 0.0)
-                step = fall * model.timestep
-                out = wp.sqrt(step * step + opening * opening + 2.0 * fall * height) - step
-                opening = wp.max(opening, out)
+                height = depth - AT_REST * model.solimp[2]
+                energy = wp.max(opening * opening + 2.0 * fall * height, 0.0)
+                step = 0.5 * fall * model.timestep
+                opening = wp.sqrt(step * step + energy) - step
             enough = (_closing(state, work, at, contact, False) + opening) / model.timestep
             if enough > 0.0:
                 most = (1.0 + model.restitution) * before / model.landing_time
