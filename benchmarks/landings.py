@@ -14,14 +14,13 @@ import numpy as np
 
 import petmjx
 from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
-from petmjx.world.landing import USUAL_S
+from petmjx.options.physics import LANDING_S, RESTITUTION
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
 MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)
 """What a box may pass below where it rests, from each height."""
 TIMESTEPS_S = (0.002, 0.001, 0.0005)
 ASKED = (0.0, 0.1, 0.3)
-LANDING_S = USUAL_S
 CARDBOARD = (0.1, 0.3)
 """Restitution of cardboard boxes: TU/e, T-RO 2023 (four cartons on a conveyor; 0 to 0.6 over all identifications)."""
 

@@ -31,10 +31,6 @@ from petmjx.options.physics import Physics
 FAST_M_S: Final = 0.1
 """A contact that closes faster is a landing: one from a height of 0.5 mm."""
 
-USUAL_S: Final = 0.003
-"""``Physics.landing_s`` of ``petmjx.release``, where it asks for a restitution: boxes that fall 10 to 300 mm then come
-less than 1 to 9 mm deep, and one and a half steps of 2 ms resolve a landing."""
-
 AT_REST: Final = 2.0
 """How deep contacts are that a rebound leaves behind, as a multiple of the width of ``solimp``: those at rest are 1.3
 times as deep, and press a little while a box rises through them. With this, rebounds from 10 mm are met within 0.03
