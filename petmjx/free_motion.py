@@ -123,7 +123,7 @@ def release(
         friction: (…) coefficient of sliding friction of a box with the ground; between two boxes the larger one counts.
             None: as the physics says of boxes and carriers.
         restitution: (…) share of its speed with which a box bounces, up to 0.9, the same for all boxes of a world; what
-            lands is then stopped within ``physics.landing_s``, or 3 ms where that is 0. None: as the physics says.
+            lands is stopped within ``physics.landing_s``, or 3 ms where that is 0. None: as the physics says.
         ground: "plane", infinite, or the name of a carrier of a fixed size, or a TOML file of boards, which is held
             fast, with its front-left corner at the origin and its top at z = 0.
         physics: a preset's name, a table that changes one, or a record.
