@@ -72,21 +72,29 @@ class Landings:
         # a box that has just been placed has no acceleration yet, and may begin to fall
         if placed != live.n_placed or self.left.any():
             return False
-        speed, acceleration = data.qvel, data.qacc
-        return bool(speed.dot(speed) < (0.5 * FAST_M_S) ** 2 and acceleration.dot(acceleration) < CALM_M_S2**2)
+        acceleration = data.qacc
+        return _is_slow(data.qvel) and bool(acceleration.dot(acceleration) < CALM_M_S2**2)
 
     def act(self, live: MovingWorld) -> None:
         """Between collision and solver: find boxes that begin to land, and change the contacts while any does."""
         data, left = live.data, self.left
-        np.maximum(left - 1, 0, out=left)
+        landing = bool(left.any())
+        if landing:
+            np.maximum(left - 1, 0, out=left)
+            landing = bool(left.any())
+        elif _is_slow(data.qvel):
+            return
         contact = data.contact
         address = np.asarray(contact.efc_address)
         these = np.flatnonzero(address >= 0)
         row = address[these]
+        closing = -data.efc_vel[row]
+        fast = closing > FAST_M_S
+        if not landing and not fast.any():
+            return
         geoms = np.asarray(contact.geom)[these]
         boxes = live.geom_bodies[geoms]
-        closing = -data.efc_vel[row]
-        hit = boxes[closing > FAST_M_S].ravel()
+        hit = boxes[fast].ravel()
         hit = hit[hit >= 0]
         fresh = hit[left[hit] == 0]
         if len(fresh):
@@ -120,3 +128,8 @@ class Landings:
         if boards is not None:
             surface[geom_bodies == CARRIER] = boards
         return surface
+
+
+def _is_slow(velocity: FloatArray) -> bool:
+    """Whether no contact closes fast enough to be a landing. ``velocity``: (nv,) of all bodies."""
+    return bool(velocity.dot(velocity) < (0.5 * FAST_M_S) ** 2)
