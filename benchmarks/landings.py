@@ -14,7 +14,7 @@ import numpy as np
 
 import petmjx
 from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
-from petmjx.options.physics import LANDING_S
+from petmjx.options.physics import LANDING_S, RESTITUTION
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
 MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)
