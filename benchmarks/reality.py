@@ -160,8 +160,9 @@ def _tosses(data: Path, limit: int | None, engine: str, *, whole: bool) -> tuple
     rows = list(_rows_of_errors(told["tosses"], f"{n} tosses", n, engine))
     rows += _rows_of_errors(told["tosses_that_bounce"], f"{n} tosses with restitution {RESTITUTION}", n, engine)
     if whole:
-        told |= {"spread": spread(tosses, engine), "friction": friction(tosses, engine)}
-        told["calibration"] = calibration(tosses, engine)
+        told |= {
+            study.__name__: study(tosses, engine, restitution=RESTITUTION) for study in (spread, friction, calibration)
+        }
         rows += _rows_of_spread(told["spread"], engine)
         rows += _rows_of_friction(told["friction"], engine)
         rows += _rows_of_calibration(told["calibration"], engine)

@@ -18,11 +18,10 @@ from petmjx.engines.base import Engine
 from petmjx.loop.opening import ready_engine
 from petmjx.options.carrier import CARRIER_EXTENT_M, OwnCarrier
 from petmjx.options.config import LONGEST_S, Simulation
-from petmjx.options.physics import HIGHEST_FRICTION, HIGHEST_RESTITUTION, Physics
+from petmjx.options.physics import HIGHEST_FRICTION, HIGHEST_RESTITUTION, LANDING_S, Physics
 from petmjx.options.run_options import AUTO
 from petmjx.plans.fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 from petmjx.world.free_bodies import FreeBodies, Ground, inertia_box
-from petmjx.world.landing import USUAL_S
 from petmjx.world.scene import Scene
 
 PLANE: Final = "plane"
@@ -124,7 +123,7 @@ def release(
         friction: (…) coefficient of sliding friction of a box with the ground; between two boxes the larger one counts.
             None: as the physics says of boxes and carriers.
         restitution: (…) share of its speed with which a box bounces, up to 0.9, the same for all boxes of a world; what
-            lands is then stopped within ``physics.landing_s``, or 3 ms where that is 0. None: as the physics says.
+            lands is stopped within ``physics.landing_s``, or 3 ms where that is 0. None: as the physics says.
         ground: "plane", infinite, or the name of a carrier of a fixed size, or a TOML file of boards, which is held
             fast, with its front-left corner at the origin and its top at z = 0.
         physics: a preset's name, a table that changes one, or a record.
@@ -177,7 +176,7 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
     of_world = restitution[:, 0, 0]
     if (restitution[..., 0] != of_world[:, None]).any():
         raise InputError("restitution must be the same for all boxes of a world")
-    landing_s = sim.physics.landing_s or USUAL_S
+    landing_s = sim.physics.landing_s or LANDING_S
     made: dict[int, FloatArray] = {}
     for share in np.unique(of_world).tolist():
         rows = np.flatnonzero(of_world == share)

@@ -12,7 +12,7 @@ from typing import Literal, TypedDict
 from petmjx.engines.base import Simulates
 from petmjx.options.carrier import Board, Carrier, OwnCarrier
 from petmjx.options.config import Attempts, Check, Quiet, Schedule, Solver, Thresholds
-from petmjx.options.materials import FrictionPair
+from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.placing import Placing, Way
 from petmjx.options.wrap import Wrap
@@ -166,6 +166,14 @@ class FrictionPairTable(TypedDict, total=False):
     friction: float
 
 
+class LandingPairTable(TypedDict, total=False):
+    """Fields of ``petmjx.options.materials.LandingPair``."""
+
+    between: tuple[str, str] | list[str]
+    restitution: float | None
+    landing_s: float | None
+
+
 class SimulationOptions(TypedDict, total=False):
     """Fields of ``petmjx.options.config.Simulation``."""
 
@@ -174,6 +182,7 @@ class SimulationOptions(TypedDict, total=False):
     physics: Physics | PhysicsTable | PhysicsName
     carrier: Carrier | CarrierName | OwnCarrier | OwnCarrierTable | str | PathLike[str]
     friction_pairs: tuple[FrictionPair | FrictionPairTable, ...] | list[FrictionPair | FrictionPairTable]
+    landing_pairs: tuple[LandingPair | LandingPairTable, ...] | list[LandingPair | LandingPairTable]
     size_reduction_mm: float
     interval_s: float
     longest_wait_s: float

@@ -18,7 +18,7 @@ from petmjx.basics.checked import Checked
 from petmjx.engines.choose import ENGINES
 from petmjx.options.carrier import Board, OwnCarrier
 from petmjx.options.config import Quiet, Simulation, Thresholds
-from petmjx.options.materials import FrictionPair
+from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import CUSTOM, PHYSICS, Physics
 from petmjx.options.placing import Placing
 from petmjx.options.run_options import AUTO, Confidence, RunOptions
@@ -40,7 +40,17 @@ from typing import Literal, TypedDict
 
 '''
 
-INNER: tuple[type[Checked], ...] = (Physics, Thresholds, Quiet, Placing, Wrap, OwnCarrier, Board, FrictionPair)
+INNER: tuple[type[Checked], ...] = (
+    Physics,
+    Thresholds,
+    Quiet,
+    Placing,
+    Wrap,
+    OwnCarrier,
+    Board,
+    FrictionPair,
+    LandingPair,
+)
 """Records within ``Simulation``, which may also be given as tables."""
 
 SHORT: dict[type[Checked], tuple[str, ...]] = {

@@ -16,7 +16,7 @@ from petmjx.verdict import Flag, Outcome
 from petmjx.world.growing import GrowingScenes
 from petmjx.world.job import Drive
 from petmjx.world.next_boxes import Blank, NextBoxes
-from petmjx.world.pairs import filled_up
+from petmjx.world.pairs import filled_up, filled_up_landings
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
@@ -164,6 +164,8 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError("the scene must have the world's carrier")
     if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
         raise ValueError("the scene must have the world's friction of pairs")
+    if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
+        raise ValueError("the scene must have the world's landings of pairs")
 
 
 class OpenWorlds(ABC):

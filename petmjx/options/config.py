@@ -9,11 +9,11 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Annotated, Any, Final, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from petmjx.basics.checked import Checked, CliFlag, complaint, within
 from petmjx.options.carrier import AnyCarrier, Carrier
-from petmjx.options.materials import FrictionPair
+from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import PHYSICS, Cone, Physics
 from petmjx.options.placing import Placing, Way
 from petmjx.options.wrap import Wrap
@@ -163,6 +163,12 @@ class Simulation(Checked):
         description="friction between materials of boxes and boards, in addition to petmjx's own table: tables with "
         "between (a list of two materials) and friction",
     )
+    landing_pairs: tuple[LandingPair, ...] = Field(
+        (),
+        max_length=100,
+        description="landings between materials of boxes and boards, in addition to petmjx's own table: tables with "
+        "between (a list of two materials), and restitution, landing_s or both",
+    )
     size_reduction_mm: Annotated[float, within(0, 1000), CliFlag("--size-reduction-mm", "MM")] = Field(
         0.1, ge=0, description="boxes are made smaller by this along x and y, so that neighbours start apart, mm"
     )
@@ -242,13 +248,15 @@ class Simulation(Checked):
             )
         return value
 
-    @field_validator("friction_pairs")
+    @field_validator("friction_pairs", "landing_pairs")
     @classmethod
-    def _each_pair_once(cls, value: tuple[FrictionPair, ...]) -> tuple[FrictionPair, ...]:
+    def _each_pair_once(
+        cls, value: tuple[FrictionPair | LandingPair, ...], info: ValidationInfo
+    ) -> tuple[FrictionPair | LandingPair, ...]:
         keys = [pair.key for pair in value]
         for at, key in enumerate(keys):
             if key in keys[:at]:
-                raise complaint(f"is about the same materials as friction_pairs[{keys.index(key)}]", at)
+                raise complaint(f"is about the same materials as {info.field_name}[{keys.index(key)}]", at)
         return value
 
     @field_validator("interval_s", "duration_s", "sample_interval_s", "rest_window_s")

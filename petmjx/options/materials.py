@@ -1,4 +1,4 @@
-"""Friction by pairs of materials: coefficients with their sources, and users' own."""
+"""Friction and landings by pairs of materials: values with their sources, and users' own."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Annotated, Final
 
 from pydantic import Field, StrictFloat
 
-from petmjx.basics.checked import Checked
+from petmjx.basics.checked import Checked, within
 from petmjx.basics.errors import InputError
 from petmjx.basics.text import counted, shown
+from petmjx.options.physics import HIGHEST_RESTITUTION, LONGEST_LANDING_S, RESTITUTION, SHORTEST_LANDING_S
 
 WOOD: Final = "wood"
 STEEL: Final = "steel"
@@ -38,6 +39,13 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {**_CTU, **_GUIDELIN
 """Coefficient of static friction between two materials, which are in alphabetical order. The CTU Code takes 75 % of it
 for cargo that slides: ``physics.kinetic_friction_share``."""
 
+RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
+    ("cardboard", "cardboard"): RESTITUTION,
+    ("cardboard", "wood"): RESTITUTION,
+}
+"""Restitution between two materials, in alphabetical order: the middle of what was measured of cartons, 0.1 to 0.3
+(TU/e, T-RO 2023). That of a carton's fall is lost in the carton, whatever hard surface it falls on."""
+
 _MOST_NAMED: Final = 5
 
 Name = Annotated[str, Field(min_length=1, max_length=100)]
@@ -53,6 +61,34 @@ class FrictionPair(Checked):
     def key(self) -> tuple[str, str]:
         """What pairs of the same materials have in common, in whatever order and however their names are written."""
         return _pair(*self.between)
+
+
+class LandingPair(Checked):
+    """How a material lands on another one, or on itself."""
+
+    between: tuple[Name, Name] = Field(description="the two materials")
+    restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
+        None,
+        description="share of its speed with which one bounces off the other; left out: as the table or physics says",
+    )
+    landing_s: Annotated[float, within(SHORTEST_LANDING_S, LONGEST_LANDING_S)] | None = Field(
+        None, description="time in which one is stopped by the other, s; left out: as physics says"
+    )
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """As ``FrictionPair.key``."""
+        return _pair(*self.between)
+
+
+def landing_between(one: str, other: str, own: Sequence[LandingPair]) -> tuple[float | None, float | None]:
+    """The restitution of a pair of materials, and the time in which they stop one another, s; None: as physics says.
+    Of users' own the last one counts."""
+    pair = _pair(one, other)
+    said = next((each for each in reversed(own) if each.key == pair), None)
+    restitution = said.restitution if said is not None else None
+    usual = RESTITUTION_OF_PAIRS.get(pair) if restitution is None else restitution
+    return usual, said.landing_s if said is not None else None
 
 
 def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float | None:

@@ -8,10 +8,10 @@ so that two bodies in contact accelerate relative to one another by just that, w
 - A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. What it lands on, if it
   is a box, lands, too. For ``lasts_steps`` their velocities before that step are remembered.
 - A contact that closes by v, and closed by v₀ with the velocities before, is to open by e·v₀ in the end (Newton's law
-  of impact; e is ``restitution``), and in addition by as much as takes the box out of the depth that it has reached. It
-  is decelerated by (1 + e)·v₀ / ``landing_s``, or by less if that is enough in this step. So the force is the same in
-  all of a landing, and does not depend on the timestep; and a box comes by v₀·``landing_s`` / 2 / (1 + e) deep, and by
-  what it passes in a step before.
+  of impact; e is ``restitution``, or that of the pair of materials), and in addition by as much as takes the box out of
+  the depth that it has reached. It is decelerated by (1 + e)·v₀ / ``landing_s``, or by less if that is enough in this
+  step. So the force is the same in all of a landing, and does not depend on the timestep; and a box comes by
+  v₀·``landing_s`` / 2 / (1 + e) deep, and by what it passes in a step before.
 - Meanwhile all contacts of the world are as stiff as beyond the width of ``solimp``. Else boxes below, whose contacts
   carry little, would be pressed in before these became stiff.
 
@@ -26,26 +26,26 @@ from typing import Final
 import numpy as np
 
 from petmjx.basics.units import FloatArray
+from petmjx.options.config import Simulation
 from petmjx.options.physics import Physics
+from petmjx.world.pairs import USUAL
 
 FAST_M_S: Final = 0.1
 """A contact that closes faster is a landing: one from a height of 0.5 mm."""
 
-USUAL_S: Final = 0.003
-"""``Physics.landing_s`` of ``petmjx.release``, where it asks for a restitution: boxes that fall 10 to 300 mm then come
-less than 1 to 9 mm deep, and one and a half steps of 2 ms resolve a landing."""
-
-AT_REST: Final = 1.3
-"""How deep contacts are at rest, as a multiple of the width of ``solimp``. With this, rebounds from 10 mm are met
-best; at a restitution of 0.1 they are a tenth of a millimetre high."""
+AT_REST: Final = 2.0
+"""How deep contacts are that a rebound leaves behind, as a multiple of the width of ``solimp``: those at rest are 1.3
+times as deep, and press a little while a box rises through them. With this, rebounds from 10 mm are met within 0.03
+for a restitution of 0.1, which lifts a box by a tenth of a millimetre, to 0.3, in whatever part of a step it lands."""
 
 _LONGER: Final = 2.0
 """A landing is remembered for so many times ``landing_s``: the second corner of a box may come down later."""
 
 
-def lasts_steps(physics: Physics) -> int:
+def lasts_steps(sim: Simulation) -> int:
     """Steps for which a box that has touched counts as landing."""
-    return math.ceil(_LONGER * physics.landing_s / physics.timestep_s) + 1
+    longest_s = max([sim.physics.landing_s, *(pair.landing_s or 0.0 for pair in sim.landing_pairs)])
+    return math.ceil(_LONGER * longest_s / sim.physics.timestep_s) + 1
 
 
 def stiffening(depth_m: FloatArray, solimp: FloatArray) -> FloatArray:
@@ -70,6 +70,7 @@ def pull(
     before_m_s: FloatArray,
     depth_m: FloatArray,
     normal_z: FloatArray,
+    of_pair: FloatArray,
     physics: Physics,
 ) -> FloatArray:
     """(k,) reference accelerations of contacts in a landing, m/s², positive apart; NaN: that of rest counts.
@@ -79,16 +80,15 @@ def pull(
         before_m_s: (k,) how fast they would with the velocities before the landing.
         depth_m: (k,).
         normal_z: (k,) z component of the unit normal.
+        of_pair: (k, 2) as in ``petmjx.world.scene.Scene.pair_landing``.
     """
-    share, step_s = physics.restitution, physics.timestep_s
+    usual, step_s = (physics.restitution, physics.landing_s), physics.timestep_s
+    share, landing_s = np.where(of_pair == USUAL, usual, of_pair).T
     fall = np.abs(normal_z) * physics.gravity_m_s2
-    opening = share * before_m_s
-    if share > 0:
-        # fast enough to come out of the depth against gravity, as far as contacts at rest are deep
-        height = np.maximum(depth_m - AT_REST * physics.solimp[2], 0.0)
-        out = np.sqrt((fall * step_s) ** 2 + opening**2 + 2 * fall * height) - fall * step_s
-        opening = np.maximum(opening, out)
+    # a step moves by the velocity at its end, so that what leaves with v rises by v² / 2g + v · timestep / 2
+    energy = np.maximum((share * before_m_s) ** 2 + 2 * fall * (depth_m - AT_REST * physics.solimp[2]), 0.0)
+    opening = np.where(share > 0, np.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2, 0.0)
     enough = (closing_m_s + opening) / step_s
-    most = (1 + share) * before_m_s / physics.landing_s
+    most = (1 + share) * before_m_s / landing_s
     lands = (before_m_s > FAST_M_S) & (enough > 0)
     return np.where(lands, np.minimum(enough, most), np.nan)

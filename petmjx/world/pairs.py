@@ -1,4 +1,5 @@
-"""Friction by pairs: which coefficient counts between two shapes, where it is not the larger one of the two.
+"""Friction by pairs: which coefficient counts between two shapes, where it is not the larger one of the two; and
+landings.
 
 Shapes have surfaces, numbered from 1; a table has the coefficient of sliding friction of each pair of surfaces. Surface
 0 is that of the floor, and of all shapes without a surface of their own.
@@ -18,6 +19,15 @@ MOST_SURFACES: Final = 16
 
 LARGER: Final = -1.0
 """In place of a coefficient: the larger one of the two shapes counts, as everywhere in MuJoCo."""
+
+
+USUAL: Final = -1.0
+"""In place of a number of a landing: that of the physics counts."""
+
+
+def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
+    """(k, k, 2) a table of landings that says nothing."""
+    return np.full((n_surfaces, n_surfaces, 2), USUAL)
 
 
 def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
@@ -50,5 +60,13 @@ def filled_up(table: FloatArray | None) -> FloatArray:
     if table is not None:
         if len(table) > MOST_SURFACES:
             raise ValueError(f"at most {MOST_SURFACES} surfaces, got {len(table)}")
+        filled[: len(table), : len(table)] = table
+    return filled
+
+
+def filled_up_landings(table: FloatArray | None) -> FloatArray:
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of landings with rows for all surfaces."""
+    filled = no_landings()
+    if table is not None:
         filled[: len(table), : len(table)] = table
     return filled

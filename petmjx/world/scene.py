@@ -74,6 +74,8 @@ class Scene:
         surface: (n,) the boxes' surfaces; None: all 0.
         pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.pairs.LARGER``; None: the larger
             one of two shapes everywhere.
+        pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or ``petmjx.world.pairs.USUAL``;
+            None: as the physics says everywhere.
         placing: how boxes come to their places.
         approach: (n, 2) level directions in which they do so, of length 1; 0, or None for all: that which follows from
             what stands there.
@@ -96,6 +98,7 @@ class Scene:
     inertia_box: NDArray[np.float64] | None = None
     surface: NDArray[np.intp] | None = None
     pair_friction: NDArray[np.float64] | None = None
+    pair_landing: NDArray[np.float64] | None = None
     placing: Placing = EXACT
     approach: NDArray[np.float64] | None = None
     stiffness: NDArray[np.float64] | None = None
@@ -202,6 +205,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         mass_center=None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm),
         surface=None if surfaces is None else surfaces.of_boxes,
         pair_friction=None if surfaces is None else surfaces.friction,
+        pair_landing=None if surfaces is None else surfaces.landing,
         approach=_directions(plan),
         stiffness=stiffness,
         soft=np.isfinite(stiffness) & ~plan.sheets if sim.soft and stiffness is not None else None,

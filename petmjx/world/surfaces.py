@@ -12,10 +12,10 @@ from petmjx.basics.errors import InputError
 from petmjx.basics.text import shown
 from petmjx.basics.units import FloatArray
 from petmjx.options.config import Simulation
-from petmjx.options.materials import WOOD, check_pairs, friction_between
+from petmjx.options.materials import WOOD, check_pairs, friction_between, landing_between
 from petmjx.plans.plan import Plan
 from petmjx.world.carriers import pallet
-from petmjx.world.pairs import LARGER, MOST_SURFACES, no_pairs
+from petmjx.world.pairs import LARGER, MOST_SURFACES, USUAL, no_landings, no_pairs
 
 _NOT_SAID: Final = ""
 """The material of a box for which none is given."""
@@ -31,11 +31,13 @@ class Surfaces(NamedTuple):
         of_boxes: (n,).
         of_boards: (s,) of the carrier's.
         friction: (k, k) between surfaces (petmjx/world/pairs.py).
+        landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
     """
 
     of_boxes: NDArray[np.intp]
     of_boards: NDArray[np.intp]
     friction: FloatArray
+    landing: FloatArray
 
 
 def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None:
@@ -63,17 +65,21 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
             f"{len(of_boxes) + len(of_boards)}"
         )
     table = no_pairs(1 + len(of_boxes) + len(of_boards))
+    landing = no_landings(len(table))
     for row, one in enumerate(of_boxes, start=1):
         for column, other in enumerate(of_boxes, start=1):
             table[row, column] = _between(one, other, sim)
+            landing[row, column] = _landing(one, other, sim)
         for column, (own, material) in enumerate(of_boards, start=1 + len(of_boxes)):
             table[row, column] = table[column, row] = own if own is not None else _between(one, material, sim)
+            landing[row, column] = landing[column, row] = _landing(one, material, sim)
     surface_of = {material: row for row, material in enumerate(of_boxes, start=1)}
     surface_of_board = {board: row for row, board in enumerate(of_boards, start=1 + len(of_boxes))}
     return Surfaces(
         np.array([surface_of[material] for material in materials]),
         np.array([surface_of_board[board] for board in boards]),
         table,
+        landing,
     )
 
 
@@ -109,3 +115,11 @@ def _between(one: str, other: str, sim: Simulation) -> float:
     """As in a table; of a pair that is not known no two bodies touch (``check_pairs``)."""
     found = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if found is None else found
+
+
+def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:
+    """As in a table."""
+    if not (one and other):
+        return USUAL, USUAL
+    restitution, landing_s = landing_between(one, other, sim.landing_pairs)
+    return USUAL if restitution is None else restitution, USUAL if landing_s is None else landing_s

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from support.plans import Box, make_scene, stack
+from support.plans import Box, make_plan, make_scene, stack
 
+from petmjx.basics.errors import InputError
 from petmjx.basics.units import STANDARD_GRAVITY
 from petmjx.engines.batch.landing import Landing, act
 from petmjx.engines.batch.mjx import mjx
@@ -20,11 +24,16 @@ from petmjx.engines.cpu.landing import Landings
 from petmjx.engines.cpu.live import LiveWorld
 from petmjx.history import Record
 from petmjx.options.config import Simulation
+from petmjx.options.materials import FrictionPair, LandingPair
+from petmjx.options.physics import LANDING_S, RESTITUTION
 from petmjx.world.job import Job
+from petmjx.world.pairs import filled_up_landings
+from petmjx.world.scene import Scene, build_scene
 
 STACK: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 200), 5.0))
 HEIGHT_MM = 100.0
-LANDING_S = 0.003
+PAPER = tuple(FrictionPair(between=("paper", other), friction=0.5) for other in ("paper", "wood"))
+BOUNCY = LandingPair(between=("paper", "paper"), restitution=0.3, landing_s=0.008)
 SAME_ROW = 1e-3
 """Of reference accelerations, m/s², and of constraints' stiffness: float32."""
 
@@ -69,15 +78,20 @@ def test_forces_of_many_steps_are_those_of_each() -> None:
     assert largest_top_forces([pressed(live.data, live.geom_bodies, 3)], 3).tolist() == [0.0, 0.0, 0.0]
 
 
+def scene_of(boxes: Sequence[Box], material: str, sim: Simulation) -> Scene:
+    """Boxes of one material."""
+    return build_scene(replace(make_plan(boxes=boxes), materials=(material,) * len(boxes)), sim)
+
+
 @functools.cache
-def fallen(height_mm: float, restitution: float) -> tuple[float, float]:
+def fallen(height_mm: float, restitution: float, material: str = "", **changes: Any) -> tuple[float, float]:
     """How deep below its place of rest a box comes that falls on another, mm; and the restitution of its rebound."""
     sim = Simulation(
         placing={"name": "drop", "height_mm": height_mm},
-        physics={"landing_s": LANDING_S, "restitution": restitution},
+        physics={"restitution": restitution},
         carrier="euro-pallet",
-    )
-    (outcome,) = MujocoEngine(1).run([Job(make_scene(STACK, sim), record=Record(0.002))], sim)
+    ).changed(**changes)
+    (outcome,) = MujocoEngine(1).run([Job(scene_of(STACK, material, sim), record=Record(0.002))], sim)
     assert outcome.history is not None
     height = outcome.history.pos[:, 1, 2]
     above = height[np.isfinite(height)] - height[-1]
@@ -93,6 +107,23 @@ def test_boxes_stop_and_bounce_as_asked(height_mm: float, most_mm: float, restit
     assert found == pytest.approx(restitution, abs=0.03)
 
 
+def test_a_pair_of_materials_lands_as_it_is_said() -> None:
+    """Cardboard bounces as measured, whatever the physics says; other pairs as options say, and stop later if asked."""
+    assert fallen(100.0, 0.5, "cardboard")[1] == pytest.approx(RESTITUTION, abs=0.03)
+    usual_mm, usual = fallen(100.0, 0.0, "paper", friction_pairs=PAPER)
+    later_mm, bounced = fallen(100.0, 0.0, "paper", friction_pairs=PAPER, landing_pairs=(BOUNCY,))
+    assert usual == pytest.approx(0.0, abs=0.03)
+    assert bounced == pytest.approx(0.3, abs=0.03)
+    assert later_mm > 1.5 * usual_mm
+
+
+def test_pairs_of_materials_are_refused_by_name() -> None:
+    with pytest.raises(InputError, match=r"landing_pairs\[1\] is about the same materials as landing_pairs\[0\]"):
+        Simulation(landing_pairs=[BOUNCY, BOUNCY])
+    with pytest.raises(InputError, match=r"restitution must be from 0 to 0\.9"):
+        Simulation(landing_pairs=[{"between": ["paper", "wood"], "restitution": 1.5}])
+
+
 def test_what_rests_is_the_same_with_the_law_of_landings() -> None:
     ends = []
     for landing_s in (0.0, LANDING_S):
@@ -104,12 +135,13 @@ def test_what_rests_is_the_same_with_the_law_of_landings() -> None:
 
 def test_mjx_changes_contacts_as_c_does() -> None:
     """A corner that comes down on a box, the other one at rest; the next step, too."""
-    sim = Simulation(physics={"landing_s": LANDING_S, "skin_m": 0.0})
-    live = LiveWorld(make_scene(STACK, sim), sim, n_boxes=2)
+    sim = Simulation(physics={"restitution": 0.0, "skin_m": 0.0}, friction_pairs=PAPER, landing_pairs=[BOUNCY])
+    live = LiveWorld(scene_of(STACK, "paper", sim), sim, n_boxes=2)
     live.step(100)  # at rest
     live.data.qvel[-6:] = (0.0, 0.0, -0.4, 1.0, 0.5, 0.0)
-    model, data, landings = live.model, live.data, Landings(2, sim.physics)
-    state = Landing(jnp.zeros(2, jnp.int32), jnp.zeros((2, 6)))
+    model, data, landings = live.model, live.data, Landings(live.scene, sim)
+    surface, table = jnp.array([0, 2, 1, 1]), jnp.asarray(filled_up_landings(live.scene.pair_landing))
+    state = Landing(jnp.zeros(2, jnp.int32), jnp.zeros((2, 6)), surface, table)
     for _ in range(2):
         mujoco.mj_step1(model, data)
         fresh = mjx.put_data(model, data, impl="jax")
@@ -117,7 +149,7 @@ def test_mjx_changes_contacts_as_c_does() -> None:
         landings.act(live)
         boxes = jnp.asarray(live.geom_bodies)[fresh._impl.contact.geom]
         with jax.numpy_rank_promotion("allow"):
-            changed, state = act(fresh, boxes, landing, sim.physics)
+            changed, state = act(fresh, boxes, landing, sim)
         there = np.flatnonzero(np.asarray(fresh._impl.efc_J).any(axis=1))
         pulls, stiffness = (np.sort(np.asarray(getattr(changed._impl, name))[there]) for name in ("efc_aref", "efc_D"))
         np.testing.assert_allclose(pulls, np.sort(data.efc_aref), rtol=SAME_ROW, atol=SAME_ROW)
@@ -136,11 +168,13 @@ def test_kernels_land_boxes_as_c_does() -> None:
 
     sim = Simulation(
         placing={"name": "drop", "height_mm": HEIGHT_MM},
-        physics={"landing_s": LANDING_S, "restitution": 0.3},
+        physics={"restitution": 0.0},
         rest_window_s=0.1,
+        friction_pairs=PAPER,
+        landing_pairs=[BOUNCY],
     )
     aside: tuple[Box, ...] = (STACK[0], ((400, 300, 200), (150, 100, 200), 3.0))
-    jobs = [Job(make_scene(boxes, sim)) for boxes in (STACK, aside)]
+    jobs = [Job(scene_of(boxes, "paper", sim)) for boxes in (STACK, aside)]
     with jax.numpy_rank_promotion("allow"):
         found = sorted(engine(slice_ns=LONG_NS).run(jobs, sim), key=lambda outcome: outcome.job)
     for exact, outcome in zip(sorted(MujocoEngine(1).run(jobs, sim), key=lambda each: each.job), found, strict=True):

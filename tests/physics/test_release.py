@@ -163,7 +163,7 @@ def by_hand(pos: tuple[float, ...], quat: NDArray[np.float64], times: NDArray[np
 def test_a_model_written_by_hand_moves_alike(height_m: float, tilt_deg: float) -> None:
     times = np.arange(0, 0.6, 0.02)
     pos, quat = (0.1, 0.2, height_m), turn(np.array([1.0, 0.5, 0.0]), np.radians(tilt_deg))
-    moved = release(pos_m=[pos], quat_wxyz=quat, times_s=times)
+    moved = release(pos_m=[pos], quat_wxyz=quat, times_s=times, physics={"landing_s": 0.0})
     expected = by_hand(pos, quat, times)
     np.testing.assert_allclose(moved.pos_m[0], expected[:, :3], atol=TWIN_M)
     np.testing.assert_allclose(moved.quat_wxyz[0], expected[:, 3:], atol=TWIN_M / 0.15)

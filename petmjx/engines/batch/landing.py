@@ -8,23 +8,35 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from petmjx.options.physics import Physics
+from petmjx.engines.batch.state import State
+from petmjx.engines.batch.worlds import Worlds
+from petmjx.options.config import Simulation
 from petmjx.world.landing import AT_REST, FAST_M_S, lasts_steps
+from petmjx.world.pairs import USUAL
 
 
 class Landing(NamedTuple):
-    """Which boxes land, as ``State`` has it."""
+    """Which boxes land, as ``State`` has it, on what surfaces, and how."""
 
     left: Int[Array, "*world box"]
     before: Float[Array, "*world box 6"]
+    surface: Int[Array, "*world geom"]
+    pair: Float[Array, "*world surface surface 2"]
+
+    @classmethod
+    def of(cls, state: State, worlds: Worlds) -> Landing:
+        """Geom 0 is the floor, which has surface 0."""
+        surface = jnp.pad(worlds.shape_surface, ((0, 0), (1, 0)))
+        return cls(state.landing_left, state.landing_qvel, surface, worlds.pair_landing)
 
 
-def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, physics: Physics) -> tuple[Any, Landing]:
+def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, sim: Simulation) -> tuple[Any, Landing]:
     """One world's MJX data between collision and solver, with other contacts while a box lands; and which do.
 
     Args:
         boxes: of the contacts' geoms; negative: no box.
     """
+    physics = sim.physics
     rows, contact = data._impl, data._impl.contact
     row = jnp.asarray(contact.efc_address)
     n = len(landing.left)
@@ -35,7 +47,7 @@ def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, physics: Ph
     hit = jnp.zeros(n, bool).at[place].max(fast, mode="drop")
     left = jnp.maximum(landing.left - 1, 0)
     begins = hit & (left == 0)
-    left = jnp.where(begins, lasts_steps(physics), left)
+    left = jnp.where(begins, lasts_steps(sim), left)
     before = jnp.where(begins[:, None], speeds, landing.before)
     lands = jnp.pad(left > 0, (0, 1))[place].any(-1)
 
@@ -49,16 +61,18 @@ def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, physics: Ph
 
     old = data.qvel.at[-6 * n :].set(jnp.where((left > 0)[:, None], before, speeds).reshape(-1))
     came = -jacobian @ old
-    share, step_s = physics.restitution, physics.timestep_s
-    opening = share * came
-    if share > 0:
-        fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
-        height = jnp.maximum(depth - AT_REST * physics.solimp[2], 0.0)
-        out = jnp.sqrt((fall * step_s) ** 2 + opening**2 + 2 * fall * height) - fall * step_s
-        opening = jnp.maximum(opening, out)
+    usual, step_s = jnp.array([physics.restitution, physics.landing_s]), physics.timestep_s
+    surface = landing.surface[contact.geom]
+    of_pair = landing.pair[surface[:, 0], surface[:, 1]]
+    share, landing_s = jnp.where(of_pair == USUAL, usual[None], of_pair).T
+    fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
+    energy = jnp.maximum((share * came) ** 2 + 2 * fall * (depth - AT_REST * physics.solimp[2]), 0.0)
+    opening = jnp.where(share > 0, jnp.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2, 0.0)
     enough = (closing + opening) / step_s
-    most = (1 + share) * came / physics.landing_s
+    most = (1 + share) * came / landing_s
     rigid = contact.solimp[:, 1] >= physics.solimp[1] * (1 - 1e-6)
     acts = lands & rigid & (came > FAST_M_S) & (enough > 0)
     pulls = rows.efc_aref.at[row].set(jnp.where(acts, jnp.minimum(enough, most), rows.efc_aref[row]))
-    return data.tree_replace({"_impl.efc_aref": pulls, "_impl.efc_D": rows_d}), Landing(left, before)
+    return data.tree_replace({"_impl.efc_aref": pulls, "_impl.efc_D": rows_d}), landing._replace(
+        left=left, before=before
+    )

@@ -120,7 +120,7 @@ class Lockstep:
         if held:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
-        landing = Landing(state.landing_left, state.landing_qvel) if rules.sim.physics.has_landings else None
+        landing = Landing.of(state, worlds) if rules.sim.physics.has_landings else None
         done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
         if done.landing is not None:
             state = state._replace(landing_left=done.landing.left, landing_qvel=done.landing.before)

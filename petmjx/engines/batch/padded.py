@@ -73,7 +73,7 @@ class PaddedModel:
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
         self._data: Any = mjx.make_data(template, impl="jax")
-        self._physics = sim.physics
+        self._physics, self._sim = sim.physics, sim
         self._beds: Beds | None = None
 
     def lay_beds(self) -> None:
@@ -116,7 +116,7 @@ class PaddedModel:
             else:
                 data = self._beds.fwd_position(model, data, faces)
             if landing is not None:
-                data, landing = act(data, self._geom_bodies[data._impl.contact.geom], landing, self._physics)
+                data, landing = act(data, self._geom_bodies[data._impl.contact.geom], landing, self._sim)
             data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, data))
             return mjx.fwd_acceleration(model, data), landing
 

@@ -15,7 +15,7 @@ from petmjx.history import CARRIER
 from petmjx.options.config import Simulation
 from petmjx.world.alike import groups, stacked
 from petmjx.world.give import gives, sinks_m
-from petmjx.world.pairs import filled_up
+from petmjx.world.pairs import filled_up, filled_up_landings
 from petmjx.world.placing import Course, course_of, courses_of, most_aside_m
 from petmjx.world.release import NOTHING, Release, release_of, releases_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
@@ -125,6 +125,7 @@ def _one_each(scenes: Sequence[Scene]) -> Rows:
         "carrier_pos": stacked(scenes, "carrier.pos").astype(np.float32),
         "floor_friction": stacked(scenes, "floor_friction").astype(np.float32),
         "pair_friction": np.array([filled_up(scene.pair_friction) for scene in scenes]).astype(np.float32),
+        "pair_landing": np.array([filled_up_landings(scene.pair_landing) for scene in scenes]).astype(np.float32),
         "floor_z": stacked(scenes, "floor_z").astype(np.float32),
         "hand_force": stacked(scenes, "placing.force_n").astype(np.float32),
         "hand_speed": stacked(scenes, "placing.speed_m_s").astype(np.float32),

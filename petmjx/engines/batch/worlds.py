@@ -26,13 +26,13 @@ class Worlds(NamedTuple):
     Body 0 is the carrier, and box k is body k + 1. The shapes of body b are from ``first_shape[b]`` on, in the order of
     bodies, and ``shape_body`` says whose each is. ``half`` and ``middle`` are the boxes' half extents and their middles
     in their frames; ``inertia_box`` is as in ``petmjx.world.body.Body``. ``floor_friction`` and ``friction``: sliding,
-    torsional and rolling coefficients; ``shape_surface`` and ``pair_friction``: petmjx/world/pairs.py; ``shape_give``,
-    m³/N, and ``sinks``, how far boxes are meant to come down: petmjx/world/give.py. ``drive_yaw`` is (cos, sin);
-    ``profile_steps`` counts the drive's samples, and ``drive_steps`` goes on to the world's end, if it does not rest
-    before. ``driven``: a drive follows; ``held``: it holds the carrier fast. ``settles``: the placement ends in a
-    settled state, for a drive or to keep. ``ends_when_lost``: ``has_errors`` of ``petmjx.world.job.Job``.
-    ``allowed_sway``, m: that of its drive. ``pauses``: when its boxes rest the world waits for more
-    (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``, which it follows by
+    torsional and rolling coefficients; ``shape_surface``, ``pair_friction`` and ``pair_landing``:
+    petmjx/world/pairs.py; ``shape_give``, m³/N, and ``sinks``, how far boxes are meant to come down:
+    petmjx/world/give.py. ``drive_yaw`` is (cos, sin); ``profile_steps`` counts the drive's samples, and ``drive_steps``
+    goes on to the world's end, if it does not rest before. ``driven``: a drive follows; ``held``: it holds the carrier
+    fast. ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``: ``has_errors``
+    of ``petmjx.world.job.Job``. ``allowed_sway``, m: that of its drive. ``pauses``: when its boxes rest the world waits
+    for more (petmjx/engines/open.py). ``start`` is where a box is released if its ``support``, which it follows by
     ``most_followed``, m, is where the plan has it (petmjx/world/release.py). ``appears``: all boxes begin there. Else
     they begin by ``way_offset`` from there, for a way of ``way_steps``, or 0 if they fall; at its end those that are
     not let go to fall are set down (petmjx/world/placing.py). ``hand_force``, N, ``hand_speed``, m/s, and
@@ -60,6 +60,7 @@ class Worlds(NamedTuple):
     shape_surface: Int[Array, "world shape"]
     shape_give: Float[Array, "world shape"]
     pair_friction: Float[Array, "world surface surface"]
+    pair_landing: Float[Array, "world surface surface 2"]
     floor_z: Float[Array, " world"]
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]

@@ -9,8 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.basics.units import FloatArray
-from petmjx.options.physics import Physics
+from petmjx.history import CARRIER
+from petmjx.options.config import Simulation
 from petmjx.world.landing import FAST_M_S, lasts_steps, pull, stiffening
+from petmjx.world.pairs import filled_up_landings
+from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
 """Root of the sum of squares of all accelerations, m/s² and rad/s², up to which steps are taken many at a time: in five
@@ -41,21 +44,24 @@ class Landings:
         before: (n, 6) velocities of boxes that land, before they touched.
     """
 
-    def __init__(self, n_boxes: int, physics: Physics) -> None:
-        self._physics, self._lasts = physics, lasts_steps(physics)
+    def __init__(self, scene: Scene, sim: Simulation) -> None:
+        n_boxes = scene.n_boxes
+        self._scene, self._sim = scene, sim
+        self._physics, self._lasts = sim.physics, lasts_steps(sim)
+        self._table = filled_up_landings(scene.pair_landing)
         self.left: NDArray[np.intp] = np.zeros(n_boxes, np.intp)
         self.before: FloatArray = np.zeros((n_boxes, 6))
         self._placed = 0
 
     def fork(self) -> Landings:
         """The same for a twin of the world."""
-        twin = Landings(len(self.left), self._physics)
+        twin = Landings(self._scene, self._sim)
         twin.left[:], twin.before[:], twin._placed = self.left, self.before, self._placed
         return twin
 
-    def extended(self, n_boxes: int) -> Landings:
+    def extended(self, scene: Scene) -> Landings:
         """The same for a world of more boxes."""
-        twin = Landings(n_boxes, self._physics)
+        twin = Landings(scene, self._sim)
         twin.left[: len(self.left)], twin.before[: len(self.left)] = self.left, self.before
         return twin
 
@@ -66,20 +72,29 @@ class Landings:
         # a box that has just been placed has no acceleration yet, and may begin to fall
         if placed != live.n_placed or self.left.any():
             return False
-        speed, acceleration = data.qvel, data.qacc
-        return bool(speed.dot(speed) < (0.5 * FAST_M_S) ** 2 and acceleration.dot(acceleration) < CALM_M_S2**2)
+        acceleration = data.qacc
+        return _is_slow(data.qvel) and bool(acceleration.dot(acceleration) < CALM_M_S2**2)
 
     def act(self, live: MovingWorld) -> None:
         """Between collision and solver: find boxes that begin to land, and change the contacts while any does."""
         data, left = live.data, self.left
-        np.maximum(left - 1, 0, out=left)
+        landing = bool(left.any())
+        if landing:
+            np.maximum(left - 1, 0, out=left)
+            landing = bool(left.any())
+        elif _is_slow(data.qvel):
+            return
         contact = data.contact
         address = np.asarray(contact.efc_address)
         these = np.flatnonzero(address >= 0)
         row = address[these]
-        boxes = live.geom_bodies[np.asarray(contact.geom)[these]]
         closing = -data.efc_vel[row]
-        hit = boxes[closing > FAST_M_S].ravel()
+        fast = closing > FAST_M_S
+        if not landing and not fast.any():
+            return
+        geoms = np.asarray(contact.geom)[these]
+        boxes = live.geom_bodies[geoms]
+        hit = boxes[fast].ravel()
         hit = hit[hit >= 0]
         fresh = hit[left[hit] == 0]
         if len(fresh):
@@ -98,6 +113,23 @@ class Landings:
         speeds = np.zeros(data.nefc)
         mujoco.mj_mulJacVec(live.model, data, speeds, live.with_velocities(left > 0, self.before))
         normal_z = np.asarray(contact.frame)[these, 2]
-        wanted = pull(closing, -speeds[row], depth, normal_z, physics)
+        surface = self._surfaces(live.geom_bodies)[geoms]
+        of_pair = self._table[surface[:, 0], surface[:, 1]]
+        wanted = pull(closing, -speeds[row], depth, normal_z, of_pair, physics)
         acts = lands & np.isfinite(wanted)
         data.efc_aref[row[acts]] = wanted[acts]
+
+    def _surfaces(self, geom_bodies: NDArray[np.integer]) -> NDArray[np.intp]:
+        """(ngeom,) surfaces of geoms."""
+        surface = np.zeros(len(geom_bodies), np.intp)
+        if self._scene.surface is not None:
+            surface[geom_bodies >= 0] = self._scene.surface[geom_bodies[geom_bodies >= 0]]
+        boards = self._scene.carrier.surface
+        if boards is not None:
+            surface[geom_bodies == CARRIER] = boards
+        return surface
+
+
+def _is_slow(velocity: FloatArray) -> bool:
+    """Whether no contact closes fast enough to be a landing. ``velocity``: (nv,) of all bodies."""
+    return bool(velocity.dot(velocity) < (0.5 * FAST_M_S) ** 2)

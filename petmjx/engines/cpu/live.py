@@ -95,7 +95,7 @@ class LiveWorld:
         self._slip = SlipLaw(sim.physics)
         self._slides, self._looked = False, 0  # at the last look; steps since
         lands = sim.physics.has_landings and scene.soft is None
-        self._landings = Landings(scene.n_boxes, sim.physics) if lands else None
+        self._landings = Landings(scene, sim) if lands else None
         self._build(n_boxes)
 
     @property
@@ -198,7 +198,7 @@ class LiveWorld:
         """The scene has more boxes behind those that it had."""
         self.scene = scene
         if self._landings is not None:
-            self._landings = self._landings.extended(scene.n_boxes)
+            self._landings = self._landings.extended(scene)
         for name in ("release", "course"):  # are worked out anew
             vars(self).pop(name, None)
 

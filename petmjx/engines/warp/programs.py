@@ -102,7 +102,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "stuck_steps": stuck_steps(physics.timestep_s),
         "film_rate": spring_rate_1_s(physics.timestep_s),
         "landing_time": physics.landing_s,
-        "landing_lasts": lasts_steps(physics),
+        "landing_lasts": lasts_steps(sim),
         "restitution": physics.restitution,
         "due": wp.array(timetable.due, dtype=int),
         "longest": wp.array(timetable.longest, dtype=int),

@@ -79,7 +79,7 @@ def _friction(worlds: Worlds, world: int, geom: int) -> float:
 
 
 @wp.func
-def _surface(worlds: Worlds, world: int, geom: int) -> int:
+def surface_of(worlds: Worlds, world: int, geom: int) -> int:
     """Surface of a geom; the floor has 0, the surface without entries."""
     if geom == 0:
         return 0
@@ -89,7 +89,7 @@ def _surface(worlds: Worlds, world: int, geom: int) -> int:
 @wp.func
 def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
     """Sliding friction between two geoms: that of their surfaces, else the larger one."""
-    own = worlds.pair_friction[world, _surface(worlds, world, first), _surface(worlds, world, second)]
+    own = worlds.pair_friction[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     if own >= 0.0:
         return own
     return wp.max(_friction(worlds, world, first), _friction(worlds, world, second))

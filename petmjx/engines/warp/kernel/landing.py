@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernel.block import any_of_all, wait_for_all
-from petmjx.engines.warp.kernel.constraint import MAX_IMPEDANCE, MIN_IMPEDANCE
+from petmjx.engines.warp.kernel.constraint import MAX_IMPEDANCE, MIN_IMPEDANCE, surface_of
 from petmjx.engines.warp.kernel.efc import number_of, put_number
 from petmjx.engines.warp.kernel.give import spring_of_pair
 from petmjx.engines.warp.kernel.motion import angular_velocity, linear_velocity
@@ -130,15 +130,23 @@ def land(
                 lands = lands or state.landing_left[world, box] > 0
         before = _closing(state, work, at, contact, True)
         if lands and before > FAST:
-            opening = model.restitution * before
-            if model.restitution > 0.0:
+            one = surface_of(worlds, world, first)
+            two = surface_of(worlds, world, second)
+            restitution = worlds.pair_landing[world, one, two, 0]
+            if restitution < 0.0:
+                restitution = model.restitution
+            landing_time = worlds.pair_landing[world, one, two, 1]
+            if landing_time < 0.0:
+                landing_time = model.landing_time
+            opening = restitution * before
+            if restitution > 0.0:
                 fall = wp.abs(number_of(work.efc, block, contact, 2)) * model.gravity
-                height = wp.max(depth - AT_REST * model.solimp[2], 0.0)
-                step = fall * model.timestep
-                out = wp.sqrt(step * step + opening * opening + 2.0 * fall * height) - step
-                opening = wp.max(opening, out)
+                height = depth - AT_REST * model.solimp[2]
+                energy = wp.max(opening * opening + 2.0 * fall * height, 0.0)
+                step = 0.5 * fall * model.timestep
+                opening = wp.sqrt(step * step + energy) - step
             enough = (_closing(state, work, at, contact, False) + opening) / model.timestep
             if enough > 0.0:
-                most = (1.0 + model.restitution) * before / model.landing_time
+                most = (1.0 + restitution) * before / landing_time
                 put_number(work.efc, block, contact, 27, wp.min(enough, most))
     wait_for_all()
