@@ -121,8 +121,7 @@ class PaddedModel:
             return mjx.fwd_acceleration(model, data), landing
 
         def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
-            # MJX's line search takes the root of a squared tangential force. In float32 that can be slightly negative
-            # for contacts almost at rest (3.17: solver.py, _LSPoint). Then the accelerations and forces of the last
+            # Float32 may lose the solver's matrix between stiff contacts. Then the accelerations and forces of the last
             # step are used, from which the solver started.
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
-from petmjx.engines.batch.mjx import mjx
+from petmjx.engines.batch.line_search import solve
 from petmjx.options.physics import Physics
 from petmjx.world.slip import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, kinetic_share, slack_m_s2
 
@@ -66,7 +66,7 @@ class SlipLaw:
         whether that is enough for another round."""
         normal, friction, aref = self._normal(data), data._impl.contact.friction[:, 0], data._impl.efc_aref
         lowered = {"_impl.efc_aref": aref.at[normal].add(-friction * excess)}
-        done = mjx.solve(self._model_of(fields), data.replace(qacc_warmstart=start).tree_replace(lowered))
+        done = solve(self._model_of(fields), data.replace(qacc_warmstart=start).tree_replace(lowered))
         force = done._impl.efc_force
         dragged = _tangent(force / data._impl.efc_D, normal)
         beyond = _tangent(data._impl.efc_J @ done.qacc - aref, normal)
