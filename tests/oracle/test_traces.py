@@ -41,11 +41,12 @@ box is accelerated upwards are left out."""
 CAPACITY, BATCH = 2, 8
 """Boxes of the largest world on mjx-jax, and its worlds: programs take long to compile, and steps long to take."""
 
-NEAR = {"mjx-jax": ("falls 60 mm flat",)}
-"""Worlds whose events are up to two looks earlier or later: MJX makes four contacts of two faces and C up to eight, so
-a box that falls 60 mm comes to rest in another way. In all others events are at the same step: they are at looks, at
-samples or at steps that are known beforehand, so float32 changes a step only where a speed or a pose is within rounding
-of a threshold at a look."""
+NEAR = {("mjx-warp", "static"): {"corner overhang of 70 %": 1}}
+"""Worlds whose events are up to so many looks earlier or later. A corner that lands there slides, and engines know the
+excess of its friction to a tolerance (petmjx/world/slip.py): its speed differs by 2 mm/s after that, and not with a
+twentieth of the tolerance. In all others events are at the same step: they are at looks, at samples or at steps that
+are known beforehand, so float32 changes a step only where a speed or a pose is within rounding of a threshold at a
+look."""
 
 
 def push(kind: str, level: float, rest_s: float, steps: int = 60, yaw_rad: float = 0.5) -> Drive:
@@ -149,8 +150,9 @@ CASES = [(name, kind) for name in ON for kind in (("pushed",) if name == "mjx-ja
 def test_events_come_at_the_same_steps_as_on_c(engine: str, kind: str) -> None:
     for name, seen in ON[engine](kind).items():
         found, exact = seen.trace, on_c(kind)[name].trace
-        if name in NEAR.get(engine, ()):
-            assert found.near(exact, steps=2 * seen.sim.quiet.poll_steps), name
+        looks = NEAR.get((engine, kind), {}).get(name, 0)
+        if looks:
+            assert found.near(exact, steps=looks * seen.sim.quiet.poll_steps), name
         else:
             assert found == exact, name
 
