@@ -52,24 +52,24 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
     Returns:
         The fields that benchmarks/README.md lists ("How to read a result"); ``shares``: :func:`compare_shares`.
     """
-    there, here = joint_run(oracle), joint_run(run)
-    found = compare_runs(there, here)
+    oracle_run, here = joint_run(oracle), joint_run(run)
+    comparison = compare_runs(oracle_run, here)
     parameters = [parameter["name"] for parameter in here.info.get("params", [])]
     worlds = [*KEY, *parameters]
     sides = {"oracle": "a", "here": "b"}
     flips = [
         {name: row[name] for name in worlds}
         | {label: {name: row[f"{name}_{side}"] for name in _FLIP_FIELDS} for label, side in sides.items()}
-        for row in plain(found.flips.merge(here.worlds[worlds], on=KEY, how="left"))
+        for row in plain(comparison.flips.merge(here.worlds[worlds], on=KEY, how="left"))
     ]
-    plans = set(there.worlds["plan_id"]) & set(here.worlds["plan_id"])
+    plans = set(oracle_run.worlds["plan_id"]) & set(here.worlds["plan_id"])
     return {
-        "common": found.n_common,
-        "same": found.n_agree,
-        "share": found.agreement,
-        "same_reason": found.same_reason,
-        "same_culprit": found.same_culprit,
-        "not_stable": found.n_not_stable,
+        "common": comparison.n_common,
+        "same": comparison.n_agree,
+        "share": comparison.agreement,
+        "same_reason": comparison.same_reason,
+        "same_culprit": comparison.same_culprit,
+        "not_stable": comparison.n_not_stable,
         "plans": len(plans),
         "plans_all_the_same": len(plans - {flip["plan_id"] for flip in flips}),
         "stable_here_dropped_there": [
@@ -77,8 +77,8 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
             for flip in flips
             if flip["here"]["verdict"] == Verdict.STABLE.value and flip["oracle"]["reason"] == Reason.DROP.value
         ],
-        "rest_top_force": rest_force_differences(there, here),
-        **({"shares": compare_shares(there, here)} if "replicate" in parameters else {}),
+        "rest_top_force": rest_force_differences(oracle_run, here),
+        **({"shares": compare_shares(oracle_run, here)} if "replicate" in parameters else {}),
         "flips": flips,
     }
 
@@ -89,12 +89,12 @@ def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any
     worlds = stands[0].merge(stands[1], on=KEY)
     columns = [*BOX_KEY, "rest_top_force_n"]
     boxes = oracle.boxes[columns].merge(run.boxes[columns], on=BOX_KEY, suffixes=("_a", "_b")).merge(worlds, on=KEY)
-    there = boxes["rest_top_force_n_a"].to_numpy(float)
+    oracle_n = boxes["rest_top_force_n_a"].to_numpy(float)
     here = boxes["rest_top_force_n_b"].to_numpy(float)
-    counted = (there > LOADED_N) & np.isfinite(here)
+    counted = (oracle_n > LOADED_N) & np.isfinite(here)
     if not counted.any():
         return {"boxes": 0, "median": None, "p95": None}
-    median, p95 = np.percentile(np.abs(here - there)[counted] / there[counted], [50, 95]).tolist()
+    median, p95 = np.percentile(np.abs(here - oracle_n)[counted] / oracle_n[counted], [50, 95]).tolist()
     return {"boxes": int(counted.sum()), "median": median, "p95": p95}
 
 

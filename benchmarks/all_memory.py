@@ -56,13 +56,13 @@ def memory_of_all(root: int) -> int | None:
     for folder in Path("/proc").glob("[0-9]*"):
         if (parent := _field(folder / "status", "PPid:")) is not None:
             children[parent].append(int(folder.name))
-    found, waiting = [], [root]
+    sizes, waiting = [], [root]
     while waiting:
         process = waiting.pop()
         waiting += children[process]
         # Pss: of a page that n processes use, each has one n-th
-        found.append(_field(Path(f"/proc/{process}/smaps_rollup"), "Pss:"))
-    known = [each * _KIB for each in found if each is not None]
+        sizes.append(_field(Path(f"/proc/{process}/smaps_rollup"), "Pss:"))
+    known = [size * _KIB for size in sizes if size is not None]
     return sum(known) if known else None
 
 

@@ -55,8 +55,8 @@ def left_over(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray)
     both = vstack([hstack([matrix, -np.ones((rows, 1))]), hstack([-matrix, -np.ones((rows, 1))])])
     costs = np.r_[np.zeros(n_forces), 1.0]
     most = np.r_[wanted.ravel(), -wanted.ravel()]
-    found = milp(costs, constraints=LinearConstraint(both, -np.inf, most), bounds=Bounds(0, np.inf))
-    return float("nan") if found.x is None else float(found.fun)
+    solution = milp(costs, constraints=LinearConstraint(both, -np.inf, most), bounds=Bounds(0, np.inf))
+    return float("nan") if solution.x is None else float(solution.fun)
 
 
 def balances(plans: Sequence[Plan], run: RunResults, sim: Simulation) -> pd.DataFrame:

@@ -132,22 +132,22 @@ def chosen_cases(names: Sequence[str]) -> list[Case]:
     Raises:
         InputError: no such case.
     """
-    found: dict[str, Case] = {}
+    cases: dict[str, Case] = {}
     for name in names:
         if name not in CASES and name not in GROUPS:
             raise InputError(f"unknown case {name!r}; python -m benchmarks list shows all")
-        found.update((case.name, case) for case in GROUPS.get(name) or (CASES[name],))
-    return list(found.values())
+        cases.update((case.name, case) for case in GROUPS.get(name) or (CASES[name],))
+    return list(cases.values())
 
 
 def oracle_case(case: Case, schedule: Schedule) -> Case:
     """The case that engine ``mujoco`` runs for a comparison with ``case``: the same except for the schedule."""
     if case.sim.schedule is schedule:
         return case
-    wanted = replace(case, name=f"{case.name}/{schedule.value}", simulation={**case.simulation, "schedule": schedule})
+    oracle = replace(case, name=f"{case.name}/{schedule.value}", simulation={**case.simulation, "schedule": schedule})
 
     def is_wanted(other: Case) -> bool:
-        alike = replace(wanted, name=other.name, text=other.text, simulation=other.simulation)
-        return alike == other and wanted.sim == other.sim
+        alike = replace(oracle, name=other.name, text=other.text, simulation=other.simulation)
+        return alike == other and oracle.sim == other.sim
 
-    return next(filter(is_wanted, GROUPS[case.group]), wanted)
+    return next(filter(is_wanted, GROUPS[case.group]), oracle)

@@ -30,7 +30,7 @@ def compared(plans: Sequence[Plan], threads: int, group: str) -> dict[str, Any]:
     jobs = [Job(build_scene(plan, sim)) for plan in plans]
     engines = {name: make_engine(name, threads=threads) for name in ENGINES}
     cpu_s, wall_s, steps = (dict.fromkeys(ENGINES, 0.0) for _ in range(3))
-    found: dict[str, dict[int, Outcome]] = {name: {} for name in ENGINES}
+    outcomes: dict[str, dict[int, Outcome]] = {name: {} for name in ENGINES}
     progress = Progress()
     for part in range(TURNS):
         rows = range(part, len(jobs), TURNS)
@@ -40,11 +40,11 @@ def compared(plans: Sequence[Plan], threads: int, group: str) -> dict[str, Any]:
         for name, engine in engines.items():
             wall, cpu = time.perf_counter(), time.process_time()
             for outcome in engine.run(some, sim):
-                found[name][rows[outcome.job]] = outcome
+                outcomes[name][rows[outcome.job]] = outcome
                 steps[name] += outcome.n_steps
             cpu_s[name] += time.process_time() - cpu
             wall_s[name] += time.perf_counter() - wall
-    there, here = (found[name] for name in ENGINES)
+    oracle, here = (outcomes[name] for name in ENGINES)
     boxes = [plan.n_boxes for plan in plans]
     return {
         "case": "cpu-engines",
@@ -56,6 +56,6 @@ def compared(plans: Sequence[Plan], threads: int, group: str) -> dict[str, Any]:
         "cpu_s": {name: round(seconds, 2) for name, seconds in cpu_s.items()},
         "wall_s": {name: round(seconds, 2) for name, seconds in wall_s.items()},
         "steps": {name: int(number) for name, number in steps.items()},
-        "same_verdict": sum(there[row].verdict == here[row].verdict for row in there),
+        "same_verdict": sum(oracle[row].verdict == here[row].verdict for row in oracle),
         **environment(),
     }

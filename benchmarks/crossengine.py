@@ -49,8 +49,8 @@ class Trial:
     def converged_against(self) -> list[str]:
         """The referees that contradict petmjx with both settings."""
         other = {Verdict.STABLE.value: Verdict.UNSTABLE.value, Verdict.UNSTABLE.value: Verdict.STABLE.value}
-        wanted = other.get(self.ours)
-        return [name for name, verdicts in self.said.items() if verdicts == [wanted, wanted]]
+        opposite = other.get(self.ours)
+        return [name for name, verdicts in self.said.items() if verdicts == [opposite, opposite]]
 
     @property
     def verdicts(self) -> set[str]:
@@ -117,7 +117,7 @@ class Court:
     """Petmjx's engine ``mujoco`` and the referees, with the CPU time that each of these took."""
 
     def __init__(self, referees: Sequence[Referee], sim: Simulation) -> None:
-        self.referees = {each.name: each for each in referees}
+        self.referees = {referee.name: referee for referee in referees}
         self.cpu_s = dict.fromkeys(self.referees, 0.0)
         self._sim = sim
 
@@ -148,41 +148,41 @@ class Court:
                 self.cpu_s[name] += time.process_time() - begin
 
         sim = self._sim.changed(longest_wait_s=LONGEST_WAIT_S, duration_s=LONGEST_WAIT_S)
-        able = [name for name, each in self.referees.items() if scene.n_boxes <= each.most_boxes]
+        able = [name for name, referee in self.referees.items() if scene.n_boxes <= referee.most_boxes]
         return sieve(ours, able, ask)
 
 
-def summaries(found: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]]:
+def summaries(judged: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]]:
     """For each referee that was asked a result's fields: how many plans it judged and agrees on, and those on which it
     does not."""
     for name, referee in court.referees.items():
-        asked = [each for each in found if name in each.trial.said]
-        if not asked:
+        answered = [case for case in judged if name in case.trial.said]
+        if not answered:
             continue
-        differ = [each for each in asked if each.trial.said[name][0] != each.trial.ours]
+        differ = [case for case in answered if case.trial.said[name][0] != case.trial.ours]
         yield {
             "engine": name,
             "settings": {**referee.settings, "version": version(referee.settings["package"])},
-            "plans": len(found),
-            "asked": len(asked),
-            "agree": len(asked) - len(differ),
-            "converged_against": sum(name in each.trial.converged_against for each in differ),
-            "contradicted": sum(each.trial.is_contradicted for each in differ),
+            "plans": len(judged),
+            "asked": len(answered),
+            "agree": len(answered) - len(differ),
+            "converged_against": sum(name in case.trial.converged_against for case in differ),
+            "contradicted": sum(case.trial.is_contradicted for case in differ),
             "cpu_s": court.cpu_s[name],
-            "differ": [each.record() for each in differ],
+            "differ": [case.record() for case in differ],
         }
 
 
-def by_softness(found: Sequence[Judged], plans: Sequence[Plan], check: Check, **options: Any) -> dict[str, Any]:
+def by_softness(judged: Sequence[Judged], plans: Sequence[Plan], check: Check, **options: Any) -> dict[str, Any]:
     """Physics ``reference``: which plans it alone calls unstable, where petmjx and all referees asked say stable."""
     results = petmjx.score(list(plans), engine="mujoco", check=check.value, physics="reference", **options)
     fallen = set(results.worlds.loc[results.worlds["verdict"] == "unstable", "plan_id"])
-    stand_all = [each for each in found if each.trial.verdicts == {"stable"}]
-    alone = [each.plan_id for each in stand_all if each.plan_id in fallen]
+    stand_all = [case for case in judged if case.trial.verdicts == {"stable"}]
+    alone = [case.plan_id for case in stand_all if case.plan_id in fallen]
     return {
         "engine": "mujoco",
         "physics": "reference",
-        "plans": len(found),
+        "plans": len(judged),
         "all_stand": len(stand_all),
         "alone": alone,
     }

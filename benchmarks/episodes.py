@@ -54,19 +54,19 @@ class _Seen:
     how: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)
 
-    def fault(self, what: str, wrong: NDArray[np.bool_]) -> None:
+    def fault(self, text: str, wrong: NDArray[np.bool_]) -> None:
         if wrong.any():
-            self.faults[what] += int(wrong.sum())
+            self.faults[text] += int(wrong.sum())
 
 
 def episodes(engine: Engine, count: int, seed: int) -> Result:
     """Play random episodes of orders of one to five boxes until so many have ended."""
     seen = _Seen()
-    each = -(-count // (2 * len(SETTINGS)))
+    per_run = -(-count // (2 * len(SETTINGS)))
     with timed() as clock:
         for number, settings in enumerate(SETTINGS):
             for mode in ("NextStep", "SameStep"):
-                _play(engine, settings, mode, min(each, count - seen.ended), seed + number, seen)
+                _play(engine, settings, mode, min(per_run, count - seen.ended), seed + number, seen)
     return {
         "episodes": seen.ended,
         "placements": seen.placements,
@@ -127,8 +127,8 @@ def _check(env: PalletizingVectorEnv, observed: Any, reward: Any, over: Any, see
 
 def _orders(rng: np.random.Generator) -> pd.DataFrame:
     """200 orders of one to five boxes of all shapes, some of which find no place, or are weak."""
-    each = np.repeat(np.arange(200), rng.integers(1, 6, size=200))
-    sides = rng.integers(8, 85, size=(len(each), 3)) * 10.0
+    order_ids = np.repeat(np.arange(200), rng.integers(1, 6, size=200))
+    sides = rng.integers(8, 85, size=(len(order_ids), 3)) * 10.0
     boxes = dict(zip(("length_mm", "width_mm", "height_mm"), sides.T, strict=True))
-    mass, strength = rng.uniform(0.2, 30.0, len(each)), rng.uniform(20.0, 300.0, len(each))
-    return pd.DataFrame({"order_id": each, **boxes, "weight_kg": mass, "strength_n": strength})
+    mass, strength = rng.uniform(0.2, 30.0, len(order_ids)), rng.uniform(20.0, 300.0, len(order_ids))
+    return pd.DataFrame({"order_id": order_ids, **boxes, "weight_kg": mass, "strength_n": strength})

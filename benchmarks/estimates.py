@@ -38,16 +38,16 @@ def cases() -> Iterator[tuple[str, str, Simulation, Ask]]:
     usual, static = Simulation(), Simulation(check="static")
     for name in ("stack", "tiny", "small", "middle", "large", "given"):
         yield "score", name, usual, partial(Nominal, usual)
-    for what, chosen in (("confidence 4", {}), ("confidence 4 exact", {"placing": "exact"})):
+    for kind, chosen in (("confidence 4", {}), ("confidence 4 exact", {"placing": "exact"})):
         sure = confidence_sweep(4, None, chosen)
         for name in ("tiny", "small", "few", "first given"):
-            yield what, name, sure.simulation, partial(SweepStudy, sure, confidence=4)
+            yield kind, name, sure.simulation, partial(SweepStudy, sure, confidence=4)
     yield "score", "falling", usual, partial(Nominal, usual)
     for name in ("middle", "falling", "given"):
         yield "static", name, static, partial(Nominal, static)
-    for what, chosen in (("score epal-1", {"carrier": "epal-1"}), ("score hand", {"placing": "hand"})):
+    for kind, chosen in (("score epal-1", {"carrier": "epal-1"}), ("score hand", {"placing": "hand"})):
         sim = Simulation(**chosen)
-        yield what, "small", sim, partial(Nominal, sim)
+        yield kind, "small", sim, partial(Nominal, sim)
     for sweep_name, name in SWEEPS:
         sweep = load_sweep(find_sweep(sweep_name), plans_given=True)
         yield sweep_name, name, sweep.simulation, partial(SweepStudy, sweep)
@@ -122,8 +122,8 @@ def compared(
         only: what is asked; everything if it is empty.
     """
     plans = sizes(given)
-    for what, name, sim, ask in cases():
-        if not (some := plans.get(name)) or (only and what not in only):
+    for kind, name, sim, ask in cases():
+        if not (some := plans.get(name)) or (only and kind not in only):
             continue
         options = RunOptions(engine=engine, threads=threads)
         study: Study = ask(some, options)
@@ -135,7 +135,7 @@ def compared(
         yield {
             "case": "estimates",
             "group": "estimates",
-            "what": what,
+            "what": kind,
             "plans": name,
             "engine": engine,
             "threads": threads,

@@ -110,7 +110,7 @@ def piles() -> dict[str, Any]:
     """A line about random piles of two to four boxes, each up to 35 % of its length aside: how many agree."""
     rng = np.random.default_rng(SEED)
     seconds = np.zeros(2)
-    found: list[list[Verdict]] = []
+    verdicts: list[list[Verdict]] = []
     for _ in range(PILES):
         count = int(rng.integers(2, 5))
         size = np.column_stack([10.0 * rng.integers(low, high, count) for low, high in ((20, 45), (20, 35), (10, 25))])
@@ -120,14 +120,14 @@ def piles() -> dict[str, Any]:
         plan = Plan.from_boxes("a", size_mm=size, corner_mm=corner, mass_kg=rng.uniform(2, 15, count))
         plan = replace(plan, stiffness_n_mm=rng.choice([30.0, 60.0, 100.0, 200.0], count))
         both = [_simulated(plan, soft) for soft in (False, True)]
-        found.append([outcome.verdict for outcome, _ in both])
-        seconds += [each for _, each in both]
+        verdicts.append([outcome.verdict for outcome, _ in both])
+        seconds += [time_s for _, time_s in both]
     return {
         "case": "soft-piles",
         "group": "flex",
         "piles": PILES,
-        "stand": {way: sum(each[k] is Verdict.STABLE for each in found) for k, way in enumerate(("law", "soft"))},
-        "agree": sum(law is soft for law, soft in found),
+        "stand": {way: sum(pair[k] is Verdict.STABLE for pair in verdicts) for k, way in enumerate(("law", "soft"))},
+        "agree": sum(law is soft for law, soft in verdicts),
         "cpu_s": dict(zip(("law", "soft"), seconds.round(1).tolist(), strict=True)),
         **environment(),
     }
@@ -162,7 +162,7 @@ def compared() -> Iterator[dict[str, Any]]:
 
 
 def _as_flex(stiffness: float, load: float) -> tuple[float, float]:
-    length, width, height = (each / 1e3 for each in SIZE_MM)
+    length, width, height = (side / 1e3 for side in SIZE_MM)
     young = 1e3 * stiffness * height / (length * width)
     contact = 'solref="0.004 1" solimp="0.9999 0.9999 0.0001"'
     model = mujoco.MjModel.from_xml_string(f"""

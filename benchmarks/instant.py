@@ -71,10 +71,10 @@ class InstantWorker(Worker):
     """A worker whose engine is started as any, and then answers at once. C MuJoCo would make further attempts."""
 
     def hello(self) -> bytes:
-        said = super().hello()
+        greeting = super().hello()
         self._built = Future()
         self._built.set_result(Lent(Instant(repeats=False), None))
-        return said
+        return greeting
 
 
 def _outcome(job: int, pos: FloatArray, moved: FloatArray, verdict: Verdict, reason: Reason, flags: Flag) -> Outcome:

@@ -60,28 +60,36 @@ def landed(engine: str, height_mm: float, timestep_s: float, landing_s: float, r
 def rows(engine: str) -> list[dict[str, Any]]:
     """Rows of the gallery: quantity, source, measured, petmjx, miss (0: within what was measured), engine."""
 
-    def row(quantity: str, source: str, low: float, high: float, found: float) -> dict[str, Any]:
-        miss = max(low - found, found - high, 0.0)
-        said = {"quantity": quantity, "source": source, "measured": f"{low:g} to {high:g}"}
-        return said | {"petmjx": round(found, 3), "miss": round(miss, 3), "engine": engine}
+    def row(quantity: str, source: str, low: float, high: float, value: float) -> dict[str, Any]:
+        miss = max(low - value, value - high, 0.0)
+        fields = {"quantity": quantity, "source": source, "measured": f"{low:g} to {high:g}"}
+        return fields | {"petmjx": round(value, 3), "miss": round(miss, 3), "engine": engine}
 
     made, step_s, given = [], TIMESTEPS_S[0], "what was wanted"
     for height_mm, most_mm in zip(HEIGHTS_MM, MOST_DEPTH_MM, strict=True):
         usual = landed(engine, height_mm, step_s, LANDING_S, RESTITUTION)
         made.append(row(f"restitution from {height_mm:g} mm, as shipped", "T-RO 2023", *CARDBOARD, usual.restitution))
         made.append(row(f"depth from {height_mm:g} mm, as shipped, mm", given, 0, most_mm, usual.depth_mm))
-        for asked in ASKED:
-            there = landed(engine, height_mm, step_s, LANDING_S, asked)
-            said = f"from {height_mm:g} mm, restitution {asked:g}"
-            made.append(row(f"depth {said}, mm", given, 0, most_mm, there.depth_mm))
-            made.append(row(f"restitution {said}", "what was asked", asked - 0.03, asked + 0.03, there.restitution))
+        for restitution in ASKED:
+            landing = landed(engine, height_mm, step_s, LANDING_S, restitution)
+            conditions = f"from {height_mm:g} mm, restitution {restitution:g}"
+            made.append(row(f"depth {conditions}, mm", given, 0, most_mm, landing.depth_mm))
+            made.append(
+                row(
+                    f"restitution {conditions}",
+                    "what was asked",
+                    restitution - 0.03,
+                    restitution + 0.03,
+                    landing.restitution,
+                )
+            )
         for name, landing_s in (("as shipped", LANDING_S), ("landing_s 0", 0.0)):
-            peaks = [landed(engine, height_mm, each, landing_s, RESTITUTION).peak_n for each in TIMESTEPS_S]
+            peaks = [landed(engine, height_mm, timestep_s, landing_s, RESTITUTION).peak_n for timestep_s in TIMESTEPS_S]
             spread = max(peaks) / min(peaks) - 1
             made.append(row(f"spread of peaks from {height_mm:g} mm, 2 to 0.5 ms, {name}", "none", 0, 0.12, spread))
     return made
 
 
 if __name__ == "__main__":
-    for each in rows(sys.argv[1] if len(sys.argv) > 1 else "mujoco"):
-        print("  ".join(str(value) for value in each.values()))
+    for line in rows(sys.argv[1] if len(sys.argv) > 1 else "mujoco"):
+        print("  ".join(str(value) for value in line.values()))

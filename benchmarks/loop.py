@@ -65,17 +65,17 @@ class Loop:
     def usual(self, n: int, least: int) -> list[Plan]:
         """n plans for the euro-pallet with so many boxes at least."""
         if self.plans is not None:
-            found = [plan for plan in self.plans if plan.n_boxes >= least][:n]
+            plans = [plan for plan in self.plans if plan.n_boxes >= least][:n]
         else:
-            drawn, found = generate(200_000, self.seed, packer="balanced"), []
-            while len(found) < n:
+            drawn, plans = generate(200_000, self.seed, packer="balanced"), []
+            while len(plans) < n:
                 plan_id, placements = next(drawn)
                 plan = _plan(plan_id, placements)
                 if plan.n_boxes >= least and (_far(plan) <= (1200, 800)).all():
-                    found.append(plan)
-        if not found:
+                    plans.append(plan)
+        if not plans:
             raise petmjx.InputError(f"no plan has {least} boxes")
-        return found
+        return plans
 
     def built(self, n: int) -> tuple[petmjx.Pallets, list[Plan]]:
         """n pallets of ``boxes`` boxes, and the plan of each; those that have fallen are left out."""
@@ -91,10 +91,10 @@ class Loop:
         pallets.fork(from_[others], others)
         return pallets, plans
 
-    def asked(self, pallets: petmjx.Pallets, plans: Sequence[Plan], each: int) -> dict[str, Any]:
+    def asked(self, pallets: petmjx.Pallets, plans: Sequence[Plan], per_pallet: int) -> dict[str, Any]:
         """Candidates of each pallet: places of boxes that come later, as many of the lowest that have support."""
         rng = np.random.default_rng(self.seed)
-        found: dict[str, list[Any]] = {"size_mm": [], "corner_mm": [], "mass_kg": [], "pallet": []}
+        columns: dict[str, list[Any]] = {"size_mm": [], "corner_mm": [], "mass_kg": [], "pallet": []}
         per_plan: dict[str, list[tuple[Any, Any, Any]]] = {}
         for pallet, plan in enumerate(plans):
             if plan.plan_id not in per_plan:
@@ -102,14 +102,14 @@ class Loop:
                 sizes = plan.size_mm[later]
                 places = pallets.places(size_mm=sizes, pallet=pallet)
                 good = np.flatnonzero(places.support >= LEAST_SUPPORT)
-                chosen = rng.choice(good, each, replace=len(good) < each)
+                chosen = rng.choice(good, per_pallet, replace=len(good) < per_pallet)
                 boxes = later[places.row[chosen]]
                 rows = zip(plan.size_mm[boxes], places.corner_mm[chosen], plan.mass_kg[boxes], strict=True)
                 per_plan[plan.plan_id] = list(rows)
             for size, corner, mass in per_plan[plan.plan_id]:
-                for name, value in zip(found, (size, corner, mass, pallet), strict=True):
-                    found[name].append(value)
-        return {name: np.array(values) for name, values in found.items()}
+                for name, value in zip(columns, (size, corner, mass, pallet), strict=True):
+                    columns[name].append(value)
+        return {name: np.array(values) for name, values in columns.items()}
 
 
 def candidates(loop: Loop) -> Result:
@@ -125,8 +125,8 @@ def one_pallet(loop: Loop) -> Result:
 def one_candidate(loop: Loop) -> Result:
     """One candidate on one pallet, again and again."""
     pallets, plans = loop.built(1)
-    asked = loop.asked(pallets, plans, REPEATS)
-    calls = [{name: values[row : row + 1] for name, values in asked.items()} for row in range(REPEATS)]
+    batch = loop.asked(pallets, plans, REPEATS)
+    calls = [{name: values[row : row + 1] for name, values in batch.items()} for row in range(REPEATS)]
     pallets.try_all(**calls[0])
     seconds = []
     for call in calls:
@@ -145,11 +145,11 @@ def placed(loop: Loop) -> Result:
     with timed() as clock:
         for number in range(most):
             rows = np.flatnonzero([plan.n_boxes > number for plan in plans] & ~pallets.ended)
-            told = _place(pallets, rows, plans, number)
-            stable[rows] = told.stable
+            answer = _place(pallets, rows, plans, number)
+            stable[rows] = answer.stable
             placements += len(rows)
-    own = [pallets.plan(row, plan.plan_id) for row, plan in enumerate(plans)]
-    whole = [row for row, plan in enumerate(plans) if own[row].n_boxes == plan.n_boxes]
+    placed_plans = [pallets.plan(row, plan.plan_id) for row, plan in enumerate(plans)]
+    complete_rows = [row for row, plan in enumerate(plans) if placed_plans[row].n_boxes == plan.n_boxes]
     scored, expected = pallets.score(), petmjx.score([pallets.plan(k) for k in range(len(plans))], **_same(loop))
     differ = {}
     for table in _TABLES:
@@ -161,7 +161,7 @@ def placed(loop: Loop) -> Result:
     verdicts = scored.worlds.verdict.to_numpy()
     return {
         "plans": len(plans),
-        "whole": len(whole),
+        "whole": len(complete_rows),
         "placements": placements,
         "placements_per_s": placements / clock.wall_s,
         "columns": sum(len(getattr(expected, table).columns) for table in _TABLES),
@@ -257,24 +257,24 @@ def measured(loop: Loop, names: Sequence[str]) -> Iterator[Result]:
     """One result a case, with how busy the machine was: others' work makes walls, not CPU times, longer."""
     for name in names:
         head = {"case": f"loop-{name}", "group": "loop", "engine": loop.engine.name, "device": loop.engine.device}
-        found = CASES[name](loop)
-        yield {**head, **found, "load_average": os.getloadavg()[0]}
+        figures = CASES[name](loop)
+        yield {**head, **figures, "load_average": os.getloadavg()[0]}
 
 
-def _many(loop: Loop, n: int, each: int) -> Result:
+def _many(loop: Loop, n: int, per_pallet: int) -> Result:
     pallets, plans = loop.built(n)
-    asked = loop.asked(pallets, plans, each)
-    m = len(asked["pallet"])
-    pallets.try_all(**asked)
+    batch = loop.asked(pallets, plans, per_pallet)
+    m = len(batch["pallet"])
+    pallets.try_all(**batch)
     with timed() as clock:
-        told = pallets.try_all(**asked)
+        answers = pallets.try_all(**batch)
     return {
         "pallets": n,
         "boxes": loop.boxes,
         "candidates": m,
         "candidates_per_s": m / clock.wall_s,
-        "standing": int(told.stable.sum()),
-        "invalid": int((told.verdict == "invalid").sum()),
+        "standing": int(answers.stable.sum()),
+        "invalid": int((answers.verdict == "invalid").sum()),
         **_clock(clock),
     }
 
@@ -320,11 +320,11 @@ def _far(plan: Plan) -> FloatArray:
 
 
 def _plan(plan_id: str, placements: Sequence[Placement]) -> Plan:
-    items = [each["item"] for each in placements]
+    items = [placement["item"] for placement in placements]
     return Plan.from_boxes(
         plan_id,
         size_mm=[[item[f"{side}/mm"] for side in ("length", "width", "height")] for item in items],
-        corner_mm=[each["flb_coordinates"] for each in placements],
+        corner_mm=[placement["flb_coordinates"] for placement in placements],
         mass_kg=[item["weight/kg"] for item in items],
-        orientation=[each["orientation"] for each in placements],
+        orientation=[placement["orientation"] for placement in placements],
     )

@@ -103,8 +103,8 @@ class Bench:
 
     def run(self, cases: Sequence[Case], engines: Sequence[str]) -> Iterator[Result]:
         """Results of cases on engines, as they come. An oracle's result comes before the first one compared with it."""
-        asked = ((case, case.only or engine) for engine in engines for case in cases)
-        turns = {(case.name, engine): (case, engine) for case, engine in asked}
+        pairs = ((case, case.only or engine) for engine in engines for case in cases)
+        turns = {(case.name, engine): (case, engine) for case, engine in pairs}
         ways = {Way.FILES: self._compared, Way.ENGINE: self._engine_alone}
         for repetition in range(1, self.repeat + 1):
             for case, engine in turns.values():
@@ -136,8 +136,8 @@ class Bench:
         watch = _Watch(self.max_seconds, between_blocks=bool(case.sweep))
         folders: list[Path] = []
         with timed() as clock:
-            found = load_plans(path, limit=self.skip + count)
-            plans = found.plans[self.skip :]
+            plan_set = load_plans(path, limit=self.skip + count)
+            plans = plan_set.plans[self.skip :]
             for block in self._blocks(case, plans):
                 if folders and watch.time_is_up:
                     break
@@ -145,7 +145,7 @@ class Bench:
                 options = {"engine": engine, "threads": _threads(engine), "lanes": self.lanes, **case.simulation}
                 simulate = partial(petmjx.sweep, case.sweep) if case.sweep else petmjx.score
                 with contextlib.suppress(_TimeIsUp):
-                    simulate(replace(found, plans=block), out=folders[-1], watcher=watch, **options)
+                    simulate(replace(plan_set, plans=block), out=folders[-1], watcher=watch, **options)
         if not folders:
             raise InputError(f"{path}: no plans left after the first {self.skip}")
         self._folders.setdefault((case.name, engine_name), folders)
@@ -169,7 +169,7 @@ class Bench:
             schedule=sim["schedule"],
             physics=sim["physics"]["name"],
             check=sim["check"],
-            agreement={label: agreement(there, folders) for label, there in references.items()},
+            agreement={label: agreement(reference, folders) for label, reference in references.items()},
             stages={name: value for progress in watch.progress for name, value in progress.extra.items()},
             timings=timings,
             plans_file=str(self.plans or case.source or f"samples, seed {SEED}"),
@@ -268,7 +268,10 @@ class Bench:
             "cpu_s": clock.cpu_s,
             "counts": {
                 "worlds": verdicts.total(),
-                **{each.value: sum(n for (said, _), n in verdicts.items() if said == each) for each in Verdict},
+                **{
+                    verdict.value: sum(n for (answer, _), n in verdicts.items() if answer == verdict)
+                    for verdict in Verdict
+                },
                 "by_reason": {reason: n for (_, reason), n in sorted(verdicts.items()) if reason},
             },
             "agreement": {},

@@ -90,9 +90,9 @@ def _in_process(step: Callable[[Million], Result], case: Million) -> Result:
 
 def _measured_step(step: Callable[[Million], Result], case: Million) -> Result:
     with timed() as clock, looked_at() as memory:
-        found = step(case)
-    own = {"wall_s": clock.wall_s, "cpu_s": clock.cpu_s, "peak_rss_bytes": clock.peak_rss_bytes}
-    return {**found, **own, "peak_all_bytes": memory.peak_bytes}
+        figures = step(case)
+    costs = {"wall_s": clock.wall_s, "cpu_s": clock.cpu_s, "peak_rss_bytes": clock.peak_rss_bytes}
+    return {**figures, **costs, "peak_all_bytes": memory.peak_bytes}
 
 
 def _killed(case: Million) -> Result:
@@ -216,22 +216,22 @@ def report_of(case: Million) -> Result:
 
 def made(n: int) -> list[Plan]:
     """So many generated plans, cut to 10 to 14 boxes."""
-    found: list[Plan] = []
+    plans: list[Plan] = []
     index = 0
-    while len(found) < n:
+    while len(plans) < n:
         plan_id, placements = generate_one(index, SEED)
         most = FEWEST + index % (MOST - FEWEST + 1)
         index += 1
         if len(placements) >= most:
-            found.append(parse_plan(plan_id, "million", placements[:most], most, {}))
-    return found
+            plans.append(parse_plan(plan_id, "million", placements[:most], most, {}))
+    return plans
 
 
 def tables(folder: Path) -> dict[str, dict[str, int]]:
     """Table → its parts and bytes."""
-    found = {}
+    totals = {}
     for table in sorted(path for path in folder.iterdir() if path.is_dir()):
         sizes = [file.stat().st_size for file in table.glob("*.parquet")]
-        found[table.name] = {"parts": len(sizes), "bytes": sum(sizes)}
-    found["run.json"] = {"parts": 1, "bytes": (folder / "run.json").stat().st_size}
-    return found
+        totals[table.name] = {"parts": len(sizes), "bytes": sum(sizes)}
+    totals["run.json"] = {"parts": 1, "bytes": (folder / "run.json").stat().st_size}
+    return totals

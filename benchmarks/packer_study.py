@@ -81,40 +81,40 @@ class Asked(NamedTuple):
         return {"engine": self.engine, "threads": self.threads}
 
 
-def study(sets: Mapping[str, Sequence[Numbered]], asked: Asked) -> list[dict[str, Any]]:
+def study(sets: Mapping[str, Sequence[Numbered]], settings: Asked) -> list[dict[str, Any]]:
     """A line of results for each set of orders: each packer's plans, and differences on the same orders.
 
     All plans are simulated in one run, and shaken in another: the worlds of a run cost little more than one.
     """
-    found = {name: _packed(name, orders, asked) for name, orders in sets.items()}
-    judged = _judged(_plans(sets, found, asked.judged), asked)
-    shaken = _shaken(_plans(sets, found, asked.shaken), asked)
+    packings_by_set = {name: _packed(name, orders, settings) for name, orders in sets.items()}
+    judged = _judged(_plans(sets, packings_by_set, settings.judged), settings)
+    shaken = _shaken(_plans(sets, packings_by_set, settings.shaken), settings)
     lines = []
     for name, orders in sets.items():
         tables = {}
-        for packer, packings in found[name].items():
+        for packer, packings in packings_by_set[name].items():
             rows = [{"plan_id": id_, **_measures(order, packings[id_])} for id_, order in orders if id_ in packings]
             table = pd.DataFrame(rows).set_index("plan_id").assign(pack_cpu_s=packings.cpu_s)
             for more in (judged, shaken):
                 table = table.join(more.xs((name, packer), level=("set", "packer"))) if len(more) else table
             tables[packer] = table
-        lines.append(_line(name, tables, asked))
+        lines.append(_line(name, tables, settings))
     return lines
 
 
-def _line(name: str, tables: Mapping[str, pd.DataFrame], asked: Asked) -> dict[str, Any]:
+def _line(name: str, tables: Mapping[str, pd.DataFrame], settings: Asked) -> dict[str, Any]:
     against = [other for other in (BALANCED, *RULES_ONLINE) if other in tables]
     return {
         "case": "packer-study",
         "source": name,
-        "worlds": asked.worlds,
-        "engine": asked.engine,
+        "worlds": settings.worlds,
+        "engine": settings.engine,
         "packers": {packer: _summary(table) for packer, table in tables.items()},
         "differences": {
             f"{packer} - {other}": _differences(tables[packer], tables[other])
             for other in against
             for packer in tables
-            if packer != other and (other == BALANCED or packer.startswith("learned") or packer in asked.others)
+            if packer != other and (other == BALANCED or packer.startswith("learned") or packer in settings.others)
         },
         "from_best_to_worst": _ranks(tables),
         "as_many_boxes_as_balanced": _as_many(tables),
@@ -122,17 +122,21 @@ def _line(name: str, tables: Mapping[str, pd.DataFrame], asked: Asked) -> dict[s
     }
 
 
-def _packed(name: str, orders: Sequence[Numbered], asked: Asked) -> dict[str, Packings]:
-    by = {packer: each for packer, each in packers(asked.policy).items() if asked.only is None or packer in asked.only}
-    found = packed(orders, by, asked.workers)
-    print(f"{name}: {', '.join(f'{packer} {each.cpu_s:.4f} s' for packer, each in found.items())}", flush=True)
-    for packer, path in asked.others.items():
-        there = packed_already(path)
-        if theirs := {order_id: there[order_id] for order_id, _ in orders if order_id in there}:
-            found[packer] = Packings(theirs)
-    if asked.physical and (asked.only is None or PHYSICAL in asked.only):
-        found[PHYSICAL] = packed_physically(orders[: asked.physical], asked.workers, asked.how)
-    return found
+def _packed(name: str, orders: Sequence[Numbered], settings: Asked) -> dict[str, Packings]:
+    by = {
+        packer: packs
+        for packer, packs in packers(settings.policy).items()
+        if settings.only is None or packer in settings.only
+    }
+    packings = packed(orders, by, settings.workers)
+    print(f"{name}: {', '.join(f'{packer} {packing.cpu_s:.4f} s' for packer, packing in packings.items())}", flush=True)
+    for packer, path in settings.others.items():
+        earlier_packings = packed_already(path)
+        if theirs := {order_id: earlier_packings[order_id] for order_id, _ in orders if order_id in earlier_packings}:
+            packings[packer] = Packings(theirs)
+    if settings.physical and (settings.only is None or PHYSICAL in settings.only):
+        packings[PHYSICAL] = packed_physically(orders[: settings.physical], settings.workers, settings.how)
+    return packings
 
 
 _Key = tuple[str, str, str]
@@ -140,12 +144,12 @@ _Key = tuple[str, str, str]
 
 
 def _plans(
-    sets: Mapping[str, Sequence[Numbered]], found: Mapping[str, Mapping[str, Packings]], most: int
+    sets: Mapping[str, Sequence[Numbered]], packings_by_set: Mapping[str, Mapping[str, Packings]], most: int
 ) -> dict[_Key, Plan | None]:
     """The plans of the first orders of each set; None where no box is placed."""
     plans: dict[_Key, Plan | None] = {}
     for name, orders in sets.items():
-        for packer, packings in found[name].items():
+        for packer, packings in packings_by_set[name].items():
             for order_id, _ in orders[:most]:
                 if order_id in packings:
                     key = (name, packer, order_id)
@@ -156,7 +160,7 @@ def _plans(
     return plans
 
 
-def _judged(plans: Mapping[_Key, Plan | None], asked: Asked) -> pd.DataFrame:
+def _judged(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
     """Whether plans stand, placed exactly and with errors. What has no plan does not stand."""
     some = [plan for plan in plans.values() if plan is not None]
     if not some:
@@ -166,7 +170,7 @@ def _judged(plans: Mapping[_Key, Plan | None], asked: Asked) -> pd.DataFrame:
         text = find_sweep("confidence").read_text(encoding="utf-8")
         assert "\nseed = 1\n" in text
         errors.write_text(text.replace("\nseed = 1\n", f"\nseed = {ERROR_SEED}\n"), encoding="utf-8")
-        scored = petmjx.score(some, confidence=asked.worlds, errors=errors, **asked.how)
+        scored = petmjx.score(some, confidence=settings.worlds, errors=errors, **settings.how)
     exact = scored.worlds[scored.worlds.variant == 0].set_index("plan_id")
     assert scored.summary is not None
     share = scored.summary.set_index("plan_id").share
@@ -178,7 +182,7 @@ def _judged(plans: Mapping[_Key, Plan | None], asked: Asked) -> pd.DataFrame:
     return _by_key(plans, columns)
 
 
-def _shaken(plans: Mapping[_Key, Plan | None], asked: Asked) -> pd.DataFrame:
+def _shaken(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
     """The share of directions in which plans survive each level."""
     some = [plan for plan in plans.values() if plan is not None]
     if not some:
@@ -189,7 +193,7 @@ def _shaken(plans: Mapping[_Key, Plan | None], asked: Asked) -> pd.DataFrame:
             f'name = "shaking"\n[axes]\nprofile = "eumos-40509"\ndirection = {[*DIRECTIONS]}\nlevel = {[*LEVELS_G]}\n',
             encoding="utf-8",
         )
-        worlds = petmjx.sweep(shaking, some, **asked.how).worlds
+        worlds = petmjx.sweep(shaking, some, **settings.how).worlds
     columns = {}
     for level in LEVELS_G:
         here = worlds[worlds.level_g == level]
@@ -219,12 +223,12 @@ def _measures(order: Order, placed: Placements) -> dict[str, float]:
 
 def _summary(table: pd.DataFrame) -> dict[str, Any]:
     """Mean of each column, with its 95 % interval."""
-    found: dict[str, Any] = {"orders": len(table)}
+    summary: dict[str, Any] = {"orders": len(table)}
     for name in (*PACKED, *JUDGED):
         if name in table and (values := table[name].dropna().to_numpy()).size:
-            found[name] = _interval(values)
+            summary[name] = _interval(values)
     seconds = float(table.pack_cpu_s.iloc[0])
-    return found if np.isnan(seconds) else {**found, "pack_cpu_s": round(seconds, 4)}
+    return summary if np.isnan(seconds) else {**summary, "pack_cpu_s": round(seconds, 4)}
 
 
 def _interval(values: FloatArray) -> list[float]:
@@ -237,14 +241,14 @@ def _interval(values: FloatArray) -> list[float]:
 
 def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[float]]:
     """Column → mean difference on the same orders and its interval; of what stands also McNemar's p."""
-    found = {}
+    differences = {}
     for name in ("utilisation", "placed", *JUDGED[:-1]):
         if name not in table or name not in other:
             continue
-        each = (table[name] - other[name]).dropna().to_numpy()
-        if each.size:
-            found[name] = _interval(each)
-    if "stands" in found:
+        deltas = (table[name] - other[name]).dropna().to_numpy()
+        if deltas.size:
+            differences[name] = _interval(deltas)
+    if "stands" in differences:
         both = table[["stands"]].join(other[["stands"]], rsuffix="_other").dropna().to_numpy() > 0
         counts = PairedCounts(
             int(both.all(axis=1).sum()),
@@ -253,25 +257,25 @@ def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[flo
             int((~both).all(axis=1).sum()),
         )
         if find_spec("scipy") is not None:
-            found["stands_mcnemar_p"] = [mcnemar_p(counts)]
-    return found
+            differences["stands_mcnemar_p"] = [mcnemar_p(counts)]
+    return differences
 
 
 def _ranks(tables: Mapping[str, pd.DataFrame]) -> dict[str, list[str]]:
     """The packers from the best to the worst, by what a goal compares."""
-    found = {}
+    ranks = {}
     for name in ("utilisation", "share"):
         means = {packer: table[name].mean() for packer, table in tables.items() if name in table}
-        found[name] = sorted(means, key=lambda packer: -means[packer])
-    return found
+        ranks[name] = sorted(means, key=lambda packer: -means[packer])
+    return ranks
 
 
 def _as_many(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
     """Of how many orders a packer places as many boxes as ``balanced``."""
     if BALANCED not in tables:
         return {}
-    whole = tables[BALANCED].placed
+    reference = tables[BALANCED].placed
     return {
-        packer: round(float((table.placed >= whole.reindex(table.index) - 1e-9).mean()), 4)
+        packer: round(float((table.placed >= reference.reindex(table.index) - 1e-9).mean()), 4)
         for packer, table in tables.items()
     }

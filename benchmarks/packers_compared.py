@@ -104,28 +104,28 @@ def packed(
     orders: Sequence[Numbered], by: Mapping[str, Callable[[Order], Placements]], workers: int
 ) -> dict[str, Packings]:
     """All orders packed by each packer."""
-    found: dict[str, Packings] = {name: Packings() for name in by}
+    packings_by_packer: dict[str, Packings] = {name: Packings() for name in by}
     seconds = dict.fromkeys(by, 0.0)
-    each = in_order(partial(_timed, by=by), orders, workers, alone=64, chunk=8)
-    for (order_id, _), told in zip(orders, each, strict=True):
-        for name, (placed, cpu_s) in told.items():
-            found[name][order_id] = placed
+    answers = in_order(partial(_timed, by=by), orders, workers, alone=64, chunk=8)
+    for (order_id, _), answer in zip(orders, answers, strict=True):
+        for name, (placed, cpu_s) in answer.items():
+            packings_by_packer[name][order_id] = placed
             seconds[name] += cpu_s
-    for name, packings in found.items():
+    for name, packings in packings_by_packer.items():
         packings.cpu_s = seconds[name] / max(len(orders), 1)
-    return found
+    return packings_by_packer
 
 
 def packed_already(path: Path) -> Packings:
     """The plans of a file of BED-BPP's JSON, by another packer."""
-    found = Packings()
+    packings = Packings()
     for order_id, placements in json.loads(path.read_text(encoding="utf-8")).items():
         boxes = []
-        for each in placements:
-            x, y, z = map(float, each["flb_coordinates"])
-            boxes.append(Placed(_item(each["item"]), each["orientation"], (x, y, z)))
-        found[order_id] = boxes
-    return found
+        for placement in placements:
+            x, y, z = map(float, placement["flb_coordinates"])
+            boxes.append(Placed(_item(placement["item"]), placement["orientation"], (x, y, z)))
+        packings[order_id] = boxes
+    return packings
 
 
 def _item(given: Mapping[str, Any]) -> Item:
@@ -135,17 +135,17 @@ def _item(given: Mapping[str, Any]) -> Item:
 
 def packed_physically(orders: Sequence[Numbered], workers: int, how: Mapping[str, Any]) -> Packings:
     """The same by ``physical``, whose CPU time is that of all threads of this process."""
-    begin, found = time.process_time(), Packings()
-    each: Iterator[Any] = pack_each(iter(orders), workers=workers, **how)
-    for packing in each:
-        found[packing.order_id] = packing.taken.finalist.placed if packing.taken else ()
-    found.cpu_s = (time.process_time() - begin) / len(orders) if workers == 1 else float("nan")
-    return found
+    begin, packings = time.process_time(), Packings()
+    packed_orders: Iterator[Any] = pack_each(iter(orders), workers=workers, **how)
+    for packing in packed_orders:
+        packings[packing.order_id] = packing.taken.finalist.placed if packing.taken else ()
+    packings.cpu_s = (time.process_time() - begin) / len(orders) if workers == 1 else float("nan")
+    return packings
 
 
 def _timed(numbered: Numbered, by: Mapping[str, Callable[[Order], Placements]]) -> dict[str, tuple[Placements, float]]:
-    told = {}
+    answer = {}
     for name, packs in by.items():
         begin = time.process_time()
-        told[name] = (packs(numbered[1]), time.process_time() - begin)
-    return told
+        answer[name] = (packs(numbered[1]), time.process_time() - begin)
+    return answer

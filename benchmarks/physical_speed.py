@@ -18,12 +18,12 @@ def search_speed(orders: Sequence[Numbered]) -> Result:
     """CPU seconds an order of the search alone, in this process. Its first order is not measured, since with it machine
     code is compiled."""
     finalists(orders[0][1], PhysicalOptions())
-    each = []
+    times_s = []
     for _, order in orders:
         with timed() as clock:
             finalists(order, PhysicalOptions())
-        each.append(clock.cpu_s)
-    return {"orders": len(orders), "cpu_s": sum(each) / len(each), "most_cpu_s": max(each)}
+        times_s.append(clock.cpu_s)
+    return {"orders": len(orders), "cpu_s": sum(times_s) / len(times_s), "most_cpu_s": max(times_s)}
 
 
 def packing_speed(orders: Sequence[Numbered], workers: int, how: Mapping[str, Any]) -> Result:
@@ -33,13 +33,13 @@ def packing_speed(orders: Sequence[Numbered], workers: int, how: Mapping[str, An
         how: options of ``petmjx.pack``.
     """
     with timed() as clock:
-        each = list(pack_each(iter(orders), workers=workers, **how))
-    table, worlds = Packed(tuple(each)).orders, sum(packed.n_simulated for packed in each)
+        packings = list(pack_each(iter(orders), workers=workers, **how))
+    table, worlds = Packed(tuple(packings)).orders, sum(packed.n_simulated for packed in packings)
     return {
-        "orders": len(each),
+        "orders": len(packings),
         "workers": workers,
         "wall_s": clock.wall_s,
-        "orders_per_s": len(each) / clock.wall_s,
+        "orders_per_s": len(packings) / clock.wall_s,
         "worlds": worlds,
         "worlds_per_s": worlds / clock.wall_s,
         "tried": int(table["tried"].sum()),

@@ -49,39 +49,39 @@ def compared(plans: Sequence[Plan], engine: str, oracle: str, *, gives: bool, **
         gives: whether boxes have the stiffness of their materials, too.
         options: of ``petmjx.score``.
     """
-    found = [of_three_materials(plan, gives=gives) for plan in plans]
+    mixed_plans = [of_three_materials(plan, gives=gives) for plan in plans]
     worlds, seconds, timings = {}, {}, {}
     for name in (oracle, engine):
         begin = time.perf_counter()
-        results = petmjx.score(found, **{"engine": name, **SETTINGS, **options})
+        results = petmjx.score(mixed_plans, **{"engine": name, **SETTINGS, **options})
         seconds[name], worlds[name] = time.perf_counter() - begin, results.worlds.set_index("plan_id")
         timings[name] = float(results.info["timings"].get("compile_s", 0.0))
-    there, here = worlds[oracle], worlds[engine]
-    judged = (there.verdict != "invalid") & (here.verdict != "invalid")
-    same = there.verdict == here.verdict
-    differ = there.index[judged & ~same]
+    oracle_worlds, here = worlds[oracle], worlds[engine]
+    judged = (oracle_worlds.verdict != "invalid") & (here.verdict != "invalid")
+    same = oracle_worlds.verdict == here.verdict
+    differ = oracle_worlds.index[judged & ~same]
     return {
         "case": "real-boxes-soft" if gives else "real-boxes",
         "group": "real-boxes",
         "engine": engine,
         "oracle": oracle,
         "device": device_name(engine),
-        "plans": len(there),
-        "boxes": int(there.n_boxes.sum()),
+        "plans": len(oracle_worlds),
+        "boxes": int(oracle_worlds.n_boxes.sum()),
         "judged_by_both": int(judged.sum()),
         "same": int((judged & same).sum()),
         "share": round(float((judged & same).sum() / max(judged.sum(), 1)), 6),
-        "same_steps": int((there.n_steps == here.n_steps).sum()),
-        "stand": {name: int((each.verdict == "stable").sum()) for name, each in worlds.items()},
-        "without_verdict": {name: int((each.verdict == "invalid").sum()) for name, each in worlds.items()},
-        "steps_per_box": {name: round(_steps_per_box(each), 1) for name, each in worlds.items()},
-        "wall_s": {name: round(each, 2) for name, each in seconds.items()},
-        "compile_s": {name: round(each, 2) for name, each in timings.items()},
+        "same_steps": int((oracle_worlds.n_steps == here.n_steps).sum()),
+        "stand": {name: int((table.verdict == "stable").sum()) for name, table in worlds.items()},
+        "without_verdict": {name: int((table.verdict == "invalid").sum()) for name, table in worlds.items()},
+        "steps_per_box": {name: round(_steps_per_box(table), 1) for name, table in worlds.items()},
+        "wall_s": {name: round(time_s, 2) for name, time_s in seconds.items()},
+        "compile_s": {name: round(time_s, 2) for name, time_s in timings.items()},
         "differ": [
             {
                 "plan_id": plan_id,
-                **{name: [each.verdict[plan_id], each.reason[plan_id]] for name, each in worlds.items()},
-                "margin": round(float(there.margin[plan_id]), 4),
+                **{name: [table.verdict[plan_id], table.reason[plan_id]] for name, table in worlds.items()},
+                "margin": round(float(oracle_worlds.margin[plan_id]), 4),
             }
             for plan_id in differ
         ],

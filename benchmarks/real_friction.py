@@ -83,7 +83,7 @@ def restitution(carton: Carton, engine: str) -> float:
     """By how high a box bounces that is dropped flat from ``DROP_M``: the root of that share of the height."""
     times = Physics().timestep_s * np.arange(1, round(1.0 / Physics().timestep_s))
     moved = release(
-        [MM_PER_M * each for each in carton.size_m], carton.mass_kg, [(0.0, 0.0, carton.size_m[2] / 2 + DROP_M)],
+        [MM_PER_M * side_m for side_m in carton.size_m], carton.mass_kg, [(0.0, 0.0, carton.size_m[2] / 2 + DROP_M)],
         UPRIGHT, STILL, STILL, times, engine=engine,
     )  # fmt: skip
     height = moved.pos_m[0, :, 2] - carton.size_m[2] / 2
@@ -109,7 +109,7 @@ def _row_of_spread(engine: str) -> Row:
         friction = rng.uniform(*carton.friction, DRAWS)
         height = carton.size_m[2] / 2 + 0.2
         moved = release(
-            [MM_PER_M * each for each in carton.size_m], carton.mass_kg, [(0.0, 0.0, height)], UPRIGHT,
+            [MM_PER_M * side_m for side_m in carton.size_m], carton.mass_kg, [(0.0, 0.0, height)], UPRIGHT,
             (2.0, 0.0, 0.0), (0.0, 2.0, 1.0), [2.0], friction=friction, engine=engine,
         )  # fmt: skip
         spreads.append(100 * float(np.std(moved.pos_m[:, 0, :2], axis=0).max()))
@@ -165,7 +165,7 @@ _LIFT_MM: Final = 0.5
 
 def _rows_of_sliding(engine: str) -> Iterator[Row]:
     """A loaded pallet that slides on each trailer's floor: how far, and whether it leaves the floor."""
-    kinetic = np.array([each for _, each in TRAILER.values()])
+    kinetic = np.array([coefficient for _, coefficient in TRAILER.values()])
     height = LOAD_MM[2] / 2 / MM_PER_M
     times = np.arange(0.0, 1.6, 0.004)
     moved = release(
@@ -214,8 +214,8 @@ def _quake(rng: np.random.Generator, timestep_s: float) -> FloatArray:
     noise = np.fft.irfft(spectrum, count) * np.clip(
         np.minimum(np.arange(count), np.arange(count)[::-1]) * timestep_s, 0, 1
     )
-    found: FloatArray = noise / abs(noise).max() * PEAK_G * STANDARD_GRAVITY
-    return found
+    acceleration: FloatArray = noise / abs(noise).max() * PEAK_G * STANDARD_GRAVITY
+    return acceleration
 
 
 def shelf(engine: str) -> dict[str, Any]:
@@ -264,8 +264,8 @@ def _on_shelf(physics: Physics) -> Scene:
 
 
 def _row_of_shelf(engine: str) -> Row:
-    found = shelf(engine)
-    level, tilted = found["level_shed"], found["tilted_shed"]
+    measures = shelf(engine)
+    level, tilted = measures["level_shed"], measures["tilted_shed"]
     return Row(
         f"pallets shed from shelves that are tilted by {SHELF_DEG}°", _RACKS, "none; of level shelves some",
         f"{tilted} of {QUAKES}; of level shelves {level}", f"{tilted}", engine,

@@ -86,10 +86,10 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
     """
     for part in parts:
         for number, engine in enumerate(engines):
-            told: dict[str, Any] = {}
+            measures: dict[str, Any] = {}
             if part == TOSSES:
                 # what the data tell of friction and of confidence is asked of one engine
-                told, rows = _tosses(data, limit, engine, whole=number == 0)
+                measures, rows = _tosses(data, limit, engine, complete=number == 0)
             else:
                 find: Callable[[str], Iterator[Any]] = importlib.import_module(PARTS[part]).rows
                 rows = [Row.of(row) for row in find(engine)]
@@ -98,7 +98,7 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
                 "group": "reality",
                 "engine": engine,
                 "rows": [asdict(row) for row in rows],
-                **told,
+                **measures,
                 **environment(),
             }
 
@@ -133,8 +133,8 @@ def present(part: str) -> bool:
     """Whether a part has rows."""
     if part == TOSSES:
         return True
-    there = importlib.util.find_spec(PARTS[part]) is not None
-    return there and hasattr(importlib.import_module(PARTS[part]), "rows")
+    has_module = importlib.util.find_spec(PARTS[part]) is not None
+    return has_module and hasattr(importlib.import_module(PARTS[part]), "rows")
 
 
 _CUBE: Final = "ContactNets cube (DAIRLab, CoRL 2020)"
@@ -152,25 +152,25 @@ _NAMES: Final = {
 }
 
 
-def _tosses(data: Path, limit: int | None, engine: str, *, whole: bool) -> tuple[dict[str, Any], list[Row]]:
+def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tuple[dict[str, Any], list[Row]]:
     tosses = read_tosses(data, limit)
     n = len(tosses)
-    told: dict[str, Any] = {"tosses": compared(tosses, engine)}
-    told["tosses_that_bounce"] = compared(tosses, engine, restitution=RESTITUTION)
-    rows = list(_rows_of_errors(told["tosses"], f"{n} tosses", n, engine))
-    rows += _rows_of_errors(told["tosses_that_bounce"], f"{n} tosses with restitution {RESTITUTION}", n, engine)
-    if whole:
-        told |= {
+    measures: dict[str, Any] = {"tosses": compared(tosses, engine)}
+    measures["tosses_that_bounce"] = compared(tosses, engine, restitution=RESTITUTION)
+    rows = list(_rows_of_errors(measures["tosses"], f"{n} tosses", n, engine))
+    rows += _rows_of_errors(measures["tosses_that_bounce"], f"{n} tosses with restitution {RESTITUTION}", n, engine)
+    if complete:
+        measures |= {
             study.__name__: study(tosses, engine, restitution=RESTITUTION) for study in (spread, friction, calibration)
         }
-        rows += _rows_of_spread(told["spread"], engine)
-        rows += _rows_of_friction(told["friction"], engine)
-        rows += _rows_of_calibration(told["calibration"], engine)
-    return told, rows
+        rows += _rows_of_spread(measures["spread"], engine)
+        rows += _rows_of_friction(measures["friction"], engine)
+        rows += _rows_of_calibration(measures["calibration"], engine)
+    return measures, rows
 
 
-def _rows_of_errors(found: Mapping[str, Any], name: str, n: int, engine: str) -> Iterator[Row]:
-    face, place, path = found["right_face"], found["place_median_mm"], found["path_mean_mm"]
+def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str) -> Iterator[Row]:
+    face, place, path = measures["right_face"], measures["place_median_mm"], measures["path_mean_mm"]
     yield Row(
         f"{name}: face that is up at the end", _CUBE, f"{n} of {n}", f"{percent(face)} right", percent(1 - face),
         engine, f"meant: {percent(_RIGHT_FACE)}", face >= _RIGHT_FACE,
@@ -181,10 +181,10 @@ def _rows_of_errors(found: Mapping[str, Any], name: str, n: int, engine: str) ->
     )  # fmt: skip
     yield Row(
         f"{name}: place and orientation along the path", _CUBE, "by camera", "–",
-        f"{path:.1f} mm, {found['turn_mean_deg']:.1f}° in the mean", engine, f"meant: {_PATH_MM:g} mm",
+        f"{path:.1f} mm, {measures['turn_mean_deg']:.1f}° in the mean", engine, f"meant: {_PATH_MM:g} mm",
         path <= _PATH_MM,
     )  # fmt: skip
-    for quantity, test in found["distributions"].items():
+    for quantity, test in measures["distributions"].items():
         words, unit = _NAMES[quantity]
         ours, theirs = test["petmjx_median"], test["measured_median"]
         yield Row(
@@ -194,31 +194,31 @@ def _rows_of_errors(found: Mapping[str, Any], name: str, n: int, engine: str) ->
         )  # fmt: skip
 
 
-def _rows_of_spread(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
-    runs, sigma = found["runs"], found["noise"]
+def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
+    runs, sigma = measures["runs"], measures["noise"]
     uncertain = (
         f"{1000 * sigma['pos_m']:.2f} mm, {math.degrees(sigma['turn_rad']):.2f}°, {1000 * sigma['vel_m_s']:.0f} mm/s, "
         f"{sigma['angvel_rad_s']:.2f} rad/s"
     )
     yield Row(
         f"ends of {runs} runs whose starts differ as the data are uncertain", _CUBE,
-        f"{found['from_measured_median_mm']:.1f} mm from the measured end",
-        f"{found['between_runs_median_mm']:.1f} mm from each other",
-        f"{found['from_measured_median_mm'] / found['between_runs_median_mm']:.1f} times", engine,
+        f"{measures['from_measured_median_mm']:.1f} mm from the measured end",
+        f"{measures['between_runs_median_mm']:.1f} mm from each other",
+        f"{measures['from_measured_median_mm'] / measures['between_runs_median_mm']:.1f} times", engine,
         f"medians; a perfect model of a perfect cube has the same in both; starts differ by {uncertain}",
     )  # fmt: skip
-    measured, runs_agree = found["same_face_as_measured"], found["same_face_between_runs"]
+    measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     yield Row(
         "the same face up", _CUBE, f"{percent(measured)} of runs and the camera", f"{percent(runs_agree)} of two runs",
         percent(runs_agree - measured), engine,
     )  # fmt: skip
 
 
-def _rows_of_friction(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
-    for half in found["halves"]:
-        other, miss = half["errors_of_other_half"], half["friction"] - found["published"]
+def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
+    for half in measures["halves"]:
+        other, miss = half["errors_of_other_half"], half["friction"] - measures["published"]
         yield Row(
-            "friction found from half of the tosses", _CUBE, f"{found['published']}", f"{half['friction']}",
+            "friction found from half of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
             f"{abs(miss):.2f}", engine,
             f"the other half then: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
             f"path {other['path_mean_mm']:.1f} mm",
@@ -226,17 +226,17 @@ def _rows_of_friction(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
         )  # fmt: skip
 
 
-def _rows_of_calibration(found: Mapping[str, Any], engine: str) -> Iterator[Row]:
-    mu, sigma = found["friction"]
-    for region, share in found["within"].items():
-        asked, error = float(region), found["standard_error"][region]
+def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
+    mu, sigma = measures["friction"]
+    for region, share in measures["within"].items():
+        level, error = float(region), measures["standard_error"][region]
         yield Row(
-            f"measured ends within the region of {percent(asked, 0)} of {found['members']} draws", _CUBE,
-            percent(share), percent(asked, 0), percent(abs(share - asked)), engine,
+            f"measured ends within the region of {percent(level, 0)} of {measures['members']} draws", _CUBE,
+            percent(share), percent(level, 0), percent(abs(share - level)), engine,
             f"friction {mu} ± {sigma}, starts as uncertain as the data; by chance ± {percent(error)}",
-            abs(share - asked) <= 3 * error,
+            abs(share - level) <= 3 * error,
         )  # fmt: skip
-    chance, likeliest = found["chance_of_measured_face"], found["chance_of_members_face"]
+    chance, likeliest = measures["chance_of_measured_face"], measures["chance_of_members_face"]
     yield Row(
         "chance of the face that is up, as the draws have it", _CUBE,
         f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} show each other's",

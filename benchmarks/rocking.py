@@ -309,10 +309,10 @@ def free_rocking(engine: EngineName) -> Iterator[Row]:
         )
         slender = round(block.height_m / block.width_m)
         if slender in MEASURED_RESTITUTION:
-            found = math.sqrt(kept) / block.speed_kept
+            ratio = math.sqrt(kept) / block.speed_kept
             source = "measured on concrete, ElGawady et al."
             yield Row(
-                f"{name}: angular speed kept over Housner's", source, MEASURED_RESTITUTION[slender], found, engine
+                f"{name}: angular speed kept over Housner's", source, MEASURED_RESTITUTION[slender], ratio, engine
             )
 
 

@@ -105,7 +105,7 @@ def scaled(
     width = len(str(piles - 1))
     frames = []
     for factor in factors:
-        plans = [each.plan(f"pile-{number:0{width}}", factor) for number, each in enumerate(drawn)]
+        plans = [pile.plan(f"pile-{number:0{width}}", factor) for number, pile in enumerate(drawn)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             run = petmjx.score(plans, engine=engine, threads=threads, thresholds=thresholds(factor), keep="worlds")
@@ -132,11 +132,11 @@ def main() -> None:
     for plan_id, rows, flagged in changes(worlds):
         print(plan_id, "flagged" if flagged else "WITHOUT A FLAG")
         print(rows[["factor", "verdict", "reason", "margin", "plan_edge_m", "rest_edge_m", "flags"]].to_string())
-    found = Counter(flagged for _, _, flagged in changes(worlds))
+    counts = Counter(flagged for _, _, flagged in changes(worlds))
     verdicts = worlds.loc[worlds["factor"] == 1.0, "verdict"].value_counts().to_dict()
     print(
         f"{options.piles} piles (seed {options.seed}, {options.engine}), as drawn {verdicts}: verdicts of "
-        f"{found.total()} change between {FACTORS[0]} and {FACTORS[-1]}, of {found[False]} without a flag "
+        f"{counts.total()} change between {FACTORS[0]} and {FACTORS[-1]}, of {counts[False]} without a flag "
         f"({time.perf_counter() - begin:.0f} s)"
     )
 

@@ -43,10 +43,10 @@ class Stages:
         def noted(*some: Any, **more: Any) -> Any:
             if before:
                 self.end(before)
-            found = inner(*some, **more)
+            answer = inner(*some, **more)
             if after:
                 self.end(after)
-            return found
+            return answer
 
         setattr(home, name, noted)
 
@@ -131,11 +131,11 @@ def _note_slices(stages: Stages) -> None:
         inner = module.Rollout.wait
 
         def wait(*some: Any) -> Any:
-            found = inner(*some)
+            answer = inner(*some)
             stages.end("first slice ended")
             stages.ended.pop("last slice ended", None)
             stages.end("last slice ended")
-            return found
+            return answer
 
         module.Rollout.wait = wait
 
@@ -165,7 +165,7 @@ def measured(plans: str, engine: str, workers: str = "") -> dict[str, Any]:
         ended = json.loads(log.read_text())
         info = json.loads((Path(made) / "out" / "run.json").read_text())
     sys.stderr.write(done.stderr)
-    in_order = dict(sorted(ended.items(), key=lambda each: float(each[1][0])))
+    in_order = dict(sorted(ended.items(), key=lambda entry: float(entry[1][0])))
     return {
         "case": "shell",
         "group": "shell",
@@ -190,14 +190,16 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=1)
     parser.add_argument("--note", default="")
     parser.add_argument("--out", type=Path)
-    asked = parser.parse_args()
-    for _ in range(asked.repeats):
-        line = measured(asked.plans, asked.engine, asked.workers)
+    arguments = parser.parse_args()
+    for _ in range(arguments.repeats):
+        line = measured(arguments.plans, arguments.engine, arguments.workers)
         for name, at in line["ended_s"].items():
             print(f"{at:8.2f} s  {name:20} {line['cpu_s'][name]:8.2f} s of CPU time")
         print(f"{line['shell_s']:8.2f} s  shell; the engine's wall {line['engine_wall_s']:.2f} s", flush=True)
-        if asked.out is not None:
-            append_line(asked.out, {**line, **({"note": asked.note} if asked.note else {}), **environment()})
+        if arguments.out is not None:
+            append_line(
+                arguments.out, {**line, **({"note": arguments.note} if arguments.note else {}), **environment()}
+            )
 
 
 if __name__ == "__main__":

@@ -31,23 +31,23 @@ def main() -> None:
     parser.add_argument("plans")
     parser.add_argument("--limit", type=int)
     parser.add_argument("--engine", default="mjx-warp")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     sim, begin = Simulation(), time.perf_counter()
 
-    def said(what: str) -> None:
-        print(f"{time.perf_counter() - begin:7.2f} s  {what}", flush=True)
+    def said(message: str) -> None:
+        print(f"{time.perf_counter() - begin:7.2f} s  {message}", flush=True)
 
-    plans = usable_plans(asked.plans, sim, RunOptions(limit=asked.limit)).plans
+    plans = usable_plans(arguments.plans, sim, RunOptions(limit=arguments.limit)).plans
     said(f"{len(plans)} plans are read")
-    engine = make_engine(asked.engine)
+    engine = make_engine(arguments.engine)
     said("the engine is there")
     wait, looked = Rollout.wait, [0.0]
 
     def timed(self: Rollout, group: Any) -> Any:
-        came = time.perf_counter()
+        begin_s = time.perf_counter()
         status, ended = wait(self, group)
-        waited = time.perf_counter() - came
-        running, host = int((np.asarray(status) == Status.RUNNING).sum()), came - looked[0]
+        waited = time.perf_counter() - begin_s
+        running, host = int((np.asarray(status) == Status.RUNNING).sum()), begin_s - looked[0]
         said(f"{running:6} run; the host worked for {host:.3f} s, then waited for {waited:.3f} s")
         looked[0] = time.perf_counter()
         return status, ended
@@ -59,7 +59,7 @@ def main() -> None:
     for result in score_worlds(worlds, sim, engine, progress=progress):
         if len(result.attempts) > 1:
             again += 1
-            said(f"{result.world.plan.plan_id}: {[(each.attempt, each.engine) for each in result.attempts]}")
+            said(f"{result.world.plan.plan_id}: {[(attempt.attempt, attempt.engine) for attempt in result.attempts]}")
     said(f"all have ended, {again} were simulated again; {progress.world_steps} steps, {progress.extra}")
 
 

@@ -80,11 +80,11 @@ class Stack:
 
     def above(self, box: int, placed: int) -> list[int]:
         """A box and all that rest on it."""
-        found = [box]
+        boxes = [box]
         for other in range(box + 1, placed):
-            if set(self.supports[other]) & set(found):
-                found.append(other)
-        return found
+            if set(self.supports[other]) & set(boxes):
+                boxes.append(other)
+        return boxes
 
     def base(self, box: int) -> tuple[float, float]:
         """The ends of what bears a box."""
@@ -316,19 +316,19 @@ def _bridge(rng: np.random.Generator) -> Stack:
 # ---------------------------------------------------------------------- judgement
 
 
-def judge(found: list[Case], check: str, **options: Any) -> pd.DataFrame:
+def judge(stacks: list[Case], check: str, **options: Any) -> pd.DataFrame:
     """A row for each case: its kind, statics' answer, the verdict, and whether the world moved at its end."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", petmjx.PlanWarning)  # such masses and sizes look like mistakes of units
-        results = petmjx.score([case.plan for case in found], carrier="footprint", **CHECKS[check], **options)
-    worlds = results.worlds.set_index("plan_id").loc[[case.plan.plan_id for case in found]]
+        results = petmjx.score([case.plan for case in stacks], carrier="footprint", **CHECKS[check], **options)
+    worlds = results.worlds.set_index("plan_id").loc[[case.plan.plan_id for case in stacks]]
     at_once = CHECKS[check].get("check") == "static"
     return pd.DataFrame(
         {
             "plan_id": worlds.index,
-            "kind": [case.kind for case in found],
-            "edge_mm": [case.edge_mm for case in found],
-            "stands": [case.stands_at_once if at_once else case.stands for case in found],
+            "kind": [case.kind for case in stacks],
+            "edge_mm": [case.edge_mm for case in stacks],
+            "stands": [case.stands_at_once if at_once else case.stands for case in stacks],
             "verdict": worlds["verdict"].astype(str).to_numpy(),
             "moving": (worlds["flags"].to_numpy() & int(Flag.MOVING)) != 0,
             "attempt": worlds["attempt"].to_numpy(),
@@ -339,8 +339,8 @@ def judge(found: list[Case], check: str, **options: Any) -> pd.DataFrame:
 def summary(table: pd.DataFrame) -> dict[str, Any]:
     """What a check made of the stacks: agreements, worlds that say that they still move, and the plans that are wrong
     without that flag."""
-    said = table["verdict"].map({"stable": True, "unstable": False})
-    agrees = said == table["stands"]
+    answers = table["verdict"].map({"stable": True, "unstable": False})
+    agrees = answers == table["stands"]
     wrong = table[~agrees & ~table["moving"]]
     return {
         "stacks": len(table),

@@ -288,20 +288,20 @@ def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list
         if line["compares"] and line["petmjx stands"]
     ]
     largest = max(errors, default=0.0)
-    said = {"source": "bed of springs (Winkler 1867)", "engine": engine}
+    fields = {"source": "bed of springs (Winkler 1867)", "engine": engine}
     return [
         {
             "quantity": f"of {len(clear)} columns 5 % away from buckling, those that stand or buckle alike",
             "measured": str(len(clear)),
             "petmjx": str(len(clear) - other),
             "miss": other,
-            **said,
+            **fields,
         },
         {
             "quantity": f"lean of the {len(errors)} that stand, largest error",
             "measured": f"at most {MOST_MISS:.0%}",
             "petmjx": f"{largest:.1%}",
             "miss": round(max(largest - MOST_MISS, 0.0), 3),
-            **said,
+            **fields,
         },
     ]

@@ -110,16 +110,16 @@ def forces(pile: Pile, referees: Mapping[str, Referee], sim: Simulation) -> dict
     results = petmjx.score([pile.plan], engine="mujoco", check=sim.check.value)
     if results.worlds["verdict"].iloc[0] != "stable":
         raise RuntimeError(f"{pile.name}: {results.worlds['verdict'].iloc[0]}")
-    found = {"petmjx": results.boxes["rest_top_force_n"].to_numpy(dtype=float)}
+    forces_by_name = {"petmjx": results.boxes["rest_top_force_n"].to_numpy(dtype=float)}
     if (exact := by_statics(scene, sim.physics.gravity_m_s2)) is not None:
-        found["statics"] = exact
+        forces_by_name["statics"] = exact
     for name, referee in referees.items():
         world = referee.world(scene, sim.physics, fine=True)
-        stood = stand(world, scene, sim)
+        outcome = stand(world, scene, sim)
         world.close()
-        if not stood.moving:
-            found[name] = stood.boxes.rest_top_force_n
-    return found
+        if not outcome.moving:
+            forces_by_name[name] = outcome.boxes.rest_top_force_n
+    return forces_by_name
 
 
 def differences(referees: Mapping[str, Referee]) -> Iterator[dict[str, Any]]:
@@ -127,14 +127,16 @@ def differences(referees: Mapping[str, Referee]) -> Iterator[dict[str, Any]]:
     most, as a share of the pile's largest."""
     for pile in PILES:
         for check in Check:
-            found = forces(pile, referees, Simulation(check=check))
-            ours = found["petmjx"]
+            forces_by_name = forces(pile, referees, Simulation(check=check))
+            ours = forces_by_name["petmjx"]
             yield {
                 "pile": pile.name,
                 "check": check.value,
-                "determinate": "statics" in found,
-                "force_n": {who: values.tolist() for who, values in found.items()},
+                "determinate": "statics" in forces_by_name,
+                "force_n": {who: values.tolist() for who, values in forces_by_name.items()},
                 "differs": {
-                    who: float(np.abs(v - ours).max() / ours.max()) for who, v in found.items() if v is not ours
+                    who: float(np.abs(v - ours).max() / ours.max())
+                    for who, v in forces_by_name.items()
+                    if v is not ours
                 },
             }

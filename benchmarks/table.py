@@ -22,13 +22,13 @@ def tables(results: Sequence[Result]) -> str:
     of_group = {group: [row for row in shown if row.get("group") == group] for group in SECTIONS}
     rows = {group: [row for row in some if row["way"] != "agreement"] for group, some in of_group.items()}
     rows |= {group: _quickest(rows[group], seconds) for group, seconds in _IN_TURNS.items()}
-    found = [
-        {**result, "reference": label, "found": found}
+    agreements = [
+        {**result, "reference": label, "found": agreement}
         for result in shown
-        for label, found in result.get("agreement", {}).items()
+        for label, agreement in result.get("agreement", {}).items()
     ]
-    rows["agreement"] = [row for row in found if "same" in row["found"]]
-    rows["shares"] = [row for row in found if "shares" in row["found"]]
+    rows["agreement"] = [row for row in agreements if "same" in row["found"]]
+    rows["shares"] = [row for row in agreements if "shares" in row["found"]]
     return "\n".join(_section(*section, rows[name]) for name, section in SECTIONS.items() if rows[name])
 
 
@@ -128,9 +128,9 @@ def _cell(row: Result, column: str) -> str:
 
 def _derived(row: Result) -> Result:
     """Values made from a result's fields; None if one of them is missing."""
-    found, counts, timings = row.get("found", {}), row.get("counts", {}), row.get("timings", {})
-    force, shares = found.get("rest_top_force", {}), found.get("shares", {})
-    missed, plans, drives = found.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")
+    agreement, counts, timings = row.get("found", {}), row.get("counts", {}), row.get("timings", {})
+    force, shares = agreement.get("rest_top_force", {}), agreement.get("shares", {})
+    missed, plans, drives = agreement.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")
     lanes = [value for key, value in row.get("stages", {}).items() if key.endswith(" lanes")] + [row.get("lanes") or 0]
     width = counted(row["threads"], "thread") if row.get("threads") else f"{max(lanes):,.0f} lanes"
     return {
@@ -142,7 +142,9 @@ def _derived(row: Result) -> Result:
         "rss_gb": row["peak_rss_bytes"] / 1e9 if "peak_rss_bytes" in row else None,
         "drives": drives,
         "drives_per_s": drives / timings["drive_s"] if drives else None,
-        "same": f"{found['same']} of {found['common']} ({100 * found['share']:.2f} %)" if found.get("common") else None,
+        "same": f"{agreement['same']} of {agreement['common']} ({100 * agreement['share']:.2f} %)"
+        if agreement.get("common")
+        else None,
         "dropped": None if missed is None else len(missed),
         "force": f"{100 * force['median']:.2g} % / {100 * force['p95']:.2g} %" if force.get("boxes") else None,
         "agree": f"{shares['agree']} of {shares['plans']}" if shares else None,

@@ -74,8 +74,8 @@ def spread(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
     what was measured. A perfect model of a perfect cube has the same numbers in both."""
     rng, sigma, begin = np.random.default_rng(SEED), noise(tosses), measured_start(tosses)
     starts = [perturbed(begin, sigma, rng) for _ in range(RUNS)]
-    found = simulated(tosses, starts, engine, **how)
-    pos, faces = _ends(tosses, found)
+    paths = simulated(tosses, starts, engine, **how)
+    pos, faces = _ends(tosses, paths)
     measured_pos, measured_faces = _ends(tosses, [_measured(tosses)])
     one, two = np.triu_indices(RUNS, 1)
     return {
@@ -92,21 +92,21 @@ def friction(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
     """The friction at which the median error of the place at the end is least, from every second toss, and the errors
     of the other tosses with that friction; then the other way round."""
     count = len(tosses)
-    starts = [measured_start(tosses, each) for each in FRICTIONS]
-    found = [errors(tosses, paths) for paths in simulated(tosses, starts, engine, **how)]
+    starts = [measured_start(tosses, coefficient) for coefficient in FRICTIONS]
+    error_sets = [errors(tosses, paths) for paths in simulated(tosses, starts, engine, **how)]
     halves = np.arange(0, count, 2), np.arange(1, count, 2)
-    told = []
+    fits = []
     for half, other in (halves, halves[::-1]):
-        medians = [float(np.median(each.place_mm[half])) for each in found]
+        medians = [float(np.median(error_set.place_mm[half])) for error_set in error_sets]
         best = int(np.argmin(medians))
-        told.append(
+        fits.append(
             {
                 "friction": FRICTIONS[best],
                 "medians_mm": dict(zip(map(str, FRICTIONS), medians, strict=True)),
-                "errors_of_other_half": found[best].of(other).summary,
+                "errors_of_other_half": error_sets[best].of(other).summary,
             }
         )
-    return {"published": FRICTION, "halves": told}
+    return {"published": FRICTION, "halves": fits}
 
 
 def calibration(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:

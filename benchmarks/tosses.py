@@ -145,14 +145,14 @@ def simulated(
     restitution: float | None = None,
 ) -> list[list[Path3]]:
     """Each toss from each of some starts, at the times of its samples: by start, then by toss."""
-    found: list[list[Path3]] = [[] for _ in starts]
+    paths_by_start: list[list[Path3]] = [[] for _ in starts]
     paths: dict[tuple[int, int], Path3] = {}
     order = np.argsort(tosses.n_samples, kind="stable")
     for group in np.array_split(order, min(GROUPS, len(order))):
         most = int(tosses.n_samples[group].max())
 
         def joined(values: Sequence[FloatArray], group: NDArray[np.intp] = group) -> FloatArray:
-            return np.concatenate([each[group] for each in values])
+            return np.concatenate([array[group] for array in values])
 
         velocity = joined([start.velocity for start in starts])
         moved = release(
@@ -172,9 +172,9 @@ def simulated(
         for row, (number, toss) in enumerate((s, int(t)) for s in range(len(starts)) for t in group):
             count = int(tosses.n_samples[toss])
             paths[number, toss] = Path3(moved.pos_m[row, :count], moved.quat_wxyz[row, :count])
-    for number, each in enumerate(found):
-        each += [paths[number, toss] for toss in range(len(tosses))]
-    return found
+    for number, toss_paths in enumerate(paths_by_start):
+        toss_paths += [paths[number, toss] for toss in range(len(tosses))]
+    return paths_by_start
 
 
 # What is compared.

@@ -36,8 +36,8 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
     """Give a function with ``**options`` a signature and documentation that list the records' fields."""
 
     def decorate(function: Function) -> Function:
-        own = inspect.signature(function)
-        named = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        signature = inspect.signature(function)
+        named = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         fields = {name: info for record in records for name, info in record.model_fields.items()}
         named += [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=info.default, annotation=info.annotation)
@@ -45,7 +45,7 @@ def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
         ]
         lines = [f"    {name}: {info.description}." for name, info in fields.items()]
         function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nOptions:\n" + "\n".join(lines) + "\n"
-        function.__signature__ = own.replace(parameters=named)  # type: ignore[attr-defined]  # what inspect reads
+        function.__signature__ = signature.replace(parameters=named)  # type: ignore[attr-defined]  # what inspect reads
         return function
 
     return decorate
@@ -123,10 +123,10 @@ def score(
     from petmjx.sweeps.confidence import confidence_sweep
     from petmjx.sweeps.study import SweepStudy
 
-    asked = confidence_sweep(sure.confidence, sure.errors, of_simulation, exact_too=sure.exact_too)
-    ask = partial(SweepStudy, asked, confidence=sure.confidence)
+    definition = confidence_sweep(sure.confidence, sure.errors, of_simulation, exact_too=sure.exact_too)
+    ask = partial(SweepStudy, definition, confidence=sure.confidence)
     with _watching(watcher, progress) as follows:
-        return simulate(ask, asked.simulation, plans, run, follows, _intervals(run))
+        return simulate(ask, definition.simulation, plans, run, follows, _intervals(run))
 
 
 @_takes_options(Simulation, RunOptions)
@@ -164,9 +164,9 @@ def sweep(
     if batching is not None:
         instance_of(batching, "batching", Batching, "a Batching")
     of_simulation, of_run = sorted_options(options)
-    asked = load_sweep(find_sweep(path_of(file, "file")), plans_given=plans is not None, simulation=of_simulation)
-    if plans is None and isinstance(asked.plans, tuple):
-        plans = list(asked.plans)
-    run, ask = RunOptions(**of_run), partial(SweepStudy, asked, batching=batching)
+    definition = load_sweep(find_sweep(path_of(file, "file")), plans_given=plans is not None, simulation=of_simulation)
+    if plans is None and isinstance(definition.plans, tuple):
+        plans = list(definition.plans)
+    run, ask = RunOptions(**of_run), partial(SweepStudy, definition, batching=batching)
     with _watching(watcher, progress) as follows:
-        return simulate(ask, asked.simulation, plans, run, follows, _intervals(run))
+        return simulate(ask, definition.simulation, plans, run, follows, _intervals(run))

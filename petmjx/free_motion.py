@@ -134,7 +134,7 @@ def release(
         EngineUnavailable: the engine cannot run here.
     """
     sim = _options(physics, ground)
-    asked: dict[str, Any] = {
+    given: dict[str, Any] = {
         "size_mm": size_mm,
         "mass_kg": mass_kg,
         "pos_m": pos_m,
@@ -143,8 +143,8 @@ def release(
         "angvel_rad_s": angvel_rad_s,
     }
     optional = {"inertia_kg_m2": inertia_kg_m2, "friction": friction, "restitution": restitution}
-    asked |= {name: values for name, values in optional.items() if values is not None}
-    boxes, axes = _for_each_box({name: _numbers(name, values) for name, values in asked.items()})
+    given |= {name: values for name, values in optional.items() if values is not None}
+    boxes, axes = _for_each_box({name: _numbers(name, values) for name, values in given.items()})
     times, steps, share = _steps(times_s, sim.physics.timestep_s)
     below = _ground(sim, ground, smooth=friction is not None)
     scenes = _scenes(boxes, below, sim)

@@ -93,23 +93,28 @@ def simulate(
         EngineUnavailable: the engine asked for cannot run here.
     """
     with starting(options, plans) as ahead:
-        found = usable_plans(plans, sim, options)
-        study = ask(found.plans, options)
+        plan_set = usable_plans(plans, sim, options)
+        study = ask(plan_set.plans, options)
         orders = None
         if options.orders is not None:
-            whole, strict = options.limit is None, options.strict
-            orders = check_orders(options.orders, study.everything, takes=options.takes, all_plans=whole, strict=strict)
-        late = (replace(each, number=found.numbers.get(each.plan_id or "")) for each in study.skipped)
+            all_plans, strict = options.limit is None, options.strict
+            orders = check_orders(
+                options.orders, study.everything, takes=options.takes, all_plans=all_plans, strict=strict
+            )
+        late = (
+            replace(skipped_plan, number=plan_set.numbers.get(skipped_plan.plan_id or ""))
+            for skipped_plan in study.skipped
+        )
         about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
-        notes = [*found.notes, *about]
-        found = replace(found, skipped=[*found.skipped, *late], notes=notes)
-        records = records_of(study.everything, found.numbers)
+        notes = [*plan_set.notes, *about]
+        plan_set = replace(plan_set, skipped=[*plan_set.skipped, *late], notes=notes)
+        records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
     hands_over = not options.record_details  # which C MuJoCo records alone
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
-        run = _Run(study, options, found, records, orders, engine, choice, recording, intervals)
-        return run.results(watcher, {} if are_files(plans) else {each.plan_id: each for each in study.everything})
+        run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
+        return run.results(watcher, {} if are_files(plans) else {plan.plan_id: plan for plan in study.everything})
 
 
 @dataclass(eq=False)
@@ -241,6 +246,6 @@ class _Run:
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()
-        found = self.intervals(world.scene, self.study.sim.physics, world.outcome.boxes)
+        interval_n = self.intervals(world.scene, self.study.sim.physics, world.outcome.boxes)
         self.intervals_s += time.perf_counter() - start
-        return found
+        return interval_n

@@ -156,29 +156,29 @@ class Nominal(Study):
                 f"{len(plans):,} plans, more than {MAX_WORLDS:,}: "
                 f"pass {option('--yes', 'True', python='allow_large')} to confirm"
             )
-        own = [plan for plan in plans if options.takes(plan.plan_id)]
+        shard_plans = [plan for plan in plans if options.takes(plan.plan_id)]
         super().__init__(
             sim=sim,
             everything=plans,
-            plans=own,
+            plans=shard_plans,
             work=Work(
                 sim,
-                [plan.n_boxes for plan in own],
+                [plan.n_boxes for plan in shard_plans],
                 carried=int(sim.placing.carries),
-                placed_share=placed_shares(own),
+                placed_share=placed_shares(shard_plans),
             ),
-            n_worlds=len(own),
-            amount=counted(len(own), "plan"),
+            n_worlds=len(shard_plans),
+            amount=counted(len(shard_plans), "plan"),
         )
 
     def worlds(
         self, engine: Engine, recorded: Recorded, recording: Recording, progress: Progress
     ) -> Iterator[FinishedWorld]:
         missing = [plan for plan in self.plans if (plan.plan_id, NOMINAL.index) not in recorded]
-        asked = (
+        worlds = (
             World(plan, NOMINAL.index, Job(scene, record=recording.of(plan)))
             for plan, scene in zip(missing, build_scenes(missing, self.sim), strict=True)
         )
-        for found in score_worlds(asked, self.sim, engine, progress=progress):
-            world = found.world
-            yield FinishedWorld(world.plan, NOMINAL, world.job.scene, found.outcome, found.attempts)
+        for scored_world in score_worlds(worlds, self.sim, engine, progress=progress):
+            world = scored_world.world
+            yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)

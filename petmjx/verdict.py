@@ -195,8 +195,8 @@ def judge_all(
     invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
     unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
     verdicts, reasons, where = zip(*invalid, *unstable, strict=True)
-    verdict = np.select(where, [str(each) for each in verdicts], str(Verdict.STABLE))
-    return verdict, np.select(where, [str(each) for each in reasons], str(Reason.NONE))
+    verdict = np.select(where, [str(label) for label in verdicts], str(Verdict.STABLE))
+    return verdict, np.select(where, [str(reason) for reason in reasons], str(Reason.NONE))
 
 
 DROPPED_EXCESS: Final = 2.0

@@ -120,8 +120,8 @@ class Written:
             yield str(kind.__name__)
 
     def text(self, kind: Any) -> str:
-        found = list(dict.fromkeys(self.members(kind)))
-        return " | ".join(sorted(found, key=lambda member: member == "None"))
+        members = list(dict.fromkeys(self.members(kind)))
+        return " | ".join(sorted(members, key=lambda member: member == "None"))
 
 
 def table(name: str, about: str, fields: Iterable[tuple[str, str]]) -> str:

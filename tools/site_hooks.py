@@ -111,8 +111,8 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
     if uri in OUTSIDE or uri == "performance.md":
         page.meta["search"] = {"boost": 0.3}  # long logs, which have every word
     address = config.extra["social"][0]["link"]
-    markdown = CODE_WITH_PIPE.sub(lambda found: found[0].replace("\\|", "|"), markdown)
-    return outside_code(markdown, lambda text: LINK.sub(lambda found: relinked(found, source, uri, address), text))
+    markdown = CODE_WITH_PIPE.sub(lambda match: match[0].replace("\\|", "|"), markdown)
+    return outside_code(markdown, lambda text: LINK.sub(lambda match: relinked(match, source, uri, address), text))
 
 
 def outside_code(markdown: str, change: Any) -> str:
@@ -124,13 +124,13 @@ def outside_code(markdown: str, change: Any) -> str:
     return "".join([*parts, change(markdown[end:])])
 
 
-def relinked(found: re.Match[str], source: str, uri: str, address: str) -> str:
+def relinked(match: re.Match[str], source: str, uri: str, address: str) -> str:
     """A link of the file ``source`` as one of the page ``uri``. A link called by its file gets the page's title."""
-    text, target, anchor = found[1], found[2], found[3] or ""
+    text, target, anchor = match[1], match[2], match[3] or ""
     path = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
     here = REPOSITORY / path
     if not here.exists():
-        return found[0]  # mkdocs tells of it
+        return match[0]  # mkdocs tells of it
     if path not in OUTSIDE and not path.startswith("docs/"):
         return f"[{text}]({address}/{'tree' if here.is_dir() else 'blob'}/HEAD/{path}{anchor})"
     if here.suffix == ".md" and text in (target, path):

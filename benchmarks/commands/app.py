@@ -36,11 +36,11 @@ def usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
     from petmjx.options.config import Simulation
     from petmjx.plans.gather import usable_plans
 
-    found = usable_plans(list(files), Simulation(), options)
-    if found.skipped:
-        skipped = counted(len(found.skipped), "unusable plan")
-        print(f"{skipped} left out; the first: {found.skipped[0].message}", file=sys.stderr)
-    return list(found.plans)
+    plan_set = usable_plans(list(files), Simulation(), options)
+    if plan_set.skipped:
+        skipped = counted(len(plan_set.skipped), "unusable plan")
+        print(f"{skipped} left out; the first: {plan_set.skipped[0].message}", file=sys.stderr)
+    return list(plan_set.plans)
 
 
 def make_folder(folder: Path | None) -> None:
@@ -57,15 +57,15 @@ def make_folder(folder: Path | None) -> None:
         raise InputError(f"{folder}: cannot write tables there: {error.strerror or error}") from error
 
 
-def known(names: list[str], there: Mapping[str, object], what: str) -> list[str]:
+def known(names: list[str], choices: Mapping[str, object], noun: str) -> list[str]:
     """The names, which must be there.
 
     Raises:
         InputError: one is not.
     """
     for name in names:
-        if name not in there:
-            raise InputError(f"no {what} {name!r}; there are: {'; '.join(there)}")
+        if name not in choices:
+            raise InputError(f"no {noun} {name!r}; there are: {'; '.join(choices)}")
     return names
 
 

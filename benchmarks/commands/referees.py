@@ -37,25 +37,30 @@ def crossengine(
     from petmjx.options.run_options import RunOptions
     from petmjx.plans.samples import bundled_path
 
-    asked = [referee(each) for each in words(referees) or REFEREES]
-    found = usable(plans or [bundled_path()], RunOptions(**options))
-    found = sorted(found, key=lambda plan: plan.n_boxes)[:smallest] if smallest else found
+    chosen = [referee(word) for word in words(referees) or REFEREES]
+    chosen_plans = usable(plans or [bundled_path()], RunOptions(**options))
+    chosen_plans = sorted(chosen_plans, key=lambda plan: plan.n_boxes)[:smallest] if smallest else chosen_plans
     options.pop("limit", None)
-    for each in check or list(Check):
-        court = Court(asked, Simulation(check=each))
+    for check_kind in check or list(Check):
+        court = Court(chosen, Simulation(check=check_kind))
         judged = []
-        for one in court.judge(found, **options):
+        for one in court.judge(chosen_plans, **options):
             judged.append(one)
             if one.trial.verdicts != {one.trial.ours}:
                 print(one.record(), file=sys.stderr, flush=True)
-        case = {"case": f"crossengine-{name}-{each.value}", "group": "crossengine", "set": name, "check": each.value}
+        case = {
+            "case": f"crossengine-{name}-{check_kind.value}",
+            "group": "crossengine",
+            "set": name,
+            "check": check_kind.value,
+        }
         lines = [*summaries(judged, court)]
         if reference:
-            lines.append(by_softness(judged, found, each, **options))
+            lines.append(by_softness(judged, chosen_plans, check_kind, **options))
         for line in lines:
             append_line(out, {**case, **line, **environment()})
-            told = {key: value for key, value in line.items() if key not in ("settings", "differ")}
-            print(f"{name}, {each.value}: {told}", flush=True)
+            summary = {key: value for key, value in line.items() if key not in ("settings", "differ")}
+            print(f"{name}, {check_kind.value}: {summary}", flush=True)
 
 
 @app.command("cross-forces")
@@ -68,7 +73,7 @@ def cross_forces(
     from benchmarks.referees.base import REFEREES, referee
     from benchmarks.stack_forces import differences
 
-    for line in differences({each: referee(each) for each in words(referees) or REFEREES}):
+    for line in differences({word: referee(word) for word in words(referees) or REFEREES}):
         append_line(out, {"case": "cross-forces", "group": "crossengine", "engine": "mujoco", **line, **environment()})
-        told = {who: f"{100 * share:.2g} %" for who, share in line["differs"].items()}
-        print(f"{line['pile']}, {line['check']}: {told}", flush=True)
+        shares = {who: f"{100 * share:.2g} %" for who, share in line["differs"].items()}
+        print(f"{line['pile']}, {line['check']}: {shares}", flush=True)

@@ -132,5 +132,7 @@ def _brief(result: Result) -> str:
         parts[0] += f": {result['plans_per_s']:.4g} plans/s"
         parts += [f"{result['world_steps_per_s']:,.0f} steps/s", f"run {result['run_s']:.1f} s"]
         parts += [f"compile {result['compile_s']:.1f} s"]
-    parts += [f"{label} {found['same']} of {found['common']}" for label, found in result["agreement"].items()]
+    parts += [
+        f"{label} {agreement['same']} of {agreement['common']}" for label, agreement in result["agreement"].items()
+    ]
     return "; ".join(part for part in [*parts, result.get("note")] if part)

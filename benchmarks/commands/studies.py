@@ -32,9 +32,9 @@ def drift(
 
     limits, window = RunOptions(**options), Window(begin, end)
     chosen = known(variant or list(VARIANTS), VARIANTS, "variant")
-    found = usable(plans, limits)
+    plan_list = usable(plans, limits)
     make_folder(out)
-    for name, check, table in summaries(found, chosen, window, limits.threads or cpu_threads()):
+    for name, check, table in summaries(plan_list, chosen, window, limits.threads or cpu_threads()):
         print(f"{name}, {check}: {describe(table)}", flush=True)
         if out is not None:
             table.to_parquet(out / f"{list(VARIANTS).index(name):02}-{check}.parquet")
@@ -55,10 +55,10 @@ def sensitivity(
     from petmjx.options.run_options import RunOptions
 
     chosen = known(change or list(CHANGES), CHANGES, "change")
-    found = usable(plans, RunOptions(**options))
+    plan_list = usable(plans, RunOptions(**options))
     options.pop("limit", None)
     make_folder(out)
-    for number, (name, before, after) in enumerate(runs(found, chosen, engine=engine, **options)):
+    for number, (name, before, after) in enumerate(runs(plan_list, chosen, engine=engine, **options)):
         print(f"{name}: {describe(before, after)}", flush=True)
         if out is not None:
             for side, table in (("before", before), ("after", after)):
@@ -105,13 +105,13 @@ def small_stacks(
     from benchmarks.record import append_line, environment, timed
     from benchmarks.small_stacks import CHECKS, cases, judge, summary
 
-    found = list(cases(count, seed))
+    stacks = list(cases(count, seed))
     for name in known(check or list(CHECKS), CHECKS, "check"):
         with timed() as clock:
-            told = summary(judge(found, name, engine=engine, **options))
-        print(f"{name}: {told}", flush=True)
+            counts = summary(judge(stacks, name, engine=engine, **options))
+        print(f"{name}: {counts}", flush=True)
         case = {"case": f"small-stacks-{name.replace(' ', '-')}", "group": "small-stacks", "engine": engine}
-        append_line(out, {**case, "seed": seed, **told, "cpu_s": clock.cpu_s, **environment()})
+        append_line(out, {**case, "seed": seed, **counts, "cpu_s": clock.cpu_s, **environment()})
 
 
 @app.command()
@@ -132,11 +132,11 @@ def balance(
     run = load_run(of)
     with timed() as clock:
         sim = Simulation(**run.info["config"]["simulation"])
-        told = summary(balances(usable(plans, RunOptions(**options)), run, sim))
-    print(told)
+        counts = summary(balances(usable(plans, RunOptions(**options)), run, sim))
+    print(counts)
     engine = str(run.info["config"]["engine"])
     append_line(
-        out, {"case": "balance", "group": "balance", "engine": engine, **told, "cpu_s": clock.cpu_s, **environment()}
+        out, {"case": "balance", "group": "balance", "engine": engine, **counts, "cpu_s": clock.cpu_s, **environment()}
     )
 
 
@@ -161,8 +161,8 @@ def physical_speed(
     if searched:
         parts["search"] = search_speed(list(orders_of(None, searched, seed)))
     parts["packing"] = packing_speed(list(orders_of(None, n, seed)), workers or cpu_threads(), how)
-    for name, told in parts.items():
-        print(f"{name}: {told}", flush=True)
+    for name, part in parts.items():
+        print(f"{name}: {part}", flush=True)
     case = {"case": "packer-physical", "engine": how.get("engine", "auto"), "seed": seed}
     append_line(out, {**case, **parts, **environment()})
 
@@ -200,19 +200,19 @@ def packers(
     sets = {f"seed {seed}": list(orders_of(None, n, seed))} if n else {}
     for path in orders or ():
         sets[path.name] = list(read_set(path) if path.suffix in (".xlsx", ".txt", ".csv") else orders_of(path, None, 0))
-    asked = Asked(
+    settings = Asked(
         judged=judged,
         physical=physical,
         worlds=worlds,
         shaken=shaken,
         only=only or None,
-        others={name: Path(path) for name, _, path in (each.partition("=") for each in other or ())},
+        others={name: Path(path) for name, _, path in (text.partition("=") for text in other or ())},
         policy=None if weights is None else Policy.load(weights),
         workers=workers or cpu_threads(),
         engine=options.get("engine", "auto"),
         threads=options.get("threads"),
     )
-    for line in study(sets, asked):
+    for line in study(sets, settings):
         append_line(out, line)
         for part in ("packers", "differences"):
             for name, row in line[part].items():

@@ -27,9 +27,9 @@ def placing(
     from petmjx.options.run_options import RunOptions
 
     limit = {"limit": options.pop("limit")} if "limit" in options else {}
-    found = usable(plans, RunOptions(**limit))
-    for name, values in placings(found, worlds, way or WAYS, engine=engine, **options):
-        print(f"{name}: {', '.join(f'{what} {value:g}' for what, value in values.items())}", flush=True)
+    plan_list = usable(plans, RunOptions(**limit))
+    for name, values in placings(plan_list, worlds, way or WAYS, engine=engine, **options):
+        print(f"{name}: {', '.join(f'{quantity} {value:g}' for quantity, value in values.items())}", flush=True)
 
 
 @app.command("real-boxes")
@@ -48,8 +48,8 @@ def real_boxes(
     from petmjx.options.run_options import RunOptions
 
     limit = {"limit": options.pop("limit")} if "limit" in options else {}
-    found = usable(plans, RunOptions(**limit))
-    line = compared(found, engine, oracle, gives=soft, **options)
+    plan_list = usable(plans, RunOptions(**limit))
+    line = compared(plan_list, engine, oracle, gives=soft, **options)
     append_line(out, line)
     print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
 
@@ -70,8 +70,8 @@ def cpu_engines(
     from petmjx.options.run_options import RunOptions
 
     limit = RunOptions(**options).limit
-    found = [plan for plan in usable(plans, RunOptions()) if plan.n_boxes >= least][:limit]
-    line = compared(found, threads, group)
+    plan_list = [plan for plan in usable(plans, RunOptions()) if plan.n_boxes >= least][:limit]
+    line = compared(plan_list, threads, group)
     append_line(out, line)
     print({name: value for name, value in line.items() if name not in ("cpu", "versions")})
 
@@ -122,8 +122,8 @@ def loop(
     from petmjx.options.run_options import RunOptions
 
     chosen = known(names or list(CASES), CASES, "case")
-    found = None if plans is None else usable([plans], RunOptions())
-    case = Loop(make_engine(engine, **options), found, pallets, candidates, count)
+    plan_list = None if plans is None else usable([plans], RunOptions())
+    case = Loop(make_engine(engine, **options), plan_list, pallets, candidates, count)
     for line in measured(case, chosen):
         append_line(out, {**line, **environment()})
         print(line, flush=True)
@@ -147,7 +147,7 @@ def estimates(
     from petmjx.options.run_options import RunOptions
 
     given = usable(plans, RunOptions(**options)) if plans else ()
-    kinds = known(only or [], dict.fromkeys(what for what, *_ in cases()), "kind of run")
+    kinds = known(only or [], dict.fromkeys(kind for kind, *_ in cases()), "kind of run")
     for line in compared(engine, threads, given, kinds):
         append_line(out, line)
         ratio = line["estimate_s"] / line["cpu_s"]

@@ -71,8 +71,8 @@ def referee(name: str) -> Referee:
         raise InputError(
             f"referee {name} cannot run: {error}; pip install '.[referees]' installs {REFEREES[name]}"
         ) from error
-    found: Referee = module.REFEREE
-    return found
+    instance: Referee = module.REFEREE
+    return instance
 
 
 FLOOR, CARRIER, FIRST_BOX = range(3)

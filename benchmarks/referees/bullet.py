@@ -78,11 +78,11 @@ class BulletWorld:
             self._client.stepSimulation()
 
     def pose(self) -> FloatArray:
-        found = np.zeros((len(self._boxes), 7))
-        for row, body in zip(found, self._boxes, strict=True):
+        poses = np.zeros((len(self._boxes), 7))
+        for row, body in zip(poses, self._boxes, strict=True):
             row[:3], quat = self._client.getBasePositionAndOrientation(body)
             row[3:] = np.roll(quat, 1)
-        return found
+        return poses
 
     def top_forces(self) -> FloatArray:
         bodies, normal_z, force_z = [], [], []

@@ -82,10 +82,10 @@ class DrakeWorld:
         return (self._pose if self._simulator is None else self._all_poses())[1:]
 
     def top_forces(self) -> FloatArray:
-        found = self._plant.get_contact_results_output_port().Eval(self._context)
+        contacts = self._plant.get_contact_results_output_port().Eval(self._context)
         bodies, normal_z, force_z = [], [], []
-        for number in range(found.num_hydroelastic_contacts()):
-            info = found.hydroelastic_contact_info(number)
+        for number in range(contacts.num_hydroelastic_contacts()):
+            info = contacts.hydroelastic_contact_info(number)
             surface = info.contact_surface()
             area_normal = sum(surface.area(k) * surface.face_normal(k) for k in range(surface.num_faces()))
             bodies.append((self._numbers[surface.id_N()], self._numbers[surface.id_M()]))
@@ -128,12 +128,12 @@ class DrakeWorld:
         self._simulator.Initialize()
 
     def _all_poses(self) -> FloatArray:
-        found = [self._plant.EvalBodyPoseInWorld(self._context, body) for body in self._bodies]
-        return np.array([[*pose.translation(), *pose.rotation().ToQuaternion().wxyz()] for pose in found])
+        poses = [self._plant.EvalBodyPoseInWorld(self._context, body) for body in self._bodies]
+        return np.array([[*pose.translation(), *pose.rotation().ToQuaternion().wxyz()] for pose in poses])
 
     def _all_velocities(self) -> FloatArray:
-        found = [self._plant.EvalBodySpatialVelocityInWorld(self._context, body) for body in self._bodies]
-        return np.array([[*velocity.translational(), *velocity.rotational()] for velocity in found])
+        velocities = [self._plant.EvalBodySpatialVelocityInWorld(self._context, body) for body in self._bodies]
+        return np.array([[*velocity.translational(), *velocity.rotational()] for velocity in velocities])
 
 
 def _matrix(quat: FloatArray) -> FloatArray:
@@ -149,18 +149,18 @@ def _matrix(quat: FloatArray) -> FloatArray:
 
 
 def _soft(friction: float) -> ProximityProperties:
-    found = ProximityProperties()
-    AddCompliantHydroelasticProperties(1.0, MODULUS_PA, found)  # boxes are not divided further
-    AddContactMaterial(DISSIPATION_S_M, None, CoulombFriction(friction, friction), found)
-    return found
+    properties = ProximityProperties()
+    AddCompliantHydroelasticProperties(1.0, MODULUS_PA, properties)  # boxes are not divided further
+    AddContactMaterial(DISSIPATION_S_M, None, CoulombFriction(friction, friction), properties)
+    return properties
 
 
 def _floor(scene: Scene) -> ProximityProperties:
     friction = scene.floor_friction[0]
-    found = ProximityProperties()
-    AddRigidHydroelasticProperties(found)
-    AddContactMaterial(None, None, CoulombFriction(friction, friction), found)
-    return found
+    properties = ProximityProperties()
+    AddRigidHydroelasticProperties(properties)
+    AddContactMaterial(None, None, CoulombFriction(friction, friction), properties)
+    return properties
 
 
 REFEREE: Final = DrakeReferee()

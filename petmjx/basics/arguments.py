@@ -91,15 +91,15 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
         InputError: it cannot, is text, or something in it is another object.
     """
     try:
-        found = None if isinstance(values, str | bytes) else list(values)
+        members = None if isinstance(values, str | bytes) else list(values)
     except Exception:  # whatever an object raises when it is iterated
-        found = None
-    if found is None:
+        members = None
+    if members is None:
         raise InputError(f"{name} must be a list of {words}, {got(values)}")
-    if not set(map(type, found)) <= {kind}:  # of the names of all boxes of 10,000 plans, so in C
-        for index, value in enumerate(found):
+    if not set(map(type, members)) <= {kind}:  # of the names of all boxes of 10,000 plans, so in C
+        for index, value in enumerate(members):
             instance_of(value, f"{name}[{index}]", kind, words)
-    return found
+    return members
 
 
 def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool = False) -> NDArray[np.float64]:

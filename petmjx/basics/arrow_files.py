@@ -55,14 +55,14 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
         columns: names; None: all.
     """
     metadata, chosen = file.metadata, None if columns is None else set(columns)
-    found = 0
+    n_bytes = 0
     for group in range(metadata.num_row_groups):
         rows = metadata.row_group(group)
         for index in range(metadata.num_columns):
             column = rows.column(index)
             if chosen is None or column.path_in_schema in chosen or column.path_in_schema.split(".")[0] in chosen:
-                found += max(column.num_values, rows.num_rows) * _WIDTHS.get(column.physical_type, 16)
-    return found
+                n_bytes += max(column.num_values, rows.num_rows) * _WIDTHS.get(column.physical_type, 16)
+    return n_bytes
 
 
 def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:

@@ -65,9 +65,9 @@ def read_regular(path: Path, most: int) -> bytearray:
         return data
 
 
-def _check(found: os.stat_result) -> None:
+def _check(status: os.stat_result) -> None:
     for is_kind, number, text in _KINDS:
-        if is_kind(found.st_mode):
+        if is_kind(status.st_mode):
             raise OSError(number, text)
 
 

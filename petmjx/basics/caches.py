@@ -79,7 +79,7 @@ def _why_unusable(folder: Path) -> str:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # Warp makes a folder for each of its versions; one that root has made in a user's home cannot be written
-        for place in (folder, *(each for each in folder.iterdir() if each.is_dir() and each.name[:1].isdigit())):
+        for place in (folder, *(entry for entry in folder.iterdir() if entry.is_dir() and entry.name[:1].isdigit())):
             with tempfile.TemporaryFile(dir=place):
                 pass
     except (OSError, ValueError) as error:
@@ -95,10 +95,10 @@ def temporary_folder() -> Path:
     folder = Path(tempfile.gettempdir()) / f"petmjx-cache-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
-    there = folder.lstat()
+    status = folder.lstat()
     # whoever could put files there could have this user run them
-    own = stat.S_ISDIR(there.st_mode) and there.st_uid == os.getuid() and not there.st_mode & 0o022
-    if own and not _why_unusable(folder):
+    is_ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
+    if is_ours and not _why_unusable(folder):
         return folder
     folder = Path(tempfile.mkdtemp(prefix="petmjx-cache-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)

@@ -135,7 +135,7 @@ def _lax(annotation: Any, value: Any) -> str:
     if kinds and kinds <= {float, int} and isinstance(value, _NO_NUMBERS):
         return _TEXTS["int_type" if kinds == {int} else "float_type"]
     numbers = get_origin(annotation) is tuple and set(get_args(annotation)) - {Ellipsis} <= {float, int}
-    if numbers and isinstance(value, list | tuple) and any(isinstance(each, _NO_NUMBERS) for each in value):
+    if numbers and isinstance(value, list | tuple) and any(isinstance(element, _NO_NUMBERS) for element in value):
         return "must be a list of numbers"
     return ""
 
@@ -240,9 +240,9 @@ def _said(kind: str, context: Mapping[str, Any], value: Any, message: str) -> st
         return f"{_TEXTS[kind].format(**context)}, {got(value)}"
     if kind in ("too_short", "too_long"):
         most, key = ("most", "max_length") if kind == "too_long" else ("least", "min_length")
-        found = context.get("actual_length")  # None where pydantic stopped counting
+        length = context.get("actual_length")  # None where pydantic stopped counting
         limit = counted(context[key], "entry", "entries")
-        return f"must have at {most} {limit}, got {'more' if found is None else found}"
+        return f"must have at {most} {limit}, got {'more' if length is None else length}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
         return _no_member(context, value)
     return f": {message.removeprefix('Input ')}, {got(value)}".replace("\n", " ")

@@ -35,7 +35,7 @@ def cpu_threads() -> int:
 
 def own_environment() -> dict[str, str]:
     """The environment variables of another interpreter that imports what this one does."""
-    path = os.pathsep.join(each or os.getcwd() for each in sys.path)
+    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
     # no file of the user's folder stands before a module
     return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
 

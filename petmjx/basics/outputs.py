@@ -53,10 +53,10 @@ def check_outputs(
 
 def _check_folder(folder: Path) -> None:
     with _looking(folder):
-        there = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
-        usable = there.is_dir() or not os.path.lexists(there)
+        ancestor = next((path for path in (folder, *folder.parents) if os.path.lexists(path)), folder)
+        usable = ancestor.is_dir() or not os.path.lexists(ancestor)
     if not usable:
-        raise InputError(f"{_name(folder)}: cannot be written: {_name(there)} is not a folder")
+        raise InputError(f"{_name(folder)}: cannot be written: {_name(ancestor)} is not a folder")
 
 
 def _check_way(file: Path, folder: Path) -> None:
@@ -71,14 +71,14 @@ def _check_way(file: Path, folder: Path) -> None:
 
 
 def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs | None) -> None:
-    what = "file" if is_ours is None else "folder"
+    kind = "file" if is_ours is None else "folder"
     with _looking(file):
         try:
             mode = os.lstat(file).st_mode
         except FileNotFoundError:
             return
-        if any(_is_read(file, each) for each in inputs):
-            raise InputError(f"{_name(file)}: is read, so it cannot be written too; name another {what}")
+        if any(_is_read(file, input_path) for input_path in inputs):
+            raise InputError(f"{_name(file)}: is read, so it cannot be written too; name another {kind}")
         if stat.S_ISLNK(mode):
             raise InputError(_link(file))
     if stat.S_ISDIR(mode):

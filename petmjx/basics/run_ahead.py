@@ -22,21 +22,21 @@ def run_ahead(items: Generator[Item], most: int) -> Generator[Item]:
     """What a generator yields, in its order. From the first item on that is asked for, it is run until so many wait and
     one more is made. Its error is raised when all that came before has been taken. Closing the result closes it, in
     its thread, and returns when that has ended."""
-    came: SimpleQueue[Any] = SimpleQueue()
+    queue: SimpleQueue[Any] = SimpleQueue()
     room, closed, ended = threading.Semaphore(most), threading.Event(), threading.Event()
 
     def run() -> None:
         try:
             with closing(items):
                 for item in items:
-                    came.put(item)
+                    queue.put(item)
                     room.acquire()
                     if closed.is_set():
                         break
         except BaseException as error:  # under no other name: its traceback has this frame, and what the items hold
-            came.put(_End(error))
+            queue.put(_End(error))
         else:
-            came.put(_End(None))
+            queue.put(_End(None))
         finally:
             ended.set()
 
@@ -52,7 +52,7 @@ def run_ahead(items: Generator[Item], most: int) -> Generator[Item]:
     atexit.register(end)  # a thread in the midst of JAX aborts the process when Python ends
     try:
         thread.start()
-        while not isinstance(item := came.get(), _End):
+        while not isinstance(item := queue.get(), _End):
             room.release()
             yield item
         error = item.error

@@ -24,10 +24,10 @@ def shielded(afterwards: bool) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
+    signals: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
+        signals.append(number)
 
     handlers = {number: signal.getsignal(number) for number in STOPPING}
     held = {number: handler for number, handler in handlers.items() if callable(handler)}
@@ -38,5 +38,5 @@ def shielded(afterwards: bool) -> Iterator[None]:
     finally:
         for number, handler in held.items():
             signal.signal(number, handler)
-    if came and afterwards:
-        signal.raise_signal(came[0])
+    if signals and afterwards:
+        signal.raise_signal(signals[0])

@@ -18,7 +18,7 @@ def printable(text: str) -> str:
     """
     if text.isprintable():
         return text
-    return "".join(each if each.isprintable() else _ESCAPES.get(each, _escaped(ord(each))) for each in text)
+    return "".join(char if char.isprintable() else _ESCAPES.get(char, _escaped(ord(char))) for char in text)
 
 
 def _escaped(code: int) -> str:
@@ -106,12 +106,12 @@ def duration(seconds: float) -> str:
 
 def time_left(seconds: float) -> str:
     """A time that counts down: "45 s", "1 min 45 s", "2 h 5 min"."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600:,} h {whole % 3600 // 60} min"
+    rounded_s = round(seconds)
+    if rounded_s < 60:
+        return f"{rounded_s} s"
+    if rounded_s < 3600:
+        return f"{rounded_s // 60} min {rounded_s % 60} s"
+    return f"{rounded_s // 3600:,} h {rounded_s % 3600 // 60} min"
 
 
 def three_digits(value: float, sign: bool = False) -> str:

@@ -98,16 +98,16 @@ def _compare_packers(
     named = named_paths(runs, "compare --packers") or runs
     if out is not None:
         check_comparison_free(out, overwrite, source_files(named, orders))
-    found = compare_packers(named, orders=orders)
+    comparison = compare_packers(named, orders=orders)
     if out is not None:
-        write_comparison(found, out, overwrite)
+        write_comparison(comparison, out, overwrite)
     if files:
         from petmjx.figures.save import figure
 
-        figure(found, *files)
+        figure(comparison, *files)
     if as_json:
-        print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
+        print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
         return
     written = [] if out is None else [line(f"tables in {out}")]
     written += [line(f"figure in {file}") for file in files]
-    print_each([*packer_tables(found, max_rows=rows), *written], results_console())
+    print_each([*packer_tables(comparison, max_rows=rows), *written], results_console())

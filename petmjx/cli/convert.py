@@ -36,15 +36,15 @@ def convert(
     from petmjx.results.sources import source_files
 
     check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
-    found = load_plans(plans, **options)
-    print_skipped([str(skipped) for skipped in found.skipped])
-    for note in found.notes:
+    plan_set = load_plans(plans, **options)
+    print_skipped([str(skipped) for skipped in plan_set.skipped])
+    for note in plan_set.notes:
         typer.echo(f"note: {printable(note)}", err=True)
-    if not found.plans:
-        raise InputError(f"no usable plan ({len(found.skipped):,} skipped)")
-    save_plans(found.plans, out)
-    boxes = counted(sum(plan.n_boxes for plan in found), "box", "boxes")
-    print(f"{counted(len(found), 'plan')} ({boxes}) in {printable(str(out))}")
+    if not plan_set.plans:
+        raise InputError(f"no usable plan ({len(plan_set.skipped):,} skipped)")
+    save_plans(plan_set.plans, out)
+    boxes = counted(sum(plan.n_boxes for plan in plan_set), "box", "boxes")
+    print(f"{counted(len(plan_set), 'plan')} ({boxes}) in {printable(str(out))}")
 
 
 def print_skipped(lines: list[str]) -> None:

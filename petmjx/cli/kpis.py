@@ -72,15 +72,15 @@ def kpis(
         check_kpis_free(out, overwrite, xlsx=xlsx, inputs=read)
     if leaderboard is not None:
         check_outputs([(out or Path()) / parse_name(leaderboard).file_name], overwrite=overwrite, inputs=read)
-    found = rate(plans, orders, run, assume_stable=assume_stable, strict=strict)
+    rating = rate(plans, orders, run, assume_stable=assume_stable, strict=strict)
     if out is not None:
-        write_kpis(found, out, xlsx=xlsx, overwrite=overwrite)
+        write_kpis(rating, out, xlsx=xlsx, overwrite=overwrite)
     if as_json:
-        print(json.dumps({**found.summary, "notes": found.notes, "skipped": found.skipped}, indent=2))
+        print(json.dumps({**rating.summary, "notes": rating.notes, "skipped": rating.skipped}, indent=2))
     else:
-        print_skipped(list(found.skipped))
-        print_each(kpi_tables(found, None if out is None else printable(str(out))), results_console())
+        print_skipped(list(rating.skipped))
+        print_each(kpi_tables(rating, None if out is None else printable(str(out))), results_console())
     if leaderboard is not None:
-        file = write_submission(leaderboard, out or Path(), found.found, found.orders, len(found.skipped))
+        file = write_submission(leaderboard, out or Path(), rating.found, rating.orders, len(rating.skipped))
         if not as_json:
             print(f"submission in {printable(str(file))}")

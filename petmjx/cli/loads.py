@@ -16,9 +16,9 @@ from petmjx.options.stacking import Stacking
 _LOSSES = Stacking()
 
 
-def _loss(what: str) -> Any:
+def _loss(condition: str) -> Any:
     """An option, a share of the strength, named as its parameter."""
-    return typer.Option(metavar="SHARE", help=f"Share of the strength that is lost: {what}.")
+    return typer.Option(metavar="SHARE", help=f"Share of the strength that is lost: {condition}.")
 
 
 def loads(
@@ -79,10 +79,10 @@ def loads(
         "soft_deck_loss": soft_deck_loss,
         "wall_tolerance_mm": wall_tolerance_mm,
     }
-    found = compare(run, articles, plans or None, stacking=stacking)
+    comparison = compare(run, articles, plans or None, stacking=stacking)
     if out is not None:
-        found.write(out, overwrite)
+        comparison.write(out, overwrite)
     if as_json:
-        print(json.dumps({"plans": plain(found.plans), "notes": found.notes}, indent=2))
+        print(json.dumps({"plans": plain(comparison.plans), "notes": comparison.notes}, indent=2))
         return
-    print_each(load_tables(found, None if out is None else printable(str(out))), results_console())
+    print_each(load_tables(comparison, None if out is None else printable(str(out))), results_console())

@@ -94,8 +94,8 @@ for _command, _short_help in (
     app.command(_command.__name__, cls=SectionedCommand, short_help=_short_help)(_command)
 
 
-def _print_version(wanted: bool) -> None:
-    if wanted:
+def _print_version(flag: bool) -> None:
+    if flag:
         print(f"petmjx {__version__}")
         raise typer.Exit
 

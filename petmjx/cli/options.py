@@ -93,7 +93,7 @@ class _Option:
             default = "on" if value else ""
         else:
             values = value if isinstance(value, tuple) else (value,)
-            default = ",".join(f"{each:g}" if isinstance(each, float) else str(each) for each in values)
+            default = ",".join(f"{part:g}" if isinstance(part, float) else str(part) for part in values)
         return f"{text[:1].upper()}{text[1:]}." + (f" [default: {default}]" if default else "")
 
     @property
@@ -163,13 +163,13 @@ def takes(
                     raise
                 raise InputError(line) from error
 
-        own = inspect.signature(command, eval_str=True)
-        parameters = [p for p in own.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        signature = inspect.signature(command, eval_str=True)
+        parameters = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         parameters += [option.parameter for option in options if option.section == simulated]
         parameters += [_set_parameter(settable, simulated)] if settable else []
         parameters += [option.parameter for option in options if option.section != simulated]
         with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
-        with_options.__signature__ = own.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
+        with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
         with_options.__annotations__ = {p.name: p.annotation for p in parameters}
         return with_options  # type: ignore[return-value]  # called as the signature says
 

@@ -23,13 +23,13 @@ def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: i
     from petmjx.show.progress import progress
 
     bad: list[InputError] = []
-    each: list[PackedOrder] = []
+    packings: list[PackedOrder] = []
 
     def plans() -> Iterator[tuple[str, list[Placement]]]:
-        found = orders_of(orders, n if orders is None else None, seed, bad.append)
-        for packed in pack_each(found, workers=workers, **options):
-            each.append(packed)
-            bar.update(len(each))
+        orders_to_pack = orders_of(orders, n if orders is None else None, seed, bad.append)
+        for packed in pack_each(orders_to_pack, workers=workers, **options):
+            packings.append(packed)
+            bar.update(len(packings))
             if packed.taken is not None:
                 yield packed.order_id, packed.placements
 
@@ -39,31 +39,31 @@ def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: i
     finally:  # they say why there may be no plan to write
         for error in bad:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
-    packed = Packed(tuple(each))
-    for line in (*_left_out(each, named=orders is not None), *_not_good(each), *_in_short(packed, out)):
+    packed = Packed(tuple(packings))
+    for line in (*_left_out(packings, named=orders is not None), *_not_good(packings), *_in_short(packed, out)):
         print(line)
 
 
-def _left_out(each: list[Any], *, named: bool) -> Iterator[str]:
+def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
     """A line for each order with boxes left out; of drawn orders for the first ones."""
-    found = [packed for packed in each if packed.left_out]
-    few = found if named else found[:MOST_NAMED]
+    incomplete = [packed for packed in packings if packed.left_out]
+    few = incomplete if named else incomplete[:MOST_NAMED]
     for packed in few:
         yield f"{packed.left_out}: {packed.why}"
-    if len(found) > len(few):
-        yield f"{counted(len(found) - len(few), 'more order')} with boxes left out"
+    if len(incomplete) > len(few):
+        yield f"{counted(len(incomplete) - len(few), 'more order')} with boxes left out"
 
 
-def _not_good(each: list[Any]) -> Iterator[str]:
+def _not_good(packings: list[Any]) -> Iterator[str]:
     """A line that names orders without a packing that stands as often as asked for."""
-    found = [packed for packed in each if packed.taken is not None and not packed.good]
-    if found:
+    shaky = [packed for packed in packings if packed.taken is not None and not packed.good]
+    if shaky:
         names = ", ".join(
-            f"{shown(packed.order_id)} ({100 * packed.taken.share:.0f} %)" for packed in found[:MOST_NAMED]
+            f"{shown(packed.order_id)} ({100 * packed.taken.share:.0f} %)" for packed in shaky[:MOST_NAMED]
         )
-        more = ", …" if len(found) > MOST_NAMED else ""
-        verb = "has" if len(found) == 1 else "have"
-        yield f"{counted(len(found), 'order')} {verb} no packing that stands as often as asked for: {names}{more}"
+        more = ", …" if len(shaky) > MOST_NAMED else ""
+        verb = "has" if len(shaky) == 1 else "have"
+        yield f"{counted(len(shaky), 'order')} {verb} no packing that stands as often as asked for: {names}{more}"
 
 
 def _in_short(packed: Any, out: Path) -> Iterator[str]:

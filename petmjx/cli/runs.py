@@ -66,7 +66,7 @@ def stoppable() -> Iterator[None]:
 
     def stop(number: int, frame: FrameType | None) -> None:
         nonlocal last_s
-        if any(each.f_code.co_name == "__del__" for each in _frames_of(frame)):
+        if any(caller.f_code.co_name == "__del__" for caller in _frames_of(frame)):
             threading.Timer(AGAIN_S, os.kill, (os.getpid(), number)).start()
             return
         now_s, before_s = time.monotonic(), last_s

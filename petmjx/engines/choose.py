@@ -73,14 +73,14 @@ def choose(
         return problem_of_kernel() if problem_of_gpu() else "jax uses the GPU"
 
     by_time = sorted(where, key=lambda name: seconds[name])
-    found = next(name for name in by_time if problem(name) is None)
-    faster = by_time[: by_time.index(found)]
-    if found == "mujoco" and faster:
-        return found, f"{faster[0]} would be faster but cannot run: {problem(faster[0])}"
-    other = "mjx-warp" if found == "mujoco" else "mujoco"
-    on = "" if found == "mjx-warp" else f" on {cpu}"
-    its = other if found == "mjx-warp-cpu" else where[other]
-    return found, f"about {seconds[found]:.0f} s{on}, {its} would need about {seconds[other]:.0f} s"
+    engine = next(name for name in by_time if problem(name) is None)
+    faster = by_time[: by_time.index(engine)]
+    if engine == "mujoco" and faster:
+        return engine, f"{faster[0]} would be faster but cannot run: {problem(faster[0])}"
+    other = "mjx-warp" if engine == "mujoco" else "mujoco"
+    on = "" if engine == "mjx-warp" else f" on {cpu}"
+    its = other if engine == "mjx-warp-cpu" else where[other]
+    return engine, f"about {seconds[engine]:.0f} s{on}, {its} would need about {seconds[other]:.0f} s"
 
 
 def make_engine(

@@ -182,7 +182,7 @@ class Work:
             seconds = (boxes * sim.interval_s if one_by_one else 0.0 * boxes) + sim.settle_s
         else:
             seconds = (boxes + 1) * sim.interval_s if one_by_one else 0.0 * boxes + sim.duration_s
-        return np.array([seconds_to_steps(float(each), sim.physics.timestep_s) for each in seconds], dtype=float)
+        return np.array([seconds_to_steps(float(period), sim.physics.timestep_s) for period in seconds], dtype=float)
 
     @property
     def steps(self) -> FloatArray:
@@ -338,9 +338,9 @@ class Costs:
 
     def of_jobs_on_device(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
         """(n,) expected time of each job in a thread block of ``mjx-warp``, in units of a step of one box."""
-        each, placements, drive_steps = _expected(jobs, sim, ON_DEVICE)
-        placing = placements * each._placing(WARP_POWER, grows=True)
-        return np.asarray(placing + each._driving(WARP_POWER, drive_steps))
+        work, placements, drive_steps = _expected(jobs, sim, ON_DEVICE)
+        placing = placements * work._placing(WARP_POWER, grows=True)
+        return np.asarray(placing + work._driving(WARP_POWER, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:
         """Time of a phase of many worlds on the device, with its end, when only a few still run."""
@@ -351,8 +351,8 @@ def _expected(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Wor
     """The placement of each job as planned, how many of these it is worth, and (n,) expected steps of its drive."""
     placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
-    each = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
-    return each, placements, drive_steps
+    work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
+    return work, placements, drive_steps
 
 
 MEASURED = Costs()

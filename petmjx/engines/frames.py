@@ -37,7 +37,7 @@ def history_of(
     poses[absent], forces[absent] = np.nan, np.nan
     carrier = np.asarray(carrier_pose, np.float64)
     return History(
-        time_s=np.array([time_s(each) for each in step.tolist()]),
+        time_s=np.array([time_s(number) for number in step.tolist()]),
         n_placed=placed.astype(np.int32),
         pos=poses[..., :3],
         quat=poses[..., 3:],

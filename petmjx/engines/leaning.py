@@ -93,17 +93,17 @@ def leaning_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: 
         turned: FloatArray = (depth_m(physics, pull * (1 - share)) - depth_m(physics, pull * share)) / width
         return turned
 
-    own = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    own[edge_m < -KNIFE_EDGE_M] = 0.0  # it tips over in any contacts
-    below, shift = _passed_on(bearing, own)
+    own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
+    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # it tips over in any contacts
+    below, shift = _passed_on(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
-    return Leaning(loss + below * height, below + own, shift)
+    return Leaning(loss + below * height, below + own_lean, shift)
 
 
-def _passed_on(bearing: Bearing, own: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _passed_on(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) each: the angle by which boxes lean because the boxes below them lean, and how far their centres move
     sideways."""
-    bottom, angle = bearing.boxes.bottom.tolist(), own.tolist()
+    bottom, angle = bearing.boxes.bottom.tolist(), own_lean.tolist()
     half, middle = bearing.boxes.half_size[:, 2].tolist(), bearing.boxes.target[:, 2].tolist()
     below, shift, under = [0.0] * len(angle), [0.0] * len(angle), _supports(bearing)
     for box in np.argsort(bottom, kind="stable").tolist():
@@ -121,16 +121,16 @@ def leaning(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -
     bearings = _bearings(jobs, sim.thresholds.shift_m)
     bearing = together(bearings)
     load, _, edge = loads_and_edges(bearings, bearing, placed)
-    found, under = leaning_of(bearing, load, edge, sim.physics), _supports(bearing)
+    lean, under = leaning_of(bearing, load, edge, sim.physics), _supports(bearing)
     limits, first = sim.thresholds, bearing.boxes.first.tolist()
     most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
 
     def leans(outcome: Outcome, has_errors: bool, first: int, end: int) -> bool:
-        far = found.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
-        if far or np.degrees(found.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
+        far = lean.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
+        if far or np.degrees(lean.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
             return True
         pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
-        edges, losses = edge[pile], found.loss_m[pile]
+        edges, losses = edge[pile], lean.loss_m[pile]
         beyond = bool((edges < -KNIFE_EDGE_M).any())
         reach = (SURE if beyond else most_safety) * losses
         least = KNIFE_EDGE_M
@@ -170,9 +170,9 @@ def _supports(bearing: Bearing) -> list[list[int]]:
 
 def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
     """A box and all below it that bear it."""
-    found, new = {box}, [box]
+    pile, new = {box}, [box]
     while new:
-        below = [lower for lower in under[new.pop()] if lower not in found]
-        found.update(below)
+        below = [lower for lower in under[new.pop()] if lower not in pile]
+        pile.update(below)
         new += below
-    return sorted(found)
+    return sorted(pile)

@@ -123,11 +123,11 @@ def _all_edges(
     is the number of calls."""
     if not planned:
         return [], [], []
-    scenes, placed, asked = zip(*planned, strict=True)
+    scenes, placed, inputs = zip(*planned, strict=True)
     bearings = bearings_of(scenes, at_rest, pos)
     joined = together(bearings)
     edges = edges_of(bearings, [*placed, *(scene.n_boxes for scene in at_rest)], joined)
-    some = [k for k, is_asked in enumerate(asked) if is_asked]
+    some = [k for k, is_asked in enumerate(inputs) if is_asked]
     counts = [scenes[k].n_boxes for k in some]
     built = building_edges([bearings[k] for k in some], counts, joined if len(some) == len(planned) else None)
     of_some = dict(zip(some, built, strict=True))

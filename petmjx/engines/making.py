@@ -90,13 +90,13 @@ class Making(Generic[AnyWorld]):
         Args:
             batch: is emptied, since worlds that have ended would take memory.
         """
-        own = self.engines.own
+        engine = self.engines.own
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
         for pending in batch:
-            (left if self._engine_for(pending[0]) is own else others).append(pending)
+            (left if self._engine_for(pending[0]) is engine else others).append(pending)
         batch.clear()
         if left:
-            left = yield from self._run_on(own, left)
+            left = yield from self._run_on(engine, left)
         self.aside += self._put_back or ()
         yield from self.stood_in(left + others)
 
@@ -124,33 +124,33 @@ class Making(Generic[AnyWorld]):
         Args:
             batch: is emptied, as of ``run``.
         """
-        asked, maker = _Asked[AnyWorld](), "" if engine.names_engines else engine.name
-        jobs = self._jobs_of(batch, asked, engine)
+        ledger, maker = _Asked[AnyWorld](), "" if engine.names_engines else engine.name
+        jobs = self._jobs_of(batch, ledger, engine)
         batch.clear()
         takes_more = self.more is not None and engine.takes_more
         if takes_more:
             jobs = GrowingJobs(jobs)
         elif self.next_chunk is not None and engine is self.engines.own:
-            jobs = JobsInParts(jobs, partial(self._next_part, asked, engine))
+            jobs = JobsInParts(jobs, partial(self._next_part, ledger, engine))
         progress, tells = self.engines.progress, getattr(engine, "tells", False)
         progress.at_hand, progress.pauses = None, tells
         answers: Iterator[Outcome | _End | None] = iter(engine.run(jobs, self.sim, progress))
-        came: list[tuple[Pending[AnyWorld], Outcome]] = []
+        arrivals: list[tuple[Pending[AnyWorld], Outcome]] = []
         while True:
             try:
                 answer = next(answers, _END)
             except BaseException as error:  # ctrl-C, too, loses nothing that has come
                 if self.lookers is not None and not isinstance(error, Exception):
                     self.lookers.hurry()
-                yield from self.made(came, maker, looks=engine.looks)
+                yield from self.made(arrivals, maker, looks=engine.looks)
                 if not isinstance(error, Exception):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
                 if self.attempt.number == 1 and refused:
                     raise  # the user's to change: what the engine refuses, or the user's own engine
                 self._message = one_line(error)
-                self.engines.note_failure(engine.name, self.attempt.number, len(asked.unanswered), self._message)
-                return list(asked.unanswered.values())
+                self.engines.note_failure(engine.name, self.attempt.number, len(ledger.unanswered), self._message)
+                return list(ledger.unanswered.values())
             if answer is None and tells:
                 yield from self.made([], maker, looks=engine.looks, wait=False)
                 yield None
@@ -158,24 +158,24 @@ class Making(Generic[AnyWorld]):
             if answer is _END:
                 break
             assert isinstance(answer, Outcome)
-            if answer.job not in asked.unanswered:
+            if answer.job not in ledger.unanswered:
                 raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
-            came.append((asked.unanswered.pop(answer.job), answer))
+            arrivals.append((ledger.unanswered.pop(answer.job), answer))
             # up to MOST_TOGETHER answers are looked at together, but none is held back: others must be at hand
             idle = not (tells and progress.at_hand)
-            if len(came) == MOST_TOGETHER or idle:
+            if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
-                yield from self.made(came, maker, looks=engine.looks, wait=idle, until=until)
-                came = []
+                yield from self.made(arrivals, maker, looks=engine.looks, wait=idle, until=until)
+                arrivals = []
             if takes_more:
                 assert self.more is not None
-                jobs += self._more_jobs(self.more(), asked, engine)
-        yield from self.made(came, maker, looks=engine.looks)
-        if asked.unanswered:
-            raise RuntimeError(f"engine {engine.name} did not answer {len(asked.unanswered)} of {asked.count} jobs")
+                jobs += self._more_jobs(self.more(), ledger, engine)
+        yield from self.made(arrivals, maker, looks=engine.looks)
+        if ledger.unanswered:
+            raise RuntimeError(f"engine {engine.name} did not answer {len(ledger.unanswered)} of {ledger.count} jobs")
         return []
 
-    def _next_part(self, asked: _Asked[AnyWorld], engine: Engine) -> Sequence[Job] | None:
+    def _next_part(self, ledger: _Asked[AnyWorld], engine: Engine) -> Sequence[Job] | None:
         """As of ``JobsInParts``. The engine would take an error for its own, memory of the host for its device's. So a
         chunk that meets one is put back, and no other one follows: it is tried again once the engine is through with
         what it has, and the run ends with the error if it comes again."""
@@ -185,41 +185,41 @@ class Making(Generic[AnyWorld]):
         chunk: list[AnyWorld] | None = None
         try:
             chunk = self.next_chunk()
-            return None if chunk is None else self._more_jobs(chunk, asked, engine)
+            return None if chunk is None else self._more_jobs(chunk, ledger, engine)
         except Exception as error:
             self._put_back = chunk  # for which no memory is needed
             with suppress(Exception):
                 self.engines.note(f"worlds were made again after an error: {one_line(error)}")
             return ()
 
-    def _more_jobs(self, worlds: Iterable[AnyWorld], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
+    def _more_jobs(self, worlds: Iterable[AnyWorld], ledger: _Asked[AnyWorld], engine: Engine) -> list[Job]:
         """The jobs of those worlds that an engine simulates, of which it is asked, too. The others are put aside."""
-        own, others = list[Pending[AnyWorld]](), list[AnyWorld]()
+        batch, others = list[Pending[AnyWorld]](), list[AnyWorld]()
         for world in worlds:
             if self._engine_for(world) is engine:
-                own.append((world, None, ()))
+                batch.append((world, None, ()))
             else:
                 others.append(world)
         before = len(self.aside)
         self.aside += others
         try:
-            return self._jobs_of(own, asked, engine)
+            return self._jobs_of(batch, ledger, engine)
         except BaseException:
             del self.aside[before:]
             raise
 
-    def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], asked: _Asked[AnyWorld], engine: Engine) -> list[Job]:
+    def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], ledger: _Asked[AnyWorld], engine: Engine) -> list[Job]:
         """The jobs of worlds of which an engine is asked now. After an error it is asked of none."""
         jobs = [pending[0].job for pending in batch]
         jobs = self.attempt.apply_to_jobs(
             jobs if engine.names_engines else [ready_for(engine.name, job) for job in jobs]
         )
-        asked.add(batch)
+        ledger.add(batch)
         return jobs
 
     def made(
         self,
-        came: list[tuple[Pending[AnyWorld], Outcome]],
+        arrivals: list[tuple[Pending[AnyWorld], Outcome]],
         engine: str,
         *,
         looks: bool = False,
@@ -235,16 +235,16 @@ class Making(Generic[AnyWorld]):
             until: as in ``Lookers.exchanged``.
         """
         if looks:
-            found = came
+            answered = arrivals
         elif self.lookers is not None:
-            jobs = [world.job for (world, _, _), _ in came]
-            found = self.lookers.exchanged(came, jobs, self.sim, wait=wait, until=until)
+            jobs = [world.job for (world, _, _), _ in arrivals]
+            answered = self.lookers.exchanged(arrivals, jobs, self.sim, wait=wait, until=until)
         else:
-            jobs = [world.job for (world, _, _), _ in came]
+            jobs = [world.job for (world, _, _), _ in arrivals]
             jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs
-            outcomes = looked_at([answer for _, answer in came], jobs, self.sim)
-            found = [(pending, outcome) for (pending, _), outcome in zip(came, outcomes, strict=True)]
-        for (world, before, records), outcome in found:
+            outcomes = looked_at([answer for _, answer in arrivals], jobs, self.sim)
+            answered = [(pending, outcome) for (pending, _), outcome in zip(arrivals, outcomes, strict=True)]
+        for (world, before, records), outcome in answered:
             outcome.attempt, outcome.engine = self.attempt.number, engine or outcome.engine
             outcome.solver = self.sim.solver.value
             if outcome.state is not None and not isinstance(outcome.state, KeptState):

@@ -78,7 +78,7 @@ class Readings:
     @classmethod
     def of(cls, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Readings:
         """From readings of worlds with these scenes."""
-        placed = np.array([len(each.pos) for each in readings], np.int64)
+        placed = np.array([len(reading.pos) for reading in readings], np.int64)
         width = int(placed.max(initial=0))
 
         def padded(
@@ -92,18 +92,18 @@ class Readings:
 
         return cls(
             placed=placed,
-            time_s=np.array([each.time_s for each in readings]),
-            ended=np.array([each.ended for each in readings], bool),
-            flags=np.array([each.flags for each in readings], np.int64),
-            culprit=np.array([each.culprit for each in readings], np.int64),
-            pos=padded([each.pos for each in readings], more=(3,)),
-            quat=padded([each.quat for each in readings], more=(4,)),
+            time_s=np.array([reading.time_s for reading in readings]),
+            ended=np.array([reading.ended for reading in readings], bool),
+            flags=np.array([reading.flags for reading in readings], np.int64),
+            culprit=np.array([reading.culprit for reading in readings], np.int64),
+            pos=padded([reading.pos for reading in readings], more=(3,)),
+            quat=padded([reading.quat for reading in readings], more=(4,)),
             target=padded([scene.target for scene in scenes], more=(3,)),
             half_size=padded([scene.half_size for scene in scenes], more=(3,)),
-            top_force_n=padded([each.top_force_n for each in readings]),
-            max_tilt_deg=padded([each.max_tilt_deg for each in readings]),
-            max_top_force_n=padded([each.max_top_force_n for each in readings]),
-            dropped=padded([each.dropped for each in readings], False),
+            top_force_n=padded([reading.top_force_n for reading in readings]),
+            max_tilt_deg=padded([reading.max_tilt_deg for reading in readings]),
+            max_top_force_n=padded([reading.max_top_force_n for reading in readings]),
+            dropped=padded([reading.dropped for reading in readings], False),
         )
 
     @classmethod
@@ -114,7 +114,7 @@ class Readings:
 
 def joined(parts: Sequence[Any], width: int) -> dict[str, NDArray[Any]]:
     """The fields of records of worlds, one record after the other, with room for so many boxes."""
-    names = [each.name for each in fields(parts[0])]
+    names = [field.name for field in fields(parts[0])]
     return {name: np.concatenate([widened(getattr(part, name), width) for part in parts]) for name in names}
 
 
@@ -142,10 +142,10 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
         raise ValueError(f"a world is named twice: {list(worlds)}")
 
 
-def _check_as_many(worlds: Sequence[int], others: Sized, what: str) -> None:
+def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
     """Raises ValueError unless there is one of these for each world."""
     if len(worlds) != len(others):
-        raise ValueError(f"{len(worlds)} worlds need as many {what}, and there are {len(others)}")
+        raise ValueError(f"{len(worlds)} worlds need as many {noun}, and there are {len(others)}")
 
 
 def _check_grown(before: Scene, after: Scene) -> None:

@@ -39,13 +39,13 @@ class Lent(Engine):
         threads: that the run was given, for the name of a device that the engine does not tell.
     """
 
-    def __init__(self, own: Simulates, threads: int | None) -> None:
-        self.name, self._own, self._threads = own.name, own, threads
-        self.takes_more = bool(getattr(own, "takes_more", False))
-        self.takes_parts = bool(getattr(own, "takes_parts", False))
-        self.looks = bool(getattr(own, "looks", False))
-        self.devices = int(getattr(own, "devices", 1))
-        self.names_engines = bool(getattr(own, "names_engines", False))
+    def __init__(self, engine: Simulates, threads: int | None) -> None:
+        self.name, self._own, self._threads = engine.name, engine, threads
+        self.takes_more = bool(getattr(engine, "takes_more", False))
+        self.takes_parts = bool(getattr(engine, "takes_parts", False))
+        self.looks = bool(getattr(engine, "looks", False))
+        self.devices = int(getattr(engine, "devices", 1))
+        self.names_engines = bool(getattr(engine, "names_engines", False))
 
     @property
     def tells(self) -> bool:
@@ -103,9 +103,9 @@ def _start_if_gpu() -> None:
 def _bytes_of(plans: object) -> int:
     """Size of plan files, and of what is in folders; 0 of anything else."""
     several = plans if isinstance(plans, list | tuple) else [plans]
-    paths = [Path(each) for each in several if isinstance(each, str | PathLike)]
+    paths = [Path(source) for source in several if isinstance(source, str | PathLike)]
     with suppress(OSError, ValueError):
-        return sum(each.stat().st_size for path in paths for each in (path.iterdir() if path.is_dir() else [path]))
+        return sum(file.stat().st_size for path in paths for file in (path.iterdir() if path.is_dir() else [path]))
     return 0
 
 

@@ -90,24 +90,24 @@ def score_worlds(
     aside: list[AnyWorld] = []
     besides = _Besides[AnyWorld](sim, engines, lookers)
 
-    def went_on(attempt: AttemptRecipe, found: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+    def went_on(attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
 
         Args:
             found: with the attempt's outcome.
         """
-        world, outcome, records = found
+        world, outcome, records = pending
         assert outcome is not None
         later = attempts[attempts.index(attempt) + 1 :]
-        following = next((each for each in later if each.is_for(outcome, sim)), None)
+        following = next((recipe for recipe in later if recipe.is_for(outcome, sim)), None)
         if following is None:
             yield WorldResult(world, outcome, records)
-        elif not besides.begin(following, found):
-            waiting.append((following, found))
+        elif not besides.begin(following, pending):
+            waiting.append((following, pending))
 
     def from_beside(wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
-        for attempt, found in besides.ended(wait=wait):
-            yield from went_on(attempt, found)
+        for attempt, pending in besides.ended(wait=wait):
+            yield from went_on(attempt, pending)
 
     def next_chunk() -> list[AnyWorld] | None:
         """For an engine that still has the one before; none where as many wait, for other attempts or engines."""
@@ -118,24 +118,24 @@ def score_worlds(
         if attempt is first and more is None:
             making.lookers, besides.making = besides.lookers, making
             making.next_chunk = next_chunk if source.more else None
-        for found in making.run(batch):
-            if found is not None:  # None: the engine pauses
-                yield from went_on(attempt, found)
+        for pending in making.run(batch):
+            if pending is not None:  # None: the engine pauses
+                yield from went_on(attempt, pending)
             yield from from_beside()
 
     def retry() -> Iterator[WorldResult[AnyWorld]]:
         for attempt in retries:
-            chosen = [pending for asked, pending in waiting if asked is attempt]
-            waiting[:] = [each for each in waiting if each[0] is not attempt]
+            chosen = [pending for recipe, pending in waiting if recipe is attempt]
+            waiting[:] = [entry for entry in waiting if entry[0] is not attempt]
             if chosen:
                 progress.message = f"{len(chosen)} again, attempt {attempt.number}"
                 yield from attempt_at(chosen, attempt)
 
     try:
         while True:
-            taken = aside or source.take() or (more() if more else ())
-            batch: list[Pending[AnyWorld]] = [(world, None, ()) for world in taken]
-            del taken  # worlds that have ended take memory
+            next_worlds = aside or source.take() or (more() if more else ())
+            batch: list[Pending[AnyWorld]] = [(world, None, ()) for world in next_worlds]
+            del next_worlds  # worlds that have ended take memory
             aside.clear()
             ended = not batch
             if batch:
@@ -154,8 +154,8 @@ def score_worlds(
         if besides.lookers is not None and not isinstance(error, Exception):
             besides.lookers.hurry()
         yield from from_beside()
-        for found in besides.making.made([], engine.name) if besides.making is not None else ():
-            yield from went_on(first, found)
+        for answered in besides.making.made([], engine.name) if besides.making is not None else ():
+            yield from went_on(first, answered)
         raise
     finally:
         with shielded(afterwards=True), ExitStack() as closing:  # a second ctrl-C skips nothing of it
@@ -245,7 +245,7 @@ class _Besides(Generic[AnyWorld]):
             return
         if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
             return
-        scene = next((each.job.scene for each in worlds if not each.job.settles), None)
+        scene = next((world.job.scene for world in worlds if not world.job.settles), None)
         for attempt in retries if self.sim.solver is not Solver.CG else ():
             if attempt.few and scene is not None:
                 job, sim = Job(scene.first(1)), attempt.apply_to_sim(self.sim)
@@ -281,9 +281,9 @@ class _Besides(Generic[AnyWorld]):
                 if answer.number not in self._asked:  # READY, of this run or the one before
                     continue
                 making, pending, engine = self._asked.pop(answer.number)
-                for found in self._made(making, pending, engine, answer):
-                    if found is not None:
-                        yield making.attempt, found
+                for answered in self._made(making, pending, engine, answer):
+                    if answered is not None:
+                        yield making.attempt, answered
 
     def _made(
         self, making: Making[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer

@@ -181,7 +181,7 @@ def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulat
     A world whose boxes sank has no verdict; one that may have tipped over since contacts are soft keeps it, for the
     case that stiffer ones do not change it. With pyramidal cones, the reference's, all keep it.
     """
-    found, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
+    noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     may_lean: list[int] = []
     scenes = [job.scene for job in jobs]
     did_not = surely_did_not_sink(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
@@ -189,14 +189,14 @@ def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulat
         if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
             continue
         if not did_not[k] and sank(outcome, scene, sim):
-            found[k] = _softened(outcome, sim, sank=elliptic)
+            noted[k] = _softened(outcome, sim, sank=elliptic)
         elif elliptic and outcome.verdict is Verdict.UNSTABLE:
             may_lean.append(k)
     if may_lean:
         leans = leaning([outcomes[k] for k in may_lean], [jobs[k] for k in may_lean], sim)
         for k in compress(may_lean, leans):
-            found[k] = _softened(outcomes[k], sim, sank=False)
-    return found
+            noted[k] = _softened(outcomes[k], sim, sank=False)
+    return noted
 
 
 def _softened(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outcome:
@@ -213,13 +213,13 @@ def surely_did_not_sink(outcomes: Sequence[Outcome], scenes: Sequence[Scene], si
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
     at_a_time = max(_MOST_PAIRS // max(int(counts.max()), 1) ** 2, 1)
-    found: list[bool] = []
+    mask: list[bool] = []
     for first in range(0, len(counts), at_a_time):
         some = slice(first, first + at_a_time)
         sinking_m = _deepest_m(outcomes[some], scenes[some], sim.physics)
         of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes[some]]
-        found += ((sinking_m <= enough_m) & of_other_reason).tolist()
-    return found
+        mask += ((sinking_m <= enough_m) & of_other_reason).tolist()
+    return mask
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
@@ -234,16 +234,16 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     """(m,) how far the centre of the box that comes down most does so in each world, m, as ``sinking_m`` has it but for
     rounding. Worlds have as many columns as the largest of them."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
-    there = np.arange(counts.max()) < counts[:, None]
+    is_box = np.arange(counts.max()) < counts[:, None]
 
     def filled(values: Iterable[FloatArray], otherwise: float) -> FloatArray:
         joined = np.concatenate([*values])
-        table = np.full((*there.shape, *joined.shape[1:]), otherwise)
-        table[there] = joined
+        table = np.full((*is_box.shape, *joined.shape[1:]), otherwise)
+        table[is_box] = joined
         return table
 
     place, half = (filled((getattr(scene, name) for scene in scenes), 0.0) for name in ("target", "half_size"))
-    order = np.argsort(np.where(there, place[..., 2], np.inf), axis=1, kind="stable")
+    order = np.argsort(np.where(is_box, place[..., 2], np.inf), axis=1, kind="stable")
     place, half = (np.take_along_axis(values, order[..., None], axis=1) for values in (place, half))
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
     top_n = np.where(placed, filled((outcome.boxes.max_top_force_n for outcome in outcomes), 0.0), 0.0)
@@ -264,7 +264,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     for number in range(1, sinking.shape[1]):
         deeper = (sinking[:, :number] + through[:, number, :number]).max(axis=1)
         np.maximum(sinking[:, number], deeper, out=sinking[:, number])
-    deepest: FloatArray = np.where(np.take_along_axis(there, order, axis=1), sinking, 0.0).max(axis=1)
+    deepest: FloatArray = np.where(np.take_along_axis(is_box, order, axis=1), sinking, 0.0).max(axis=1)
     return deepest
 
 

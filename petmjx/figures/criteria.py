@@ -22,7 +22,7 @@ PANELS: Final = (
 """Column of ``judged`` and what stands below it."""
 
 
-def draw_criteria(found: CriteriaResults) -> Any:
+def draw_criteria(results: CriteriaResults) -> Any:
     """A matplotlib figure with a row for each criterion.
 
     Raises:
@@ -30,9 +30,9 @@ def draw_criteria(found: CriteriaResults) -> Any:
     """
     from matplotlib.figure import Figure
 
-    if found.judged is None or not len(found.judged):
+    if results.judged is None or not len(results.judged):
         raise InputError(f"no figure of these criteria: they were not compared with a run ({option('--run')})")
-    judged = found.judged
+    judged = results.judged
     figure = Figure(figsize=(WIDTH_IN, ROW_IN * len(judged) + 1.0), facecolor="white", layout="constrained")
     for number, (axes, (name, label)) in enumerate(zip(figure.subplots(1, 3, sharey=True), PANELS, strict=True)):
         for place, row in enumerate(judged.to_dict("records")):

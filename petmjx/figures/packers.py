@@ -22,7 +22,7 @@ MOST_PAIRS: Final = 15
 _COLOUR: Final = OKABE_ITO[4]
 
 
-def draw_packers(found: PackerComparison) -> Any:
+def draw_packers(comparison: PackerComparison) -> Any:
     """A matplotlib figure: left the shares, right the differences, below a sentence about each two packers.
 
     Raises:
@@ -31,14 +31,14 @@ def draw_packers(found: PackerComparison) -> Any:
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    packers = found.packers[found.packers["size"] == ALL_SIZES].to_dict("records")
-    pairs = found.pairs[found.pairs["size"] == ALL_SIZES].to_dict("records")
-    if not found.sentences:
+    packers = comparison.packers[comparison.packers["size"] == ALL_SIZES].to_dict("records")
+    pairs = comparison.pairs[comparison.pairs["size"] == ALL_SIZES].to_dict("records")
+    if not comparison.sentences:
         raise InputError("no figure of these packers: no order has a valid verdict from every packer")
     if len(pairs) > MOST_PAIRS:
         raise InputError(f"no figure of {len(packers)} packers: six fit at most")
-    said = wrapped(found.sentences)
-    text_in = LINE_IN * (said.count("\n") + 1) + 0.1
+    sentences = wrapped(comparison.sentences)
+    text_in = LINE_IN * (sentences.count("\n") + 1) + 0.1
     chart_in = ROW_IN * max(len(packers), len(pairs), 2) + 0.75
     above = ConstrainedLayoutEngine(rect=(0, text_in / (chart_in + text_in), 1, chart_in / (chart_in + text_in)))
     figure = Figure(figsize=(WIDTH_IN, chart_in + text_in), facecolor="white", layout=above)
@@ -49,8 +49,8 @@ def draw_packers(found: PackerComparison) -> Any:
     _intervals(right, [(n, r["difference"], r["low"], r["high"]) for n, r in zip(names, pairs, strict=True)])
     right.axvline(0, color="0.6", linewidth=0.8, zorder=0)
     right.set_xlabel("difference, percentage points")
-    figure.suptitle(f"dots: shares and differences; lines: {100 * found.confidence:g} % intervals", size=POINTS)
-    figure.text(0.01, 0.05 / (chart_in + text_in), said, size=POINTS, va="bottom")
+    figure.suptitle(f"dots: shares and differences; lines: {100 * comparison.confidence:g} % intervals", size=POINTS)
+    figure.text(0.01, 0.05 / (chart_in + text_in), sentences, size=POINTS, va="bottom")
     return figure
 
 

@@ -69,11 +69,11 @@ def check_figures(paths: list[Path]) -> None:
         check_writable(path)
 
 
-def _drawn(found: Any) -> Any:
-    if isinstance(found, PackerComparison):
-        return draw_packers(found)
-    if isinstance(found, CriteriaResults):
-        return draw_criteria(found)
-    if isinstance(found, RunResults):
-        return draw_answers(found)
-    raise InputError(f"found must be results of compare_packers, criteria, sweep or score, {got(found)}")
+def _drawn(results: Any) -> Any:
+    if isinstance(results, PackerComparison):
+        return draw_packers(results)
+    if isinstance(results, CriteriaResults):
+        return draw_criteria(results)
+    if isinstance(results, RunResults):
+        return draw_answers(results)
+    raise InputError(f"found must be results of compare_packers, criteria, sweep or score, {got(results)}")

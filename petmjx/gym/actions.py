@@ -60,13 +60,13 @@ class Table:
 
     def features(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
         """(m, a, f) ``FEATURES`` of some episodes."""
-        found = np.empty((len(rows), self.legal.shape[1], len(FEATURES)), np.float32)
+        features = np.empty((len(rows), self.legal.shape[1], len(FEATURES)), np.float32)
         at = 0
         for values in (self.box, self.turned, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin):
-            some = values[rows].reshape(*found.shape[:2], -1)
-            found[..., at : at + some.shape[2]] = some
+            some = values[rows].reshape(*features.shape[:2], -1)
+            features[..., at : at + some.shape[2]] = some
             at += some.shape[2]
-        return found
+        return features
 
 
 class Actions:
@@ -123,19 +123,19 @@ class Actions:
         chosen, row, number = (values[number < self.count] for values in (chosen, row, number))
         margin = np.zeros(len(chosen))
         stands = np.ones(len(chosen), bool)
-        asked = places.row[chosen]
+        source = places.row[chosen]
         if self.asks_physics and len(chosen):
-            told = self._pallets.try_all(
-                size_mm=sizes[asked], corner_mm=places.corner_mm[chosen], mass_kg=masses[asked], pallet=rows[row]
+            trials = self._pallets.try_all(
+                size_mm=sizes[source], corner_mm=places.corner_mm[chosen], mass_kg=masses[source], pallet=rows[row]
             )
-            margin, stands = np.nan_to_num(told.margin), told.stable
+            margin, stands = np.nan_to_num(trials.margin), trials.stable
             if self._options.mask == LOADS:
-                stands = stands & ~self._overloads(rows[row], told.top_force_n)
-        chosen, row, number, asked = (each[stands] for each in (chosen, row, number, asked))
+                stands = stands & ~self._overloads(rows[row], trials.top_force_n)
+        chosen, row, number, source = (values[stands] for values in (chosen, row, number, source))
         into = rows[row], number
         table.legal[into] = True
-        table.box[into], table.turned[into] = box[asked], turned[asked]
-        table.size_mm[into], table.mass_kg[into] = sizes[asked], masses[asked]
+        table.box[into], table.turned[into] = box[source], turned[source]
+        table.size_mm[into], table.mass_kg[into] = sizes[source], masses[source]
         table.corner_mm[into], table.support[into] = places.corner_mm[chosen], places.support[chosen]
         table.margin[into] = margin[stands]
 
@@ -160,14 +160,14 @@ class Actions:
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """(c,) the episode of each chosen place, and the number of its action, ``count`` or more where it has none.
         Candidates are numbered box after box, the lowest places first; cells by box, turn and cell."""
-        asked = places.row[chosen]
-        row = at[asked]
+        source = places.row[chosen]
+        row = at[source]
         if self._grid is not None:
             x, y = np.rint(places.corner_mm[chosen, :2] / self._options.action_cell_mm).astype(np.int64).T
             nx, ny = self._cells
-            return row, ((box[asked] * 2 + turned[asked]) * nx + x) * ny + y
+            return row, ((box[source] * 2 + turned[source]) * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        seen = row * self._options.buffer + box[asked]  # of one box, places along x come first already
+        seen = row * self._options.buffer + box[source]  # of one box, places along x come first already
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], seen))
         number = np.full(len(row), self.count)
         kept = order[_in_turn(row[order], seen[order], self.count)]

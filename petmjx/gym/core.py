@@ -108,11 +108,11 @@ class Episodes:
         self._illegal[rows] += ~legal
         terminated = np.zeros(m, bool)
         if legal.any():
-            told, found = self._place(rows[legal], actions[legal])
+            report, new_terms = self._place(rows[legal], actions[legal])
             for name in set(terms) - {"illegal"}:
-                terms[name][legal] = found[name]
-            terminated[legal] = ~told.stable
-            self.table.clear(rows[legal][~told.stable])
+                terms[name][legal] = new_terms[name]
+            terminated[legal] = ~report.stable
+            self.table.clear(rows[legal][~report.stable])
             full = self.pallets.n_boxes[rows] >= self.pallets.most_boxes
             self.table.clear(rows[full])
         terminated |= ~self.table.legal[rows].any(axis=1)
@@ -133,21 +133,21 @@ class Episodes:
             if not self._actions.asks_physics:
                 self._look(rows)
 
-        told = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows, meanwhile=go_on)
+        report = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows, meanwhile=go_on)
         if self._actions.asks_physics:
-            self._look(rows[told.stable])
-        fallen = ~told.stable  # an episode that ends leaves no further box out
+            self._look(rows[report.stable])
+        fallen = ~report.stable  # an episode that ends leaves no further box out
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)
         self._top[rows] += higher
         self._mass[rows] += mass
-        self._volume[rows] += volume * told.stable
-        self._maps.load(rows, told.top_force_n)
-        self._verdict[rows], self._reason[rows] = told.verdict, told.reason
-        self._culprit[rows], self._margin[rows] = told.culprit, np.nan_to_num(told.margin, nan=-1.0)
-        made = Placement(told, volume, self._mass[rows], self._room_mm3, higher, self.options.max_height_mm)
-        return told, {name: value(made) for name, (_, value) in TERMS.items() if name in self.weights}
+        self._volume[rows] += volume * report.stable
+        self._maps.load(rows, report.top_force_n)
+        self._verdict[rows], self._reason[rows] = report.verdict, report.reason
+        self._culprit[rows], self._margin[rows] = report.culprit, np.nan_to_num(report.margin, nan=-1.0)
+        made = Placement(report, volume, self._mass[rows], self._room_mm3, higher, self.options.max_height_mm)
+        return report, {name: value(made) for name, (_, value) in TERMS.items() if name in self.weights}
 
     @property
     def _room_mm3(self) -> float:
@@ -167,7 +167,7 @@ class Episodes:
     def observed(self, rows: NDArray[np.int64]) -> Observation:
         """What is seen of episodes, arrays of m rows."""
         size, mass = self._queues.seen(rows)
-        found: Observation = {
+        observation: Observation = {
             "height_map": self._maps.heights[rows],
             "load_map": self._maps.loads[rows],
             "boxes": np.concatenate([size, mass[..., None]], axis=2),
@@ -175,11 +175,11 @@ class Episodes:
             "mass": self._mass[rows, None],
             "carrier": np.tile([*self.pallets.extent_mm, self.options.max_height_mm], (len(rows), 1)),
         }
-        found = {name: values.astype(np.float32, copy=False) for name, values in found.items()}
-        found["action_mask"] = self.table.legal[rows].astype(np.int8)
+        observation = {name: values.astype(np.float32, copy=False) for name, values in observation.items()}
+        observation["action_mask"] = self.table.legal[rows].astype(np.int8)
         if self.options.actions == "candidates":
-            found["candidates"] = self.table.features(rows)
-        return found
+            observation["candidates"] = self.table.features(rows)
+        return observation
 
     def told(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """What the information of a step says of episodes."""
@@ -198,7 +198,7 @@ class Episodes:
     def shapes(self) -> dict[str, tuple[tuple[int, ...], float, float, type[Any]]]:
         """Name of an observation → shape, least and largest value, type."""
         most, high = float(np.finfo(np.float32).max), self.options.max_height_mm
-        found: dict[str, tuple[tuple[int, ...], float, float, type[Any]]] = {
+        spaces: dict[str, tuple[tuple[int, ...], float, float, type[Any]]] = {
             "height_map": (self.cells, 0.0, high + 1.0, np.float32),
             "load_map": (self.cells, 0.0, most, np.float32),
             "boxes": ((self.options.look_ahead, 4), 0.0, max(LARGEST_MM, LARGEST_KG), np.float32),
@@ -208,5 +208,5 @@ class Episodes:
             "action_mask": ((self.n_actions,), 0, 1, np.int8),
         }
         if self.options.actions == "candidates":
-            found["candidates"] = ((self.n_actions, len(FEATURES)), -most, most, np.float32)
-        return found
+            spaces["candidates"] = ((self.n_actions, len(FEATURES)), -most, most, np.float32)
+        return spaces

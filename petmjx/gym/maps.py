@@ -46,9 +46,9 @@ class Maps:
             number: (m,) which box of its pallet it is, counted from 0; ``size_mm``, ``corner_mm``: (m, 3).
         """
         self._spans = widened(self._spans, int(number.max(initial=0)) + 1)
-        self._spans[rows, number] = each = spans(size_mm, corner_mm, self._cell_mm)
+        self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)
         tops = (corner_mm[:, 2] + size_mm[:, 2]).astype(np.float32)
-        over_x, over_y = self._over(each)
+        over_x, over_y = self._over(box_spans)
         self.heights[rows] = np.maximum(self.heights[rows], (tops * over_x[:, None] * over_y).transpose(2, 0, 1))
 
     def load(self, rows: NDArray[np.int64], top_force_n: FloatArray) -> None:
@@ -64,22 +64,25 @@ class Maps:
         def load(some: NDArray[np.intp]) -> None:
             most = int(count[some].max(initial=0))
             bearing = np.argsort(force[some] <= 0, axis=1, kind="stable")[:, :most]
-            each, own = self._spans[rows[some, None], bearing], np.take_along_axis(force[some], bearing, axis=1)
+            box_spans, box_force = (
+                self._spans[rows[some, None], bearing],
+                np.take_along_axis(force[some], bearing, axis=1),
+            )
             loads: Map = np.zeros((*self.heights.shape[1:], len(some)), np.float32)
             for number in range(most):
-                over_x, over_y = self._over(each[:, number])
-                np.maximum(loads, (own[:, number] * over_x)[:, None] * over_y, out=loads)
+                over_x, over_y = self._over(box_spans[:, number])
+                np.maximum(loads, (box_force[:, number] * over_x)[:, None] * over_y, out=loads)
             self.loads[rows[some]] = loads.transpose(2, 0, 1)
 
         on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
-    def _over(self, each: NDArray[np.integer]) -> tuple[Map, Map]:
+    def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
         """(x, m) and (y, m) 1 where boxes stand over these columns and rows of cells, else 0.
 
         Args:
             each: (m, 2, 2) of ``spans``.
         """
-        low, high = each.transpose(1, 2, 0)
+        low, high = box_spans.transpose(1, 2, 0)
         x, y = (
             ((low[axis] <= cells) & (cells < high[axis])).astype(np.float32)
             for axis in range(2)

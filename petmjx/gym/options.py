@@ -66,8 +66,8 @@ class PalletizingOptions:
         Raises:
             InputError: an unusable value.
         """
-        names = {each.name for each in fields(cls)}
-        found = cls(**{name: value for name, value in given.items() if name in names})
+        names = {field.name for field in fields(cls)}
+        options = cls(**{name: value for name, value in given.items() if name in names})
         for name, least, most in (
             ("orders_seed", 0, None),
             ("look_ahead", 1, 512),
@@ -75,18 +75,18 @@ class PalletizingOptions:
             ("n_candidates", 1, 100_000),
             ("most_illegal", 1, None),
         ):
-            whole_of(getattr(found, name), name, least, most)
-        number_of(found.max_height_mm, "max_height_mm", 1.0, 20_000.0)
-        number_of(found.action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
+            whole_of(getattr(options, name), name, least, most)
+        number_of(options.max_height_mm, "max_height_mm", 1.0, 20_000.0)
+        number_of(options.action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
         for name, choices in (("actions", (CANDIDATES, CELLS)), ("mask", MASKS)):
-            value = getattr(found, name)
+            value = getattr(options, name)
             if not isinstance(value, str):
                 raise InputError(f"{name} must be text, {got(value)}")
             if value not in choices:
                 raise InputError(f"unknown {name} {value!r}; {hint(value, choices)}")
-        if found.buffer > found.look_ahead:
-            raise InputError(f"buffer must be at most look_ahead, {found.look_ahead}, got {found.buffer}")
-        return found, {name: value for name, value in given.items() if name not in names}
+        if options.buffer > options.look_ahead:
+            raise InputError(f"buffer must be at most look_ahead, {options.look_ahead}, got {options.buffer}")
+        return options, {name: value for name, value in given.items() if name not in names}
 
     def read_orders(self) -> Orders:
         """The orders.
@@ -94,10 +94,10 @@ class PalletizingOptions:
         Raises:
             InputError: they cannot be read, or the mask ``loads`` needs strengths and there are none.
         """
-        found = Orders(self.orders, self.orders_seed, self.articles)
-        if self.mask == LOADS and not found.have_strengths:
+        orders = Orders(self.orders, self.orders_seed, self.articles)
+        if self.mask == LOADS and not orders.have_strengths:
             raise InputError(f"mask: {LOADS} needs strengths of boxes: the column strength_n of orders, or articles")
-        return found
+        return orders
 
     @property
     def weights(self) -> dict[str, float]:

@@ -74,8 +74,8 @@ class Queues:
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the boxes that are seen; 0 where there are fewer."""
-        found = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
-        return found[..., :3], found[..., 3]
+        boxes = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
+        return boxes[..., :3], boxes[..., 3]
 
     def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         self._first[rows] += count

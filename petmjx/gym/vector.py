@@ -145,11 +145,11 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
         terms = {name: values[rows] for name, values in so_far.items() if name.startswith("reward_")}
-        told = self._spread(rows, terms | self.episodes.told(rows))
-        return {"final_obs": last, "_final_obs": known, "final_info": told, "_final_info": known.copy()}
+        info = self._spread(rows, terms | self.episodes.told(rows))
+        return {"final_obs": last, "_final_obs": known, "final_info": info, "_final_info": known.copy()}
 
     def _checked_mask(self, mask: Any) -> NDArray[np.bool_]:
-        found = np.asarray(mask)
-        if found.shape != (self.num_envs,) or found.dtype != bool or not found.any():
+        reset_mask = np.asarray(mask)
+        if reset_mask.shape != (self.num_envs,) or reset_mask.dtype != bool or not reset_mask.any():
             raise InputError(f"options: reset_mask must be {self.num_envs} booleans, at least one of them true")
-        return found
+        return reset_mask

@@ -45,8 +45,11 @@ class Device:
         self.still = jnp.zeros((1, 1, 3))
         blank, physics = Blank(sim), sim.physics
         self.friction, self.surface = jnp.asarray(blank.friction, jnp.float32), blank.surface
-        own, carrier = float(blank.friction[0]), float(blank.scene.carrier.friction[:, 0].max())
-        self._soft = float(cone_factor(physics, own, own)), float(cone_factor(physics, own, carrier))
+        box_friction, carrier = float(blank.friction[0]), float(blank.scene.carrier.friction[:, 0].max())
+        self._soft = (
+            float(cone_factor(physics, box_friction, box_friction)),
+            float(cone_factor(physics, box_friction, carrier)),
+        )
         self._pulls = jnp.asarray(pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s), jnp.float32)
 
     def new_box(self, open_: Open, size_mm: jax.Array, corner_mm: jax.Array, mass: jax.Array) -> NewBox:
@@ -73,14 +76,14 @@ class Device:
     ) -> tuple[Int[Array, " world"], Float[Array, " world"]]:
         """What bears each box, and the height of its middle when it is released (petmjx/world/release.py)."""
         physics = self.sim.physics
-        there = jnp.arange(self.width) < worlds.n_boxes[:, None]
+        present = jnp.arange(self.width) < worlds.n_boxes[:, None]
         low, high = target - half, target + half
         ends = jnp.minimum(worlds.target + worlds.half, high[:, None])
         side = jnp.maximum(ends - jnp.maximum(worlds.target - worlds.half, low[:, None]), 0.0)
         top = worlds.target[:, :, 2] + worlds.half[:, :, 2]
-        area = side[..., 0] * side[..., 1] * (jnp.abs(top - low[:, None, 2]) <= TOUCH_M) * there
-        found = jnp.where(area.any(axis=1), area.argmax(axis=1), NOTHING)
-        support = jnp.where(low[:, 2] <= TOUCH_M, CARRIER, found)
+        area = side[..., 0] * side[..., 1] * (jnp.abs(top - low[:, None, 2]) <= TOUCH_M) * present
+        bearer = jnp.where(area.any(axis=1), area.argmax(axis=1), NOTHING)
+        support = jnp.where(low[:, 2] <= TOUCH_M, CARRIER, bearer)
         below = jnp.take_along_axis(worlds.mass, jnp.maximum(support + 1, 0)[:, None], axis=1)[:, 0]
         soft = jnp.where(support == CARRIER, self._soft[1], self._soft[0])
         pull = soft * (1.0 + mass / below) * physics.gravity_m_s2 / CONTACTS_PER_FACE
@@ -102,12 +105,12 @@ class Device:
         @placed.def_vmap
         def of_all(count: int, batched: Any, *arguments: Any) -> tuple[Open, Any]:
             def flat(values: jax.Array, is_batched: bool) -> jax.Array:
-                each = values if is_batched else jnp.broadcast_to(values, (count, *values.shape))
-                return each.reshape(-1, *each.shape[2:])
+                batch = values if is_batched else jnp.broadcast_to(values, (count, *values.shape))
+                return batch.reshape(-1, *batch.shape[2:])
 
-            found = placed(*jax.tree.map(flat, arguments, tuple(batched)))
-            found = jax.tree.map(lambda values: values.reshape(count, -1, *values.shape[1:]), found)
-            return found, jax.tree.map(lambda _: True, found)
+            worlds = placed(*jax.tree.map(flat, arguments, tuple(batched)))
+            worlds = jax.tree.map(lambda values: values.reshape(count, -1, *values.shape[1:]), worlds)
+            return worlds, jax.tree.map(lambda _: True, worlds)
 
         after: Open = placed(open_, box, gets)
         return after
@@ -127,7 +130,7 @@ class Device:
             shift_m=shift, max_tilt_deg=tilt, dropped=dropped, max_top_force_n=state.metrics.max_top_force
         )
         failed = (
-            *((why, (here & those).any(axis=1)) for why, those in reversed(list(failures(boxes, limits)))),
+            *((why, (here & failing).any(axis=1)) for why, failing in reversed(list(failures(boxes, limits)))),
             *((why, (state.flags & int(bits)) != 0) for bits, why in reversed(INVALID_FLAGS)),
             (Reason.OVERFLOW, full),
         )
@@ -176,10 +179,10 @@ class DeviceState:
 
     def try_all(self, size: jax.Array, corner: jax.Array, mass: jax.Array, pallet: jax.Array) -> Told:
         """See ``petmjx.jax.try_all``."""
-        there = (pallet >= 0) & (pallet < self.n)
+        valid = (pallet >= 0) & (pallet < self.n)
         rows = jnp.clip(pallet, 0, self.n - 1)
         forks = Open(take_rows(self.open.worlds, rows), take_rows(self.open.state, rows))
-        gets = there & self._can(forks)
+        gets = valid & self._can(forks)
         after = self.device.placed(forks, self.device.new_box(forks, size, corner, mass), gets)
         return self.device.told(after, gets)
 

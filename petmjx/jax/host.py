@@ -61,15 +61,15 @@ class Host:
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
         """Under ``jax.vmap`` arrays have axes in front, of 1 where they are the same for all: all rows in one call."""
-        arrays = [(np.asarray(each), beyond) for each, beyond in zip(arguments, _BEYOND, strict=True)]
+        arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []
         for values, beyond in arrays:
-            own = values.shape[values.ndim - beyond :]
-            rows.append(np.broadcast_to(values, (*shape, *own)).reshape(-1, *own))
+            row_shape = values.shape[values.ndim - beyond :]
+            rows.append(np.broadcast_to(values, (*shape, *row_shape)).reshape(-1, *row_shape))
         size, corner, mass, count, *box = rows
-        told = self._asked(size, corner, mass, count, box, keeps=keeps)
-        return [values.reshape(*shape, *values.shape[1:]) for values in told]
+        columns = self._asked(size, corner, mass, count, box, keeps=keeps)
+        return [values.reshape(*shape, *values.shape[1:]) for values in columns]
 
     def _asked(
         self,
@@ -81,8 +81,8 @@ class Host:
         *,
         keeps: bool,
     ) -> list[NDArray[Any]]:
-        new_size, new_corner, new_mass, gets, stands = (np.asarray(each) for each in box)
-        told = nothing(len(count), self.most_boxes)
+        new_size, new_corner, new_mass, gets, stands = (np.asarray(values) for values in box)
+        columns = nothing(len(count), self.most_boxes)
         rows, others = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
         with self._lock:
             used = np.flatnonzero(gets | stands)
@@ -91,15 +91,15 @@ class Host:
                 self._begin(needed)
             pinned: set[int] = set()
             if len(others):
-                there = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
-                put(told, others, self._pallets.told(np.array(there)))
+                other_slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
+                put(columns, others, self._pallets.told(np.array(other_slots)))
             if not len(rows):
-                return told
+                return columns
             slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in rows]
-            asked = Asked(new_size[rows], new_corner[rows], new_mass[rows], np.array(slots))
+            request = Asked(new_size[rows], new_corner[rows], new_mass[rows], np.array(slots))
             if not keeps:
-                put(told, rows, self._pallets.try_all(**vars(asked)))
-                return told
+                put(columns, rows, self._pallets.try_all(**vars(request)))
+                return columns
             into: list[int] = []
             fresh: list[int] = []
             made: dict[bytes, int] = {}
@@ -118,18 +118,18 @@ class Host:
                 into.append(self._slots.get(key, made.get(key, -1)))
                 pinned.add(into[-1])
             if fresh:
-                self._placed(replace(asked, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
+                self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
             self._slots.update(made)  # now that they have their boxes
-            put(told, rows, self._pallets.told(np.array(into)))
-        return told
+            put(columns, rows, self._pallets.told(np.array(into)))
+        return columns
 
-    def _placed(self, asked: Asked, bases: NDArray[np.int64]) -> None:
+    def _placed(self, request: Asked, bases: NDArray[np.int64]) -> None:
         """Make free pallets copies of others, with a box more each. What is refused leaves them free."""
         try:
-            self._pallets.fork(bases, asked.pallet)
-            self._pallets.place(**vars(asked))
+            self._pallets.fork(bases, request.pallet)
+            self._pallets.place(**vars(request))
         except BaseException:
-            self._free += asked.pallet.tolist()
+            self._free += request.pallet.tolist()
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
@@ -187,7 +187,7 @@ class HostState:
         k = self.host.most_boxes
         gets = gets & ~self.ended & (self.count < k)
         before = (self.size_mm, self.corner_mm, self.mass_kg, self.count)
-        told = _called(self.host.place, self.n, k, *before, size, corner, mass, gets, ~self.ended)
+        outcomes = _called(self.host.place, self.n, k, *before, size, corner, mass, gets, ~self.ended)
         rows, at = jnp.arange(self.n), jnp.where(gets, self.count, k)
         state = replace(
             self,
@@ -195,16 +195,16 @@ class HostState:
             corner_mm=self.corner_mm.at[rows, at].set(corner, mode="drop"),
             mass_kg=self.mass_kg.at[rows, at].set(mass, mode="drop"),
             count=self.count + gets,
-            ended=jnp.where(gets, told.ended, self.ended),
+            ended=jnp.where(gets, outcomes.ended, self.ended),
         )
-        return state, told
+        return state, outcomes
 
     def try_all(self, size: jax.Array, corner: jax.Array, mass: jax.Array, pallet: jax.Array) -> Told:
         """See ``petmjx.jax.try_all``."""
-        k, there = self.host.most_boxes, (pallet >= 0) & (pallet < self.n)
+        k, valid = self.host.most_boxes, (pallet >= 0) & (pallet < self.n)
         rows = jnp.clip(pallet, 0, self.n - 1)
         before = tuple(values[rows] for values in (self.size_mm, self.corner_mm, self.mass_kg, self.count))
-        gets = there & ~self.ended[rows] & (self.count[rows] < k)
+        gets = valid & ~self.ended[rows] & (self.count[rows] < k)
         return _called(self.host.try_all, len(pallet), k, *before, size, corner, mass, gets, gets)
 
 

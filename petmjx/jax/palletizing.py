@@ -124,27 +124,27 @@ class Palletizing:
         side = number_of(action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
         self._weights = weights_of(rewards)
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
-        found = extent_m(Simulation(carrier=carrier).carrier)
-        assert found is not None  # else ``empty`` has refused it
-        self._extent = found[0] * MM_PER_M, found[1] * MM_PER_M
+        extent = extent_m(Simulation(carrier=carrier).carrier)
+        assert extent is not None  # else ``empty`` has refused it
+        self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         self._cells = Cells(self._extent, side, self._highest, MASKS[mask])
         self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
         of_orders = self._usable(Orders(orders, whole_of(orders_seed, "orders_seed", 0)))
-        self._counts = jnp.array([len(each) for each in of_orders], jnp.int32)
+        self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # so that nothing is seen beyond an order's end
-        rows = [np.column_stack([each.size_mm, each.mass_kg]) for each in of_orders]
-        self._boxes = jnp.array([np.pad(each, ((0, longest - len(each)), (0, 0))) for each in rows], jnp.float32)
+        rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
+        self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
     def _usable(self, orders: Orders) -> list[Boxes]:
         """Orders of which some box fits on the empty carrier."""
-        found = orders.some(_DRAWN)
+        drawn_orders = orders.some(_DRAWN)
         ways = np.sort(self._extent)
 
-        def fits(each: Boxes) -> bool:
-            low = np.sort(each.size_mm[:, :2], axis=1) <= ways
-            return bool((low.all(axis=1) & (each.size_mm[:, 2] <= self._highest)).any())
+        def fits(boxes: Boxes) -> bool:
+            low = np.sort(boxes.size_mm[:, :2], axis=1) <= ways
+            return bool((low.all(axis=1) & (boxes.size_mm[:, 2] <= self._highest)).any())
 
-        usable = [each for each in found if fits(each)]
+        usable = [boxes for boxes in drawn_orders if fits(boxes)]
         if not usable:
             raise InputError("orders: no box of any order fits on the empty carrier")
         return usable
@@ -153,12 +153,12 @@ class Palletizing:
 
     def reset(self, key: jax.Array) -> tuple[State, TimeStep[Observation]]:
         """Begin an episode with an order that is drawn by ``key``; with the same key the same one."""
-        key, own = jax.random.split(key)
+        key, order_key = jax.random.split(key)
         k, none = self._most_boxes, jnp.int32(0)
         state = State(
             key=key,
             pallet=self._empty,
-            order=jax.random.randint(own, (), 0, len(self._counts)),
+            order=jax.random.randint(order_key, (), 0, len(self._counts)),
             next=none,
             size_mm=jnp.zeros((k, 3)),
             corner_mm=jnp.zeros((k, 3)),
@@ -183,13 +183,13 @@ class Palletizing:
         chosen = jnp.asarray(action)
         if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):
             raise InputError(f"action must be a whole number, got {chosen.dtype} of shape {chosen.shape}")
-        there = (chosen >= 0) & (chosen < self._cells.count)
+        valid = (chosen >= 0) & (chosen < self._cells.count)
         at = jnp.clip(chosen, 0, self._cells.count - 1)
-        legal = there & state.mask[at] & ~state.over
+        legal = valid & state.mask[at] & ~state.over
         ways, mass = self._ways(state), self._boxes[state.order, state.next, 3]
         size, corner = ways.size_mm[at], ways.corner_mm[at]
-        pallet, told = place(state.pallet, size[None], corner[None], mass[None], legal[None])
-        told = jax.tree.map(lambda values: values[0], told)
+        pallet, outcome = place(state.pallet, size[None], corner[None], mass[None], legal[None])
+        outcome = jax.tree.map(lambda values: values[0], outcome)
         row = jnp.where(legal, state.placed, self._most_boxes)  # beyond: dropped
         after = state._replace(
             pallet=pallet,
@@ -197,23 +197,23 @@ class Palletizing:
             size_mm=state.size_mm.at[row].set(size, mode="drop"),
             corner_mm=state.corner_mm.at[row].set(corner, mode="drop"),
             mass_kg=state.mass_kg.at[row].set(mass, mode="drop"),
-            force_n=jnp.where(legal, told.top_force_n, state.force_n),
-            volume_mm3=state.volume_mm3 + jnp.where(legal & told.stable, size.prod(), 0.0),
+            force_n=jnp.where(legal, outcome.top_force_n, state.force_n),
+            volume_mm3=state.volume_mm3 + jnp.where(legal & outcome.stable, size.prod(), 0.0),
             placed=state.placed + legal,
             illegal=state.illegal + ~legal,
         )
-        after = after._replace(over=state.over | (legal & ~told.stable) | (after.placed >= self._most_boxes))
+        after = after._replace(over=state.over | (legal & ~outcome.stable) | (after.placed >= self._most_boxes))
         after = self._looked(after)
         terminated = after.over | ~after.mask.any()
         truncated = ~terminated & (after.illegal >= self._most_illegal)
         after = after._replace(over=terminated | truncated)
-        terms = self._terms(state, after, told, legal)
+        terms = self._terms(state, after, outcome, legal)
         reward = sum((self._weights[name] * value for name, value in terms.items()), start=jnp.float32(0.0))
         extras = {
             **self._about(after),
-            "reason": jnp.where(legal, told.reason, 0),
-            "culprit": jnp.where(legal, told.culprit, -1),
-            "margin": jnp.where(legal, told.margin, 1.0),
+            "reason": jnp.where(legal, outcome.reason, 0),
+            "culprit": jnp.where(legal, outcome.culprit, -1),
+            "margin": jnp.where(legal, outcome.margin, 1.0),
             **{f"reward_{name}": value for name, value in terms.items()},
         }
         kind = jnp.where(after.over, StepType.LAST, StepType.MID).astype(jnp.int8)
@@ -221,9 +221,9 @@ class Palletizing:
 
     def _ways(self, state: State) -> Any:
         """The actions for the next box."""
-        there = jnp.arange(self._most_boxes) < state.placed
+        present = jnp.arange(self._most_boxes) < state.placed
         size = self._boxes[state.order, state.next, :3]
-        return self._cells.ways(size, state.size_mm, state.corner_mm, there)
+        return self._cells.ways(size, state.size_mm, state.corner_mm, present)
 
     def _looked(self, state: State) -> State:
         """With the mask for the next box. Boxes that have no legal place are left out."""
@@ -239,22 +239,22 @@ class Palletizing:
         carried = jax.lax.while_loop(stuck, next_one, state._replace(pallet=None))
         return carried._replace(pallet=state.pallet)
 
-    def _terms(self, before: State, after: State, told: Told, legal: jax.Array) -> dict[str, jax.Array]:
+    def _terms(self, before: State, after: State, outcome: Told, legal: jax.Array) -> dict[str, jax.Array]:
         """Of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""
-        stands = legal & told.stable
+        stands = legal & outcome.stable
         tops = [(state.corner_mm + state.size_mm)[:, 2].max() for state in (before, after)]
-        found = {
+        terms = {
             "placed": stands.astype(jnp.float32),
             "utilisation": (after.volume_mm3 - before.volume_mm3) / self._room_mm3,
-            "fall": -(legal & ~told.stable).astype(jnp.float32),
-            "margin": jnp.where(legal, jnp.clip(told.margin, -1.0, 1.0), 0.0),
+            "fall": -(legal & ~outcome.stable).astype(jnp.float32),
+            "margin": jnp.where(legal, jnp.clip(outcome.margin, -1.0, 1.0), 0.0),
             "load": jnp.where(
-                legal, -told.top_force_n.max() / (STANDARD_GRAVITY * jnp.maximum(after.mass_kg.sum(), 1e-6)), 0.0
+                legal, -outcome.top_force_n.max() / (STANDARD_GRAVITY * jnp.maximum(after.mass_kg.sum(), 1e-6)), 0.0
             ),
             "height": (tops[0] - tops[1]) / self._highest,
             "illegal": -(~legal).astype(jnp.float32),
         }
-        return {name: found[name] for name in self._weights}
+        return {name: terms[name] for name in self._weights}
 
     # ------------------------------------------------------------------ what is seen
 

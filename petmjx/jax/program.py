@@ -78,8 +78,8 @@ def place(
         raise InputError(f"active must have the shape ({n},), got {gets.shape}")
     gets = jnp.broadcast_to(gets, (n,))
     _check_numbers(boxes, gets)
-    found: tuple[State, Told] = state.place(*boxes, gets)
-    return found
+    outcome: tuple[State, Told] = state.place(*boxes, gets)
+    return outcome
 
 
 def try_all(
@@ -98,8 +98,8 @@ def try_all(
         raise InputError(f"pallet must have the shape (m,), got {rows.shape}")
     n, boxes = _pallets(state), _boxes(size_mm, corner_mm, mass_kg, len(rows))
     _check_numbers(boxes, (rows >= 0) & (rows < n))
-    found: Told = state.try_all(*boxes, rows)
-    return found
+    outcomes: Told = state.try_all(*boxes, rows)
+    return outcomes
 
 
 def _pallets(state: State) -> int:
@@ -109,20 +109,20 @@ def _pallets(state: State) -> int:
     return int(state.n)
 
 
-def _of_kind(values: Any, name: str, kind: Any, what: str) -> jax.Array:
+def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
     """Raises InputError for arrays of another kind."""
     try:
         array = jnp.asarray(values)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name} must be an array of {what}, {got(values)}") from error
+        raise InputError(f"{name} must be an array of {kind_name}, {got(values)}") from error
     if not jnp.issubdtype(array.dtype, kind):
-        raise InputError(f"{name} must be an array of {what}, got {array.dtype}")
+        raise InputError(f"{name} must be an array of {kind_name}, got {array.dtype}")
     return array
 
 
 def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Raises InputError for wrong shapes; numbers are not known under ``jit``."""
-    found = []
+    arrays = []
     for name, values, shape in (
         ("size_mm", size_mm, (m, 3)),
         ("corner_mm", corner_mm, (m, 3)),
@@ -134,13 +134,13 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
             raise InputError(f"{name} must be an array of numbers, {got(values)}") from error
         if array.shape != shape:
             raise InputError(f"{name} must have the shape {shape}, got {array.shape}")
-        found.append(array)
-    return found[0], found[1], found[2]
+        arrays.append(array)
+    return arrays[0], arrays[1], arrays[2]
 
 
-def _check_numbers(boxes: tuple[jax.Array, ...], asked: jax.Array) -> None:
+def _check_numbers(boxes: tuple[jax.Array, ...], requested: jax.Array) -> None:
     """Raises InputError if a requested box has a number out of range; under ``jit`` numbers are not known."""
-    if any(isinstance(each, jax.core.Tracer) for each in (*boxes, asked)):
+    if any(isinstance(array, jax.core.Tracer) for array in (*boxes, requested)):
         return
     for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):
-        check_limits(np.asarray(values)[np.asarray(asked)], name)
+        check_limits(np.asarray(values)[np.asarray(requested)], name)

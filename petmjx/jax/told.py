@@ -42,9 +42,9 @@ def shapes(m: int, k: int) -> list[tuple[tuple[int, ...], type[Any]]]:
 
 def nothing(m: int, k: int) -> list[NDArray[Any]]:
     """Of m pallets onto which nothing was placed."""
-    found: list[NDArray[Any]] = [np.zeros(shape, kind) for shape, kind in shapes(m, k)]
-    found[1][:], found[2][:], found[3][:], found[7][:] = REASONS.index(ENDED), -1, -1.0, True
-    return found
+    columns: list[NDArray[Any]] = [np.zeros(shape, kind) for shape, kind in shapes(m, k)]
+    columns[1][:], columns[2][:], columns[3][:], columns[7][:] = REASONS.index(ENDED), -1, -1.0, True
+    return columns
 
 
 def put(into: list[NDArray[Any]], rows: NDArray[np.int64], told: HostTold) -> None:

@@ -77,10 +77,10 @@ def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
     Raises:
         InputError: another shape, or a corner that is off the carrier.
     """
-    found = array_of(grid_mm, "grid_mm", (2,))
-    if ((found < 0) | (found > extent_mm)).any():
+    corners = array_of(grid_mm, "grid_mm", (2,))
+    if ((corners < 0) | (corners > extent_mm)).any():
         raise InputError("grid_mm must be corners on the carrier, {:g} × {:g} mm".format(*extent_mm))
-    return found
+    return corners
 
 
 def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
@@ -99,8 +99,8 @@ def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
         raise InputError(f"{name} must be whole numbers of pallets, {got(pallet)}")
     wrong = values[(values < 0) | (values >= n)] if values.size else values
     if wrong.size:
-        there = "there is pallet 0 alone" if n == 1 else f"there are pallets 0 to {n - 1}"
-        raise InputError(f"{name}: {there}, got {wrong[0]}")
+        range_text = "there is pallet 0 alone" if n == 1 else f"there are pallets 0 to {n - 1}"
+        raise InputError(f"{name}: {range_text}, got {wrong[0]}")
     return values.astype(np.int64)
 
 
@@ -129,9 +129,9 @@ def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> FloatArray:
         one = np.ndim(values) == len(shape)
     except Exception:  # a ragged list; array_of says so
         one = False
-    found = array_of([values] if one else values, name, shape)
-    check_limits(found, name)
-    return found
+    numbers = array_of([values] if one else values, name, shape)
+    check_limits(numbers, name)
+    return numbers
 
 
 def check_limits(values: NDArray[Any], name: str) -> None:

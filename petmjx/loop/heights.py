@@ -34,8 +34,8 @@ def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray
     """
     low = np.floor(corner_mm[:, :2] / cell_mm + _EDGE)
     high = np.ceil((corner_mm + size_mm)[:, :2] / cell_mm - _EDGE)
-    found: NDArray[np.intp] = np.maximum(np.stack([low, high], axis=1), 0).astype(np.intp)
-    return found
+    cells: NDArray[np.intp] = np.maximum(np.stack([low, high], axis=1), 0).astype(np.intp)
+    return cells
 
 
 def height_maps(stock: Stock, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:
@@ -45,8 +45,8 @@ def height_maps(stock: Stock, rows: NDArray[np.int64], extent_mm: tuple[float, f
         has = np.flatnonzero(stock.count[rows] > number)
         box = stock.box(rows[has], number)
         tops = box.corner_mm[:, 2] + box.size_mm[:, 2]
-        each = spans(box.size_mm, box.corner_mm, float(cell_mm))
-        for row, ((x, y), (x_end, y_end)), top in zip(has.tolist(), each.tolist(), tops.tolist(), strict=True):
+        cell_spans = spans(box.size_mm, box.corner_mm, float(cell_mm))
+        for row, ((x, y), (x_end, y_end)), top in zip(has.tolist(), cell_spans.tolist(), tops.tolist(), strict=True):
             part = maps[row, x:x_end, y:y_end]
             np.maximum(part, top, out=part)
     return maps

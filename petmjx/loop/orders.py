@@ -79,8 +79,8 @@ class Orders:
         self._articles = None if articles is None else read_articles(path_of(articles, "articles"))
         endless = isinstance(source, str) and source == ENDLESS
         self._all: list[Boxes] | None = None if endless else _read(source, self._articles)
-        each = self._all or ()
-        self.have_strengths = articles is not None or any(np.isfinite(boxes.strength_n).any() for boxes in each)
+        orders = self._all or ()
+        self.have_strengths = articles is not None or any(np.isfinite(boxes.strength_n).any() for boxes in orders)
 
     def draw(self, rng: np.random.Generator) -> Boxes:
         """One of them, or a new one."""
@@ -100,10 +100,10 @@ def _read(source: Any, articles: Articles | None) -> list[Boxes]:
         return _of_table(source, "orders")
     if isinstance(source, str | PathLike):
         return _of_file(path_of(source, "orders"), articles)
-    found = [_of_order(order, articles) for order in list_of(source, "orders", Order, "orders")]
-    if not found:
+    orders = [_of_order(order, articles) for order in list_of(source, "orders", Order, "orders")]
+    if not orders:
         raise InputError("orders must hold at least one order")
-    return found
+    return orders
 
 
 def _of_order(order: Order, articles: Articles | None) -> Boxes:
@@ -112,8 +112,8 @@ def _of_order(order: Order, articles: Articles | None) -> Boxes:
 
 
 def _strength(item: Item, articles: Articles | None) -> float:
-    found = None if articles is None else articles.find(item.article, item.product_group).strength
-    return np.nan if found is None else found.of_box(item.length_mm, item.width_mm)
+    strength = None if articles is None else articles.find(item.article, item.product_group).strength
+    return np.nan if strength is None else strength.of_box(item.length_mm, item.width_mm)
 
 
 def _of_file(path: Path, articles: Articles | None) -> list[Boxes]:
@@ -140,7 +140,7 @@ def _of_table(table: pd.DataFrame, name: str) -> list[Boxes]:
     groups = [group for _, group in table.groupby("order_id", sort=False)] if "order_id" in table else [table]
     if _STRENGTH in table and not (table[_STRENGTH].dropna() > 0).all():
         raise InputError(f"{name}: {_STRENGTH} must be above 0, or empty")
-    return _checked([(each[list(_COLUMNS[:3])], each[_COLUMNS[3]], each.get(_STRENGTH)) for each in groups], name)
+    return _checked([(rows[list(_COLUMNS[:3])], rows[_COLUMNS[3]], rows.get(_STRENGTH)) for rows in groups], name)
 
 
 def _of_sheet(table: pd.DataFrame, name: str) -> list[Boxes]:
@@ -148,8 +148,8 @@ def _of_sheet(table: pd.DataFrame, name: str) -> list[Boxes]:
     if set(_PG) <= set(table.columns):
         columns = table[list(_PG)].dropna()
         many = columns[_PG[5]].astype(int)
-        each = columns.loc[columns.index.repeat(many)]
-        groups = [group for _, group in each.groupby(_PG[4], sort=False)]
+        boxes = columns.loc[columns.index.repeat(many)]
+        groups = [group for _, group in boxes.groupby(_PG[4], sort=False)]
         return _checked(
             [(group[list(_PG[:3])].astype(float) * 10, group[_PG[3]].astype(float), None) for group in groups], name
         )
@@ -170,7 +170,7 @@ def _of_lengths(sides_cm: FloatArray, name: str) -> list[Boxes]:
 
 
 def _checked(groups: Sequence[tuple[Any, Any, Any]], name: str) -> list[Boxes]:
-    found = [
+    orders = [
         Boxes(
             np.asarray(sizes, float),
             np.asarray(masses, float),
@@ -178,14 +178,14 @@ def _checked(groups: Sequence[tuple[Any, Any, Any]], name: str) -> list[Boxes]:
         )
         for sizes, masses, strengths in groups
     ]
-    found = [boxes for boxes in found if len(boxes)]
-    if not found:
+    orders = [boxes for boxes in orders if len(boxes)]
+    if not orders:
         raise InputError(f"{name}: holds no box")
-    for number, boxes in enumerate(found):
-        for values, low, high, what in (
+    for number, boxes in enumerate(orders):
+        for values, low, high, unit in (
             (boxes.size_mm, SMALLEST_MM, LARGEST_MM, "mm"),
             (boxes.mass_kg, SMALLEST_KG, LARGEST_KG, "kg"),
         ):
             if not ((values >= low) & (values <= high)).all():
-                raise InputError(f"{name}: order {number}: all boxes must have {low:g} to {high:g} {what}")
-    return found
+                raise InputError(f"{name}: order {number}: all boxes must have {low:g} to {high:g} {unit}")
+    return orders

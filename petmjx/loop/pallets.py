@@ -115,9 +115,9 @@ class Pallets(Closable):
     @property
     def extent_mm(self) -> tuple[float, float]:
         """The carrier's extents along x and y."""
-        found = extent_m(self.simulation.carrier)
-        assert found is not None
-        return found[0] * MM_PER_M, found[1] * MM_PER_M
+        extent = extent_m(self.simulation.carrier)
+        assert extent is not None
+        return extent[0] * MM_PER_M, extent[1] * MM_PER_M
 
     @property
     def n_boxes(self) -> NDArray[np.int64]:
@@ -150,9 +150,9 @@ class Pallets(Closable):
             InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
         """
         with self._using():
-            asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
-            once_each(asked.pallet)
-            return self._standing.place(asked, meanwhile)
+            request = self._asked(size_mm, corner_mm, mass_kg, pallet)
+            once_each(request.pallet)
+            return self._standing.place(request, meanwhile)
 
     def try_all(
         self,
@@ -184,18 +184,18 @@ class Pallets(Closable):
         shaken = drive_of(drive, level, direction_deg, self.simulation)
         number = None if errors is None else whole_of(errors, "errors", 1, 100_000)
         with self._using():
-            asked = self._asked(size_mm, corner_mm, mass_kg, pallet)
-            if not len(asked):
-                return Told.of_readings(asked.pallet, self._worlds.readings([]), self.simulation.thresholds)
-            boxes, worlds = self._standing.next_boxes(asked), asked.pallet.tolist()
+            request = self._asked(size_mm, corner_mm, mass_kg, pallet)
+            if not len(request):
+                return Told.of_readings(request.pallet, self._worlds.readings([]), self.simulation.thresholds)
+            boxes, worlds = self._standing.next_boxes(request), request.pallet.tolist()
             if shaken is None:
-                found = self._worlds.try_next(worlds, boxes)
-                told = Told.of_readings(asked.pallet, found, self.simulation.thresholds)
+                readings = self._worlds.try_next(worlds, boxes)
+                outcomes = Told.of_readings(request.pallet, readings, self.simulation.thresholds)
             else:
-                told = told_driven(self._worlds, asked.pallet, boxes, shaken, self.simulation.thresholds)
+                outcomes = told_driven(self._worlds, request.pallet, boxes, shaken, self.simulation.thresholds)
             if number is None:
-                return told
-            return told.with_share(shares(self._worlds, worlds, boxes, errors_of(number, self.simulation), shaken))
+                return outcomes
+            return outcomes.with_share(shares(self._worlds, worlds, boxes, errors_of(number, self.simulation), shaken))
 
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets, which are then as they were before it came, to the last bit; None: all
@@ -222,12 +222,12 @@ class Pallets(Closable):
             InputError: no such pallet, ``into`` and sources differ in number, or a pallet is named twice in ``into``.
         """
         with self._using():
-            these, those = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")
-            if len(these) != len(those):
-                raise InputError(f"into must name as many pallets as sources, {len(these)}, got {len(those)}")
-            once_each(those, "into")
+            these, copies = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")
+            if len(these) != len(copies):
+                raise InputError(f"into must name as many pallets as sources, {len(these)}, got {len(copies)}")
+            once_each(copies, "into")
             if len(these):
-                self._standing.fork(these, those)
+                self._standing.fork(these, copies)
 
     def reset(self, pallet: Any = None) -> None:
         """Empty some pallets; None: all."""
@@ -323,11 +323,11 @@ class Pallets(Closable):
             InputError: wrong shapes or numbers, corners off the carrier, or no such pallet.
         """
         with self._using(worlds=False):
-            asked = boxes_of(size_mm, pallet, self.n)
+            request = boxes_of(size_mm, pallet, self.n)
             highest = number_of(max_height_mm, "max_height_mm", 0.0)
             grid = None if grid_mm is None else grid_of(grid_mm, self.extent_mm)
             least, centred = number_of(least_support, "least_support", 0.0, 1.0), flag_of(hulls, "hulls")
-            return free_places(self._boxes, asked, self.extent_mm, highest, grid, least_support=least, hulls=centred)
+            return free_places(self._boxes, request, self.extent_mm, highest, grid, least_support=least, hulls=centred)
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
         """(height, width, 3) a picture of a pallet as it stands. Boxes have colours by their order.
@@ -357,14 +357,14 @@ class Pallets(Closable):
     # ------------------------------------------------------------------ steps
 
     def _asked(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Asked:
-        asked = asked_of(size_mm, corner_mm, mass_kg, pallet, self.n)
-        if (dead := asked.pallet[self._standing.dead[asked.pallet]]).size:
+        request = asked_of(size_mm, corner_mm, mass_kg, pallet, self.n)
+        if (dead := request.pallet[self._standing.dead[request.pallet]]).size:
             raise InputError(f"pallet: {dead[0]} has fallen; reset it, or take its last box back")
-        if (full := asked.pallet[self._boxes.count[asked.pallet] >= self.most_boxes]).size:
+        if (full := request.pallet[self._boxes.count[request.pallet] >= self.most_boxes]).size:
             raise InputError(
                 f"pallet: {full[0]} has {self.most_boxes} boxes already; make pallets with a larger most_boxes"
             )
-        return asked
+        return request
 
     def _one(self, pallet: Any, *, may_be_empty: bool = False) -> int:
         (number,) = pallets_of(whole_of(pallet, "pallet"), self.n).tolist()

@@ -73,10 +73,10 @@ def free_places(
     chunks = np.split(order, np.flatnonzero(np.diff(done // at_once)) + 1) if len(order) else []
 
     def lowered(rows: NDArray[np.intp]) -> _Lowered:
-        own, k = asked.pallet[rows], int(count[rows].max())
-        low, size = stock.corner_mm[own, :k], asked.size_mm[rows]
-        high = low + stock.size_mm[own, :k]
-        at = points.of(own) if grid is None else np.tile(grid[:, 0] + 1j * grid[:, 1], (len(own), 1))
+        pallets, k = asked.pallet[rows], int(count[rows].max())
+        low, size = stock.corner_mm[pallets, :k], asked.size_mm[rows]
+        high = low + stock.size_mm[pallets, :k]
+        at = points.of(pallets) if grid is None else np.tile(grid[:, 0] + 1j * grid[:, 1], (len(pallets), 1))
         limits = extent_mm, max_height_mm, least_support
         box, corner, support, centred = _lowered(at, low, high, size, *limits, hulls=hulls)
         return rows[box], corner, support, centred
@@ -155,7 +155,7 @@ def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: F
     y = np.column_stack([low[:, 1], high[:, 1], high[:, 1], low[:, 1]])
     angles[at, rank] = np.arctan2(y, x)
     angles = np.sort(angles.reshape(len(point), -1), axis=1)  # those that are none come last
-    there = np.isfinite(angles[:, 0])
-    first, last = angles[:, 0], np.nanmax(np.where(there[:, None], angles, 0.0), axis=1)
+    has_angles = np.isfinite(angles[:, 0])
+    first, last = angles[:, 0], np.nanmax(np.where(has_angles[:, None], angles, 0.0), axis=1)
     gap = np.nan_to_num(np.diff(angles, axis=1), nan=0.0).max(axis=1, initial=0.0)
-    return np.asarray((np.maximum(gap, first + 2 * np.pi - last) <= np.pi + 1e-9) & there)
+    return np.asarray((np.maximum(gap, first + 2 * np.pi - last) <= np.pi + 1e-9) & has_angles)

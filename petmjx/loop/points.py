@@ -34,16 +34,16 @@ class Points:
 
     def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:
         """(m,) points of pallets."""
-        found: NDArray[np.int64] = self._count[pallets, self.boxes[pallets]]
-        return found
+        counts: NDArray[np.int64] = self._count[pallets, self.boxes[pallets]]
+        return counts
 
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
         """(m, p) points of pallets, x + iy, mm; NaN behind a pallet's own."""
         count = self.count(pallets)
         p = int(count.max(initial=1))
-        found = self._at[pallets, :p]
-        found[np.arange(p) >= count[:, None]] = np.nan
-        return found
+        points = self._at[pallets, :p]
+        points[np.arange(p) >= count[:, None]] = np.nan
+        return points
 
     def add(self, pallets: NDArray[np.int64], low: FloatArray, high: FloatArray) -> None:
         """The points of one box more of each of these pallets.

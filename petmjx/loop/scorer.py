@@ -85,9 +85,9 @@ class Scorer(Closable):
             InputError: files, or a plan that cannot be used: none is skipped.
         """
         self._check_open()
-        found = self._results(self._usable(plans))
+        results = self._results(self._usable(plans))
         part = Part(0)
-        for result in found:
+        for result in results:
             part.add(
                 Row.of(
                     result.world.plan,
@@ -142,16 +142,16 @@ class Scorer(Closable):
                 raise InputError("plans: there are none")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PlanWarning)  # of plans that look odd: here nobody reads them
-            found = usable_plans(plans, self.simulation, RunOptions(strict=True)).plans
-        check_surfaces(found, self.simulation)
-        return found
+            kept_plans = usable_plans(plans, self.simulation, RunOptions(strict=True)).plans
+        check_surfaces(kept_plans, self.simulation)
+        return kept_plans
 
     def _results(self, plans: Sequence[Plan]) -> list[WorldResult[World]]:
         """In the order of the plans."""
-        asked = [World(plan, NOMINAL.index, Job(build_scene(plan, self.simulation))) for plan in plans]
-        place = {id(world): number for number, world in enumerate(asked)}
-        found = list(score_worlds(asked, self.simulation, self._engine))
-        return sorted(found, key=lambda result: place[id(result.world)])
+        worlds = [World(plan, NOMINAL.index, Job(build_scene(plan, self.simulation))) for plan in plans]
+        place = {id(world): number for number, world in enumerate(worlds)}
+        results = list(score_worlds(worlds, self.simulation, self._engine))
+        return sorted(results, key=lambda result: place[id(result.world)])
 
 
 def _arrays(size_mm: Any, corner_mm: Any, mass_kg: Any) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -38,17 +38,17 @@ class SettledEngine(Engine):
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """As all engines."""
-        own: dict[int, int] = {}
+        world_by_job: dict[int, int] = {}
         if sim == self._sim:
             named = {index: self._worlds.get(_key(job)) for index, job in enumerate(jobs) if job.record is None}
-            own = {index: world for index, world in named.items() if world is not None}
-        numbers = list(own)
+            world_by_job = {index: world for index, world in named.items() if world is not None}
+        numbers = list(world_by_job)
         for first in range(0, len(numbers), AT_ONCE):
             some = numbers[first : first + AT_ONCE]
-            for outcome in self._open.finish([own[index] for index in some]):
+            for outcome in self._open.finish([world_by_job[index] for index in some]):
                 outcome.job = some[outcome.job]
                 yield outcome
-        others = [index for index in range(len(jobs)) if index not in own]
+        others = [index for index in range(len(jobs)) if index not in world_by_job]
         if others:
             for outcome in self._engine.run([jobs[index] for index in others], sim, progress):
                 outcome.job = others[outcome.job]

@@ -52,18 +52,18 @@ class Standing:
         self.placing = True
         try:
             with ThreadPoolExecutor(1) as pool:
-                told = pool.submit(self._rested, rows)
+                future = pool.submit(self._rested, rows)
                 meanwhile()
         finally:
             self.placing = False
-        return told.result()
+        return future.result()
 
     def _rested(self, rows: NDArray[np.int64]) -> Told:
         if len(rows):
             self.worlds.go_on()
-        told = Told.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
-        self.dead[rows] = told.ended
-        return told
+        outcomes = Told.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
+        self.dead[rows] = outcomes.ended
+        return outcomes
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
         """Take the last boxes off pallets that have some."""
@@ -78,8 +78,8 @@ class Standing:
 
     def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
         """Make pallets copies of others."""
-        these, those = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
-        self.worlds.fork(these, those)
+        these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
+        self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
         self._before[into], self.dead[into] = self._before[sources], self.dead[sources]
 

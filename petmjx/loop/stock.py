@@ -62,13 +62,13 @@ class Stock:
 
     def find_points(self, pallets: NDArray[np.int64]) -> Points:
         """The extreme points, with those of all boxes of these pallets."""
-        found, rows = self._points, np.unique(pallets)
+        points, rows = self._points, np.unique(pallets)
         rows = rows[np.argsort(self.count[rows], kind="stable")]  # pallets with few boxes have few points: together
-        while len(rows := rows[found.boxes[rows] < self.count[rows]]):
+        while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for some in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
-                low = self.corner_mm[some, : int(found.boxes[some].max()) + 1]
-                found.add(some, low, low + self.size_mm[some, : low.shape[1]])
-        return found
+                low = self.corner_mm[some, : int(points.boxes[some].max()) + 1]
+                points.add(some, low, low + self.size_mm[some, : low.shape[1]])
+        return points
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Asked:
         """Box ``number`` of some pallets that have it."""

@@ -59,7 +59,7 @@ class Told:
     def __getitem__(self, rows: Any) -> Told:
         """Some of them, by a slice, an array of row numbers, or a boolean array."""
         which = np.atleast_1d(np.arange(len(self))[rows])
-        return Told(**{each.name: getattr(self, each.name)[which] for each in fields(self)})
+        return Told(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
     def with_share(self, share: FloatArray) -> Self:
         """The same with shares."""
@@ -77,7 +77,7 @@ class Told:
         with np.errstate(invalid="ignore"):  # boxes that are not there, worlds with bad numbers
             shifted = shift(found.pos, found.target, thresholds.shift_floor_m)
             quat, middles, halves = (
-                each.reshape(-1, each.shape[2]) for each in (found.quat, found.pos, found.half_size)
+                values.reshape(-1, values.shape[2]) for values in (found.quat, found.pos, found.half_size)
             )
             tilted = np.fmax(found.max_tilt_deg, tilt_deg(quat).reshape(m, k))
             dropped = found.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
@@ -132,7 +132,9 @@ class Told:
             verdict=np.array([str(outcome.verdict) for outcome in found]),
             reason=np.array([str(outcome.reason) for outcome in found]),
             culprit=np.array([outcome.culprit for outcome in found], np.int64),
-            margin=np.array([margin_of(each.verdict, each.boxes, each.n_placed, thresholds) for each in found]),
+            margin=np.array(
+                [margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, thresholds) for outcome in found]
+            ),
             shift_mm=_largest(np.abs(boxes("shift_m")).max(axis=2) * MM_PER_M),
             tilt_deg=_largest(boxes("max_tilt_deg")),
             n_boxes=np.array([outcome.n_boxes for outcome in found], np.int64),
@@ -147,5 +149,5 @@ class Told:
 
 def _largest(values: FloatArray) -> FloatArray:
     """(m,) largest of (m, k) numbers, without those that are NaN; 0 where there are none."""
-    found: FloatArray = np.nan_to_num(values, nan=0.0).max(axis=1, initial=0.0)
-    return found
+    largest: FloatArray = np.nan_to_num(values, nan=0.0).max(axis=1, initial=0.0)
+    return largest

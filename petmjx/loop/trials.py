@@ -111,19 +111,19 @@ def shares(
     open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
 ) -> FloatArray:
     """(m,) share of the worlds with errors that are stable; invalid worlds are left out."""
-    found = []
+    parts = []
     for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
         some = [worlds[row] for row in rows]
         scenes = [
             changed for scene in open_worlds.with_next(some, boxes.take(rows)) for changed in errors.scenes(scene)
         ]
-        each = [world for world in some for _ in range(len(errors))]
-        outcomes = open_worlds.try_scenes(each, scenes, [drive] * len(each))
+        error_worlds = [world for world in some for _ in range(len(errors))]
+        outcomes = open_worlds.try_scenes(error_worlds, scenes, [drive] * len(error_worlds))
         verdicts = np.array([str(outcome.verdict) for outcome in outcomes]).reshape(len(some), -1)
         known = (verdicts != str(Verdict.INVALID)).sum(axis=1)
         stable = (verdicts == str(Verdict.STABLE)).sum(axis=1)
-        found.append(np.where(known > 0, stable / np.maximum(known, 1), np.nan))
-    return np.concatenate(found)
+        parts.append(np.where(known > 0, stable / np.maximum(known, 1), np.nan))
+    return np.concatenate(parts)
 
 
 def _chunks(count: int, most: int) -> list[NDArray[np.intp]]:

@@ -324,8 +324,8 @@ FORCE_INTERVAL: Final = tuple(
 @functools.cache
 def box_metrics(driven: bool = True) -> tuple[BoxMetric, ...]:
     """Metrics of boxes in the order of their columns; ``driven``: include those that only runs with profiles have."""
-    found = [metric for metric in METRICS if isinstance(metric, BoxMetric) and (driven or not metric.driven_only)]
-    return tuple(sorted(found, key=lambda metric: metric.driven_only))
+    metrics = [metric for metric in METRICS if isinstance(metric, BoxMetric) and (driven or not metric.driven_only)]
+    return tuple(sorted(metrics, key=lambda metric: metric.driven_only))
 
 
 @functools.cache

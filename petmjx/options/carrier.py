@@ -161,8 +161,8 @@ def _check_sizes(carrier: OwnCarrier) -> None:
     if longer < _SHORTEST_MM:
         low, high = _USUAL_MM
         units = " or ".join(name for factor, name in _UNITS if low <= factor * longer <= high)
-        asked = f"is that in {units}? Lengths are in mm" if units else f"no side reaches {_SHORTEST_MM:g} mm"
-        raise complaint(f"{extents}: {asked}")
+        note = f"is that in {units}? Lengths are in mm" if units else f"no side reaches {_SHORTEST_MM:g} mm"
+        raise complaint(f"{extents}: {note}")
     if longer > _LONGEST_MM:
         raise complaint(f"{extents}: no side may be longer than {_LONGEST_MM:g} mm")
     if height > _HIGHEST_MM:
@@ -206,12 +206,12 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
         if shared >= -TOUCH_MM:
             joined[one].add(two)
             joined[two].add(one)
-    found, more = {0}, [0]
+    piece, more = {0}, [0]
     while more:
-        near = joined[more.pop()] - found
-        found |= near
+        near = joined[more.pop()] - piece
+        piece |= near
         more += near
-    apart = sorted(set(range(n)) - found)
+    apart = sorted(set(range(n)) - piece)
     if apart:
         raise complaint(
             f": {_called(carrier, apart[0])} is separate from {_called(carrier, 0)}: a carrier must be in one piece"

@@ -291,8 +291,8 @@ class Simulation(Checked):
 
     @model_validator(mode="after")
     def _soft_boxes_appear(self) -> Self:
-        for name, asked in (("soft", self.soft), ("attempts", self.attempts is Attempts.SOFT)):
-            if asked and self.placing.name not in (Way.AUTO, Way.EXACT):
+        for name, is_on in (("soft", self.soft), ("attempts", self.attempts is Attempts.SOFT)):
+            if is_on and self.placing.name not in (Way.AUTO, Way.EXACT):
                 raise complaint(
                     f"needs placing exact: soft boxes appear at their places, got {self.placing.name}", name
                 )

@@ -95,8 +95,8 @@ def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float
     """The coefficient of a pair of materials, whose names differ neither by case nor by white space around them; None:
     it is not known. Of users' own the last one counts."""
     pair = _pair(one, other)
-    said = [each.friction for each in own if each.key == pair]
-    return said[-1] if said else FRICTION_OF_PAIRS.get(pair)
+    frictions = [friction_pair.friction for friction_pair in own if friction_pair.key == pair]
+    return frictions[-1] if frictions else FRICTION_OF_PAIRS.get(pair)
 
 
 def _pair(one: str, other: str) -> tuple[str, str]:

@@ -39,10 +39,10 @@ def _share(text: str | None) -> str | None:
     """I/N with 1 ≤ I ≤ N."""
     if text is None:
         return None
-    found = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text)
-    if not found or not 1 <= int(found[1]) <= int(found[2]):
+    match = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text)
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"must be I/N with 1 ≤ I ≤ N < 10⁹, such as 3/16, {got(text)}")
-    return f"{found[1]}/{found[2]}"
+    return f"{match[1]}/{match[2]}"
 
 
 def _workers(value: Any) -> Any:
@@ -278,7 +278,10 @@ def _advice(name: str, records: tuple[type[Checked], ...]) -> str:
         inner = field.annotation
         if not (isinstance(inner, type) and issubclass(inner, Checked)):
             continue
-        for own, info in inner.model_fields.items():
-            if name in (own, *(each.name[2:].replace("-", "_") for each in info.metadata if isinstance(each, CliFlag))):
-                return f"it is a field of {table}: {table}={{{own!r}: …}}"
+        for field_name, info in inner.model_fields.items():
+            if name in (
+                field_name,
+                *(flag.name[2:].replace("-", "_") for flag in info.metadata if isinstance(flag, CliFlag)),
+            ):
+                return f"it is a field of {table}: {table}={{{field_name!r}: …}}"
     return hint(name, [field for record in records for field in record.model_fields])

@@ -89,21 +89,21 @@ class PackerComparison:
     notes: tuple[str, ...]
 
     def __repr__(self) -> str:
-        whole = self.packers[self.packers["size"] == ALL_SIZES]
-        shares = ", ".join(f"{row.packer} {100 * row.share:.1f} %" for row in whole.itertuples())
-        return f"PackerComparison({shares} of {counted(int(whole['n'].iloc[0]), 'order')})"
+        rows = self.packers[self.packers["size"] == ALL_SIZES]
+        shares = ", ".join(f"{row.packer} {100 * row.share:.1f} %" for row in rows.itertuples())
+        return f"PackerComparison({shares} of {counted(int(rows['n'].iloc[0]), 'order')})"
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """For each two packers, one sentence: who stands more often, by how much, and how sure that is. Empty where no
         order is compared."""
-        whole = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
-        return tuple(pair_in_words(row, self.confidence, len(whole)) for row in whole.to_dict("records"))
+        rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
+        return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the sentences, and a row for each packer."""
-        whole = self.packers[self.packers["size"] == ALL_SIZES]
-        return block_as_html([repr(self), *self.sentences, *self.notes], [table_as_html(whole, SHOWN, "packers")])
+        rows = self.packers[self.packers["size"] == ALL_SIZES]
+        return block_as_html([repr(self), *self.sentences, *self.notes], [table_as_html(rows, SHOWN, "packers")])
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
@@ -155,8 +155,8 @@ def comparison_of(found: Mapping[str, RunResults], confidence: float, orders: Pa
     packers = [_packer_row(size, name, rows, confidence) for size, rows in parts.items() for name in found]
     pairs = [_pair_row(size, a, b, rows, confidence) for size, rows in parts.items() for a, b in combinations(found, 2)]
     pair_table = pd.DataFrame(pairs, columns=_PAIR_COLUMNS)
-    whole = pair_table["size"] == ALL_SIZES
-    pair_table.loc[whole, "p_holm"] = holm(pair_table.loc[whole, "p"].tolist())
+    overall = pair_table["size"] == ALL_SIZES
+    pair_table.loc[overall, "p_holm"] = holm(pair_table.loc[overall, "p"].tolist())
     decided = _decided(plans, list(found))
     by = ["a", "b", "lost_by", "reason"]
     reasons = decided.groupby(by, sort=False).size().rename("n").reset_index()
@@ -175,8 +175,8 @@ def comparison_of(found: Mapping[str, RunResults], confidence: float, orders: Pa
 def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
     """With the columns ``KPIS``; kpi_2 is that of the order's target, where that is known."""
     kpis = kpis[["plan_id", "packer", *KPIS]]
-    found = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
-    return found.assign(kpi_2=found["kpi_2"].combine_first(plans["kpi_2"]))
+    merged = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
+    return merged.assign(kpi_2=merged["kpi_2"].combine_first(plans["kpi_2"]))
 
 
 def _bin_names() -> list[str]:
@@ -217,7 +217,7 @@ def _packer_row(size: str, name: str, rows: pd.DataFrame, confidence: float) -> 
 def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) -> dict[str, Any]:
     wide = _standing(rows)
     in_a, in_b = wide[a].to_numpy(bool), wide[b].to_numpy(bool)
-    counts = PairedCounts(*(int(np.sum(each)) for each in (in_a & in_b, in_a & ~in_b, in_b & ~in_a, ~in_a & ~in_b)))
+    counts = PairedCounts(*(int(np.sum(mask)) for mask in (in_a & in_b, in_a & ~in_b, in_b & ~in_a, ~in_a & ~in_b)))
     low, high = newcombe_interval(counts, confidence)
     test = mcnemar_p(counts) if size == ALL_SIZES else float("nan")
     shares = {"difference": counts.difference, "low": low, "high": high, "p": test, "p_holm": float("nan")}

@@ -58,8 +58,8 @@ def against_orders(runs: Mapping[str, RunResults], file: Path) -> Against:
     unusable: list[str] = []
     orders = dict(read_orders(file, lambda error: unusable.append(str(error))))
     plans = {name: _plans_of(run, orders) for name, run in runs.items()}
-    found = compare_with_orders(plans, orders)
-    notes = list(found.notes)
+    comparison = compare_with_orders(plans, orders)
+    notes = list(comparison.notes)
     if unusable:
         notes.append(f"{counted(len(unusable), 'order')} of {printable(str(file))} unusable; the first: {unusable[0]}")
     for name, run in runs.items():
@@ -76,9 +76,9 @@ def against_orders(runs: Mapping[str, RunResults], file: Path) -> Against:
     packed = {plan_id for run in runs.values() for plan_id in run.worlds["plan_id"]}
     if left := [order_id for order_id in orders if order_id not in packed]:
         verb = "is" if len(left) == 1 else "are"
-        boxes = counted(sum(found.sizes[order_id] for order_id in left), "box", "boxes")
+        boxes = counted(sum(comparison.sizes[order_id] for order_id in left), "box", "boxes")
         notes.append(f"{counted(len(left), 'order')} ({boxes}) {verb} packed by nobody: {first_names(left)}")
-    return Against(found.sizes, found.rows, tuple(notes))
+    return Against(comparison.sizes, comparison.rows, tuple(notes))
 
 
 def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping[str, Order]) -> Against:
@@ -115,5 +115,5 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
     """The plans of a run that have an order, as far as they are found again."""
     records = Manifest.read(run.parts, run.info).plans
-    wanted = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
-    return find_plans(run, records, wanted).plans
+    plan_ids = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
+    return find_plans(run, records, plan_ids).plans

@@ -46,19 +46,19 @@ def opened(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
         runs = [runs]  # a text is also a sequence, of its letters
     named = runs if isinstance(runs, Mapping) else None
     given: list[Any] = list(named.values()) if named else list_of(runs, "runs", object, "runs or folders")
-    found = [run if isinstance(run, RunResults) else load_run(run) for run in given]
-    if len(found) < 2:
+    loaded_runs = [run if isinstance(run, RunResults) else load_run(run) for run in given]
+    if len(loaded_runs) < 2:
         raise InputError("give at least two runs to compare")
-    names = [text_of(name, "runs") for name in named] if named else _names([run.path for run in found])
+    names = [text_of(name, "runs") for name in named] if named else _names([run.path for run in loaded_runs])
     for name in names:
         if not name or not name.isprintable():
             raise InputError(f"runs: a name must be text that can be printed, got {shown(name)!r}")
-    for run in found:
+    for run in loaded_runs:
         if run.info.get("config", {}).get("command") == "sweep":
             raise InputError(f"{run.path}: is a sweep; packers are compared by scores")
         if run.worlds.duplicated(["plan_id", "variant"]).any():
             raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
-    return dict(zip(names, found, strict=True))
+    return dict(zip(names, loaded_runs, strict=True))
 
 
 def _names(folders: Sequence[Path]) -> list[str]:
@@ -158,8 +158,8 @@ def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
     known = [extent for target in TARGETS if (extent := CARRIER_EXTENT_M[target]) is not None]
-    if (own := extent_m(carrier)) is not None:
-        return np.full(len(area), np.prod(own))
+    if (carrier_extent := extent_m(carrier)) is not None:
+        return np.full(len(area), np.prod(carrier_extent))
     for length, width in sorted(known, key=lambda extent: -extent[0] * extent[1]):
         room = (x <= length + 1e-9) & (y <= width + 1e-9)
         area = np.where(room, length * width, area)
@@ -168,25 +168,25 @@ def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
     """Reasons to doubt the comparison, a line each."""
-    found = [line for name, run in runs.items() for line in run.doubts(shown(name))]
+    lines = [line for name, run in runs.items() for line in run.doubts(shown(name))]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
     first, *others = settings
     for name in others:
         differing = _differing(settings[first], settings[name])
         if differing:
-            found.append(f"{shown(name)} was simulated with other options than {shown(first)}: {', '.join(differing)}")
+            lines.append(f"{shown(name)} was simulated with other options than {shown(first)}: {', '.join(differing)}")
     engines = {str(run.info.get("config", {}).get("engine")) for run in runs.values()}
     if len(engines) > 1:
-        found.append(f"simulated by different engines: {', '.join(sorted(engines))}")
+        lines.append(f"simulated by different engines: {', '.join(sorted(engines))}")
     unknown = [shown(name) for name in runs if table.loc[table["packer"] == name, "volume_m3"].isna().all()]
     if unknown:
-        found.append(
+        lines.append(
             f"no utilisation of {', '.join(unknown)}: the run was written by an earlier petmjx; score it again"
         )
     if not table["compared"].any():
-        found.append("no order has a valid verdict from every packer")
-    found += _same_plans(table, list(runs))
-    return found
+        lines.append("no order has a valid verdict from every packer")
+    lines += _same_plans(table, list(runs))
+    return lines
 
 
 def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:

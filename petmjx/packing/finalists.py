@@ -36,11 +36,11 @@ def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
 
     If all of them leave boxes out, also the best one without clearance. None where no box has a place.
     """
-    found = {clearance: _searched(order, clearance, options) for clearance in options.clearances_mm}
-    if 0.0 not in found and all(len(each.placed) < len(order.items) for each in found.values()):
-        found[0.0] = _searched(order, 0.0, options)
-    there = [_finalist(order, clearance, each) for clearance, each in found.items() if each.placed]
-    return sorted(there, key=lambda each: (each.volume_m3, each.utilisation), reverse=True)
+    packings = {clearance: _searched(order, clearance, options) for clearance in options.clearances_mm}
+    if 0.0 not in packings and all(len(packing.placed) < len(order.items) for packing in packings.values()):
+        packings[0.0] = _searched(order, 0.0, options)
+    candidates = [_finalist(order, clearance, packing) for clearance, packing in packings.items() if packing.placed]
+    return sorted(candidates, key=lambda finalist: (finalist.volume_m3, finalist.utilisation), reverse=True)
 
 
 def learned_finalists(order: Order, look_ahead: int) -> list[Finalist]:
@@ -58,10 +58,10 @@ def _searched(order: Order, clearance_mm: float, options: PhysicalOptions) -> Fo
     return search(order.items, extent_mm, clearance_mm, width=options.width, branch=options.branch)
 
 
-def _finalist(order: Order, clearance_mm: float, found: Found) -> Finalist:
-    volume = found.worth.volume_m3
-    utilisation = _utilisation(order, volume, found.height_mm)
-    return Finalist(found.placed, clearance_mm, volume, found.height_mm, utilisation)
+def _finalist(order: Order, clearance_mm: float, packing: Found) -> Finalist:
+    volume = packing.worth.volume_m3
+    utilisation = _utilisation(order, volume, packing.height_mm)
+    return Finalist(packing.placed, clearance_mm, volume, packing.height_mm, utilisation)
 
 
 def _utilisation(order: Order, volume_m3: float, height_mm: float) -> float:

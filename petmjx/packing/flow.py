@@ -130,10 +130,10 @@ class Flow:
         work."""
         while self._open < self._at_a_time.most:
             idle = self._unanswered == len(self._following)
-            found = self._searched.take(waits=self._open < self._few and (idle or self._searched.alone))
-            if not found:
+            searched_orders = self._searched.take(waits=self._open < self._few and (idle or self._searched.alone))
+            if not searched_orders:
                 break
-            for number, (order_id, order, packings) in found:
+            for number, (order_id, order, packings) in searched_orders:
                 self._open += 1
                 asking = judging(order_id, packings, self._options, self._has_spare)
                 self._go_on(_Open(number, order_id, order, packings, asking))
@@ -147,14 +147,14 @@ class Flow:
     def _go_on(self, order: _Open) -> None:
         """Ask for an order's next worlds. If it needs no more, it is packed."""
         try:
-            asked = next(order.asking)
+            requests = next(order.asking)
         except StopIteration as end:
             self._open -= 1
             self._packed[order.number] = PackedOrder.of(
                 order.order_id, order.order, order.found, end.value, self._options
             )
             return
-        for trial, variants in asked:
+        for trial, variants in requests:
             for world in self._worlds.of(trial.plan, variants):
                 self._following.append(_Tried(world.plan, world.variant, world.job, order, trial))
                 order.unanswered += 1

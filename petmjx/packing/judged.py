@@ -123,23 +123,23 @@ def judging(
         hurries = spare()
         first = options.worlds if hurries else min(FIRST_WORLDS, options.worlds)
         left = found[len(tried) :]
-        now = [Trial(plan_id, each) for each in (left if hurries or by_share else left[:1])]
+        now = [Trial(plan_id, finalist) for finalist in (left if hurries or by_share else left[:1])]
         tried += now
-        yield [(each, each.ask(first)) for each in now]
-        if rest := [each for each in now if first < options.worlds and not each.is_hopeless(options)]:
-            yield [(each, each.ask(options.worlds)) for each in rest]
-        if any(each.is_whole(options) and each.judged.is_good(options) for each in tried):
+        yield [(trial, trial.ask(first)) for trial in now]
+        if rest := [trial for trial in now if first < options.worlds and not trial.is_hopeless(options)]:
+            yield [(trial, trial.ask(options.worlds)) for trial in rest]
+        if any(trial.is_whole(options) and trial.judged.is_good(options) for trial in tried):
             break
     else:
-        if rest := [each for each in tried if not each.is_whole(options)]:
-            yield [(each, each.ask(options.worlds)) for each in rest]
-    return [each.judged for each in tried]
+        if rest := [trial for trial in tried if not trial.is_whole(options)]:
+            yield [(trial, trial.ask(options.worlds)) for trial in rest]
+    return [trial.judged for trial in tried]
 
 
 def needed(judged: Sequence[Judged], options: PhysicalOptions) -> Sequence[Judged]:
     """Those among which is chosen, however many more were simulated: up to the first good one, since the others are
     less dense; all of them if the share is maximised."""
-    good = next((number for number, each in enumerate(judged) if each.is_good(options)), None)
+    good = next((number for number, packing in enumerate(judged) if packing.is_good(options)), None)
     return judged if good is None or options.maximise == "share" else judged[: good + 1]
 
 
@@ -156,10 +156,15 @@ def choose(judged: Sequence[Judged], options: PhysicalOptions) -> Judged:
     Args:
         judged: at least one.
     """
-    good = [each for each in judged if each.is_good(options)]
+    good = [packing for packing in judged if packing.is_good(options)]
     if not good:
-        return max(judged, key=lambda each: (each.stands, each.share, each.finalist.volume_m3))
+        return max(judged, key=lambda packing: (packing.stands, packing.share, packing.finalist.volume_m3))
     by_share = options.maximise == "share"
     return max(
-        good, key=lambda each: (each.finalist.volume_m3, each.share if by_share else 0.0, each.finalist.utilisation)
+        good,
+        key=lambda packing: (
+            packing.finalist.volume_m3,
+            packing.share if by_share else 0.0,
+            packing.finalist.utilisation,
+        ),
     )

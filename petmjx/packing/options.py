@@ -23,7 +23,7 @@ def _split(values: Any) -> Any:
     if not isinstance(values, str):
         return values
     try:
-        return tuple(float(each) for each in values.split(","))
+        return tuple(float(text) for text in values.split(","))
     except ValueError:
         raise ValueError(f"must be numbers separated by commas, {got(values)}") from None
 

@@ -88,7 +88,7 @@ class Packed:
         if is_csv(file) or is_parquet_name(file):
             save_plans(self.plans, file)
         else:
-            write_plans(file, ((each.order_id, each.placements) for each in self.each if each.taken))
+            write_plans(file, ((packed.order_id, packed.placements) for packed in self.each if packed.taken))
 
 
 def pack(
@@ -124,10 +124,10 @@ def pack(
         InputError: unusable orders or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    each = pack_each(
+    packed_orders = pack_each(
         orders_of(orders, n, seed, on_bad_order), packer=packer, look_ahead=look_ahead, workers=workers, **options
     )
-    return Packed(tuple(each))
+    return Packed(tuple(packed_orders))
 
 
 def pack_each(
@@ -144,14 +144,14 @@ def pack_each(
         orders: id and order.
         options: as in ``pack``. They are checked before the first order is taken.
     """
-    asked, how = _sorted(options)
+    packer_options, how = _sorted(options)
     if packer not in (PHYSICAL, LEARNED):
         raise InputError(f"packer must be {PHYSICAL} or {LEARNED}, {got(packer)}")
     if packer == PHYSICAL and look_ahead is not None:
         raise InputError(f"look_ahead needs the packer {LEARNED}")
     ahead = whole_of(1 if look_ahead is None else look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD)
     sees = ahead if packer == LEARNED else None
-    return pack_physical(orders, asked, how, whole_of(workers, "workers", 1, MOST_WORKERS), sees)
+    return pack_physical(orders, packer_options, how, whole_of(workers, "workers", 1, MOST_WORKERS), sees)
 
 
 def orders_of(
@@ -172,17 +172,19 @@ def orders_of(
 
 def _sorted(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:
     """The packer's options, and those of its simulations."""
-    sim, run, sure, own = sorted_options(options, Confidence, PhysicalOptions)
+    sim, run, sure, of_packer = sorted_options(options, Confidence, PhysicalOptions)
     if other := next((name for name in run if name not in OF_RUN), None):
         raise InputError(f"{other}: a packer has no such option; of run options it has {', '.join(OF_RUN)}")
     if "confidence" in sure:
         raise InputError("confidence: a packer has worlds, the number of worlds with errors")
     if "exact_too" in sure:
         raise InputError("exact_too is for scores with confidence: a packer has one way to place boxes")
-    asked = PhysicalOptions(**own)
-    if not asked.worlds and (idle := next((name for name in ("errors", "least_share") if name in sure | own), None)):
+    packer_options = PhysicalOptions(**of_packer)
+    if not packer_options.worlds and (
+        idle := next((name for name in ("errors", "least_share") if name in sure | of_packer), None)
+    ):
         raise InputError(f"{idle} needs worlds > 0")
-    if not asked.worlds and asked.maximise == "share":
+    if not packer_options.worlds and packer_options.maximise == "share":
         raise InputError("maximise share needs worlds > 0")
     Simulation(**sim), RunOptions(**run)
-    return asked, {**sim, **run, **sure}
+    return packer_options, {**sim, **run, **sure}

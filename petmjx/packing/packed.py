@@ -54,13 +54,13 @@ class PackedOrder:
     ) -> PackedOrder:
         """The packing that is taken of those that were found and judged."""
         tried = needed(judged, options)
-        taken = choose(tried, options) if tried else None
-        left_out = left_out_of(order_id, order, taken.finalist.placed if taken else ())
-        fuller = taken is not None and max(each.volume_m3 for each in found) > taken.finalist.volume_m3
+        packing = choose(tried, options) if tried else None
+        left_out = left_out_of(order_id, order, packing.finalist.placed if packing else ())
+        fuller = packing is not None and max(finalist.volume_m3 for finalist in found) > packing.finalist.volume_m3
         why = "" if left_out is None else FALLS if fuller else NO_PLACE
-        good = taken is not None and taken.is_good(options)
-        simulated = sum(each.n_simulated for each in judged)
-        return cls(order_id, len(order.items), taken, len(tried), simulated, good, left_out, why)
+        good = packing is not None and packing.is_good(options)
+        simulated = sum(candidate.n_simulated for candidate in judged)
+        return cls(order_id, len(order.items), packing, len(tried), simulated, good, left_out, why)
 
     @property
     def plan(self) -> Plan | None:
@@ -74,18 +74,18 @@ class PackedOrder:
 
     def row(self) -> dict[str, Any]:
         """Column → value, as in ``Packed.orders``."""
-        taken = self.taken
-        n_worlds, n_standing = (taken.n_worlds, taken.n_standing) if taken else (0, 0)
+        packing = self.taken
+        n_worlds, n_standing = (packing.n_worlds, packing.n_standing) if packing else (0, 0)
         low, high = wilson_interval(n_standing, n_worlds)
         return {
             "plan_id": self.order_id,
             "order_boxes": self.n_items,
-            "boxes": len(taken.finalist.placed) if taken else 0,
+            "boxes": len(packing.finalist.placed) if packing else 0,
             "left_out": len(self.left_out.numbers) if self.left_out else 0,
-            "utilisation": taken.finalist.utilisation if taken else np.nan,
-            "height_mm": taken.finalist.height_mm if taken else np.nan,
-            "clearance_mm": taken.finalist.clearance_mm if taken else np.nan,
-            "verdict": taken.verdict.value if taken else "",
+            "utilisation": packing.finalist.utilisation if packing else np.nan,
+            "height_mm": packing.finalist.height_mm if packing else np.nan,
+            "clearance_mm": packing.finalist.clearance_mm if packing else np.nan,
+            "verdict": packing.verdict.value if packing else "",
             "n_worlds": n_worlds,
             "n_standing": n_standing,
             "share": n_standing / n_worlds if n_worlds else np.nan,

@@ -48,8 +48,8 @@ def pack_physical(
         engine = fastest()
     worlds = WorldsOfPlans(options.worlds, {**how, "engine": engine})
     searching = partial(_searched, options=options, look_ahead=look_ahead)
-    with AsTheyCome(searching, orders, workers) as searched, engine_for(worlds.run, worlds.work) as (own, _):
-        yield from Flow(searched, options, worlds, GPU if engine == "mjx-warp" else CPU).packed(own)
+    with AsTheyCome(searching, orders, workers) as searched, engine_for(worlds.run, worlds.work) as (simulator, _):
+        yield from Flow(searched, options, worlds, GPU if engine == "mjx-warp" else CPU).packed(simulator)
 
 
 def fastest() -> str:
@@ -62,5 +62,5 @@ def fastest() -> str:
 
 def _searched(numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None) -> Searched:
     order_id, order = numbered
-    found = finalists(order, options) if look_ahead is None else learned_finalists(order, look_ahead)
-    return order_id, order, found
+    packings = finalists(order, options) if look_ahead is None else learned_finalists(order, look_ahead)
+    return order_id, order, packings

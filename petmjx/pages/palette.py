@@ -61,9 +61,9 @@ def hex_of(rgb: Rgb) -> str:
 
 def look() -> dict[str, Any]:
     """What boxes look like, as ``petmjx/pages/static/look.js`` says it."""
-    _, _, said = static_text("look.js").partition("LOOK = ")
-    found: dict[str, Any] = json.loads(said.rstrip().removesuffix(";"))
-    return found
+    _, _, json_text = static_text("look.js").partition("LOOK = ")
+    appearance: dict[str, Any] = json.loads(json_text.rstrip().removesuffix(";"))
+    return appearance
 
 
 def _on_path(share: float) -> str:

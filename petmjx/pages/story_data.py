@@ -136,9 +136,9 @@ def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed
 def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | Packed]:
     """One force for each two bodies and frame. Rows of a pair follow each other, so that a row differs little from the
     one before and deflates well."""
-    found = pushes(contacts)
+    forces = pushes(contacts)
     return {
-        "frame": whole(found.frame, steps=True),
-        "point": quantised(found.point, steps=True),
-        "force": quantised(found.force, steps=True),
+        "frame": whole(forces.frame, steps=True),
+        "point": quantised(forces.point, steps=True),
+        "force": quantised(forces.force, steps=True),
     }

@@ -68,8 +68,8 @@ class Colouring:
         if self.colour is Colour.PLANNED:
             return np.tile(np.array(CARTON), (poses.n_placed, 1))
         if self.scale is None:
-            each = article_colours(self.story.plan.articles)[: poses.n_placed]
-            return np.array([rgb_of(colour) for colour in each]).reshape(-1, 3)
+            colours = article_colours(self.story.plan.articles)[: poses.n_placed]
+            return np.array([rgb_of(colour) for colour in colours]).reshape(-1, 3)
         return ramp_colours((self._values(poses) - self.scale.low) / (self.scale.high - self.scale.low))
 
     def _values(self, poses: Poses) -> FloatArray:
@@ -85,8 +85,8 @@ class Colouring:
 def colouring(story: Story, colour: Colour) -> Colouring:
     """The colours of a story's boxes. Scales are the same for all of its frames."""
     if colour is Colour.ARTICLE:
-        each = article_colours(story.plan.articles)
-        shades = {name or UNNAMED: rgb_of(shade) for name, shade in zip(story.plan.articles, each, strict=True)}
+        colours = article_colours(story.plan.articles)
+        shades = {name or UNNAMED: rgb_of(shade) for name, shade in zip(story.plan.articles, colours, strict=True)}
         if len(shades) <= MOST_NAMED:
             return Colouring(story, colour, names=tuple(shades.items()))
         return Colouring(

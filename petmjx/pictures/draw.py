@@ -176,8 +176,8 @@ def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, 
     """For each two bodies that press on each other in a frame: (3,) m where, and (3,) N on the lower one of the two."""
     kept = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
     kept[poses.frame : poses.frame + 1] = True
-    found = pushes(contacts.of_frames(kept, 0))
-    return list(zip(found.point, found.force, strict=True))
+    forces = pushes(contacts.of_frames(kept, 0))
+    return list(zip(forces.point, forces.force, strict=True))
 
 
 def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
@@ -195,10 +195,10 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
     seen = [load]
     for frame in frames:
         poses = poses_of_frame(story.history, frame)
-        each = corners(poses.pos, rotations(poses.quat), scene.half_size[: poses.n_placed])
+        box_corners = corners(poses.pos, rotations(poses.quat), scene.half_size[: poses.n_placed])
         near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
         moved = corners(*scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat))
-        seen += [each[near].reshape(-1, 3), moved.reshape(-1, 3)]
+        seen += [box_corners[near].reshape(-1, 3), moved.reshape(-1, 3)]
     return np.concatenate(seen)
 
 

@@ -37,10 +37,10 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "medium", "-movflags", "+faststart",
         f"file:{path}",  # a name such as "a:b.mp4" would be that of a protocol
     ]  # fmt: skip
-    with TemporaryFile() as said:
+    with TemporaryFile() as error_output:
         # a session of its own: Ctrl-C reaches petmjx alone, which then ends it
         process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_output, start_new_session=True
         )
         frames = process.stdin
         assert frames is not None
@@ -63,8 +63,8 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
                 frames.close()
             process.wait()
         if process.returncode:
-            said.seek(0)
-            lines = said.read().decode(errors="replace").splitlines()
+            error_output.seek(0)
+            lines = error_output.read().decode(errors="replace").splitlines()
             raise RuntimeError(next((line for line in reversed(lines) if line.strip()), "ffmpeg gave up"))
 
 

@@ -59,13 +59,13 @@ def _head(figure: Any, story: Story, width: float, height: float) -> None:
     top = 1 - 0.06 / height
     left = 0.04 / width
     name = figure.text(left, top, story.name, size=_POINTS + 1, weight="bold", va="top")
-    said = printable(headline(story))
+    line = printable(headline(story))
     colour = FIRST if story.outcome.culprit >= 0 else "0.35"
-    below = figure.text(left, top - 0.17 / height, said, size=_POINTS, color=colour, va="top")
+    below = figure.text(left, top - 0.17 / height, line, size=_POINTS, color=colour, va="top")
     for text in (name, below):
         text.set_parse_math(False)  # a $ in an id is a $
     room = width - 0.08
-    wide = len(said) * _POINTS * 0.55 / 72
+    wide = len(line) * _POINTS * 0.55 / 72
     below.set_size(max(4.0, _POINTS * min(1.0, room / wide)))
 
 

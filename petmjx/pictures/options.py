@@ -74,8 +74,8 @@ def size_of(text: str) -> tuple[int, int]:
     Raises:
         ValueError: something else, or a picture that is too small or too large.
     """
-    found = re.fullmatch(r"(\d{1,6})\s*[x×X]\s*(\d{1,6})", text.strip())
-    width, height = (int(found[1]), int(found[2])) if found else (0, 0)
+    match = re.fullmatch(r"(\d{1,6})\s*[x×X]\s*(\d{1,6})", text.strip())
+    width, height = (int(match[1]), int(match[2])) if match else (0, 0)
     if not (LEAST_PX <= width <= MOST_PX and LEAST_PX <= height <= MOST_PX):
         raise ValueError(f"must be WIDTHxHEIGHT with sides from {LEAST_PX} to {MOST_PX} pixels, {got(text)}")
     return width, height

@@ -75,8 +75,8 @@ class Overlay:
         bold, plain = font(round(1.15 * em), bold=True), font(em)
         pen.text((em, 0.7 * em), fitted(self.story.name, bold, room), fill=INK, font=bold)
         failed = self.story.outcome.culprit >= 0
-        said = fitted(printable(headline(self.story)), plain, room)
-        pen.text((em, 2.2 * em), said, fill=_whole(FIRST) if failed else FAINT, font=plain)
+        line = fitted(printable(headline(self.story)), plain, room)
+        pen.text((em, 2.2 * em), line, fill=_whole(FIRST) if failed else FAINT, font=plain)
         now = f"{poses.time_s:.2f} s{self.pace}   {placed}{shaking_in_words(self.story, poses)}"
         pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 

@@ -69,9 +69,9 @@ def _carrier(rr: Any, story: Story, poses: Poses) -> Any:
 
 
 def _forces(rr: Any, history: History, poses: Poses, scale: float) -> Any:
-    found = [] if history.contacts is None else forces_of_pairs(history.contacts, poses)
-    origins = np.array([place - force / scale for place, force in found]).reshape(-1, 3)
-    vectors = np.array([force / scale for _, force in found]).reshape(-1, 3)
+    forces = [] if history.contacts is None else forces_of_pairs(history.contacts, poses)
+    origins = np.array([place - force / scale for place, force in forces]).reshape(-1, 3)
+    vectors = np.array([force / scale for _, force in forces]).reshape(-1, 3)
     return rr.Arrows3D(origins=origins, vectors=vectors, colors=[FIRST])
 
 

@@ -69,7 +69,9 @@ def kind_of(path: Path) -> str:
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in KINDS:
-        raise InputError(f"{printable(str(path))}: unknown ending; there are {', '.join(f'.{each}' for each in KINDS)}")
+        raise InputError(
+            f"{printable(str(path))}: unknown ending; there are {', '.join(f'.{ending}' for ending in KINDS)}"
+        )
     return kind
 
 
@@ -122,11 +124,11 @@ def _write_pictures(story: Story, path: Path, options: PictureOptions, progress:
     from petmjx.pictures.figure import write_figure
     from petmjx.pictures.still import write_still
 
-    kind, taken = kind_of(path), moments(story, options.at)
-    if kind == "png" and len(taken) == 1:
-        write_still(story, _look(story, options, STILL_SIZE), taken[0].frame, path)
+    kind, chosen_moments = kind_of(path), moments(story, options.at)
+    if kind == "png" and len(chosen_moments) == 1:
+        write_still(story, _look(story, options, STILL_SIZE), chosen_moments[0].frame, path)
     else:
-        write_figure(story, _look(story, options, PANEL_SIZE), taken, path, kind)
+        write_figure(story, _look(story, options, PANEL_SIZE), chosen_moments, path, kind)
 
 
 def _write_film(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:

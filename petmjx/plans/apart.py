@@ -92,7 +92,7 @@ def read_in_pieces(data: bytes | bytearray, options: PieceOptions, unread: Unrea
     finally:
         for child in children:
             child.wait()
-    if any(each is None for each in read):
+    if any(answer is None for answer in read):
         return None
     for _, counts in filter(None, read):
         unread.update(counts)
@@ -103,9 +103,9 @@ def _cut(data: bytes | bytearray, count: int) -> list[list[memoryview | bytes]]:
     """At most so many pieces of a text, each an object of its own if it was cut between plans."""
     cuts: list[int] = []
     for number in range(1, count):
-        found = _BETWEEN_PLANS.search(data, max(len(data) * number // count, cuts[-1] if cuts else 0))
-        if found is not None:
-            cuts.append(found.start(1))
+        match = _BETWEEN_PLANS.search(data, max(len(data) * number // count, cuts[-1] if cuts else 0))
+        if match is not None:
+            cuts.append(match.start(1))
     view, begins, ends = memoryview(data), [0, *(cut + 1 for cut in cuts)], [*cuts, len(data)]
     last = len(cuts)
     return [
@@ -137,21 +137,21 @@ def _answer(
             for some in piece:
                 pipe.write(some)
         with child.stdout as pipe:
-            found = pickle.load(pipe) if pipe.read(len(_MARK)) == _MARK else None
+            answer = pickle.load(pipe) if pipe.read(len(_MARK)) == _MARK else None
     except (OSError, EOFError, pickle.UnpicklingError):
         return None
-    return None if found is None else (list(_unpacked(*found[:-1])), found[-1])
+    return None if answer is None else (list(_unpacked(*answer[:-1])), answer[-1])
 
 
 def main() -> None:
     """Read a piece from standard input, and write what is in it to standard output."""
     options: PieceOptions = pickle.load(sys.stdin.buffer)
-    found = None
+    answer = None
     with suppress(Exception):  # whoever reads the whole text says what is wrong
         unread = Unread()
-        found = *_packed(list(_entries(sys.stdin.buffer.read(), options, unread))), unread
+        answer = *_packed(list(_entries(sys.stdin.buffer.read(), options, unread))), unread
     sys.stdout.buffer.write(_MARK)
-    pickle.dump(found, sys.stdout.buffer, protocol=pickle.HIGHEST_PROTOCOL)
+    pickle.dump(answer, sys.stdout.buffer, protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def _entries(data: bytes, options: PieceOptions, unread: Unread) -> Iterator[ReadEntry]:
@@ -171,7 +171,7 @@ def _entries(data: bytes, options: PieceOptions, unread: Unread) -> Iterator[Rea
             yield ReadEntry(plan.plan_id, plan, layout if layout.any else None)
 
 
-_FIELDS: Final = tuple(each.name for each in fields(Plan))
+_FIELDS: Final = tuple(field.name for field in fields(Plan))
 _ARRAYS: Final = ("size_mm", "corner_mm", "mass_kg", "sequence", "orientation")
 """What all plans of files have. Arrays of all plans of a piece travel as one."""
 

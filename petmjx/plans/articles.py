@@ -101,8 +101,8 @@ class Article:
 
     def filled_up(self, other: Article) -> Article:
         """The same, with values of another entry where this one has none."""
-        own = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
-        return replace(other, **own)
+        values = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
+        return replace(other, **values)
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ class Articles:
 
     def find(self, article: str, group: str, material: str = "") -> Article:
         """All that is said of a box, whose plan says this material."""
-        own = self.by_article.get(article, _NOTHING)
-        found = own.filled_up(self.by_group.get(group, _NOTHING) if group else _NOTHING)
-        return found.filled_up(self.by_material.get(material_key(material or found.material or ""), _NOTHING))
+        entry = self.by_article.get(article, _NOTHING)
+        merged = entry.filled_up(self.by_group.get(group, _NOTHING) if group else _NOTHING)
+        return merged.filled_up(self.by_material.get(material_key(material or merged.material or ""), _NOTHING))
 
 
 _NOTHING: Final = Article()
@@ -144,21 +144,21 @@ def read_articles(path: str | Path) -> Articles:
             rows = _csv_rows(file, name)
         else:
             raise InputError(f"{name}: the name must end in one of .toml, {PARQUET_SUFFIX}, {', '.join(CSV_SUFFIXES)}")
-        found: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
+        articles: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
         for where, row in rows:  # one at a time: a table of a million rows takes a gigabyte as dictionaries
             key, value, article = _article(f"{name}: {where}", row)
-            if value in found[key]:
+            if value in articles[key]:
                 raise InputError(f"{name}: {where}: {key} {shown(value)} is there twice")
-            found[key][value] = article
-            if sum(map(len, found.values())) > MOST_ARTICLES:
+            articles[key][value] = article
+            if sum(map(len, articles.values())) > MOST_ARTICLES:
                 raise InputError(f"{name}: has more than {MOST_ARTICLES:,} articles")
     except pa.ArrowException:
         raise InputError(f"{name}: is not a whole Parquet file") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from None
-    if not any(found.values()):
+    if not any(articles.values()):
         raise InputError(f"{name}: holds no article")
-    return Articles(found["article"], found["product_group"], found[_MATERIAL])
+    return Articles(articles["article"], articles["product_group"], articles[_MATERIAL])
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
@@ -179,8 +179,8 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
         raise InputError(
             f"{where}: {_MATERIAL} must be text of at most {_LONGEST_MATERIAL} characters, got {_got(material)}"
         )
-    said = bool(keys and material) or com_mm is not None or stiffness is not None
-    bears = None if not numbers and said else _strength(where, numbers)
+    has_other_values = bool(keys and material) or com_mm is not None or stiffness is not None
+    bears = None if not numbers and has_other_values else _strength(where, numbers)
     if not keys and material is not None:
         return _MATERIAL, material_key(material), Article(bears, None, com_mm, stiffness)
     return keys[0], str(known[keys[0]]), Article(bears, material, com_mm, stiffness)
@@ -305,31 +305,31 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
     """
     groups = plan.product_groups or ("",) * plan.n_boxes
     own_materials = plan.materials or ("",) * plan.n_boxes
-    said = [articles.find(*names) for names in zip(plan.articles, groups, own_materials, strict=True)]
+    rows = [articles.find(*names) for names in zip(plan.articles, groups, own_materials, strict=True)]
     changes: dict[str, Any] = {}
     numbers = {
-        _STIFFNESS: [each.stiffness_n_mm for each in said],
+        _STIFFNESS: [row.stiffness_n_mm for row in rows],
         _SIMPLE: [
-            None if each.strength is None else each.strength.of_box(*base)
-            for each, base in zip(said, plan.size_mm[:, :2].tolist(), strict=True)
+            None if row.strength is None else row.strength.of_box(*base)
+            for row, base in zip(rows, plan.size_mm[:, :2].tolist(), strict=True)
         ],
     }
     for name, values in numbers.items():
         if any(value is not None for value in values):
             own_values = getattr(plan, name)
-            found = np.array([np.nan if value is None else value for value in values])
-            changes[name] = found if own_values is None else np.where(np.isnan(own_values), found, own_values)
-    if any(each.material for each in said):
-        changes["materials"] = tuple(own or each.material or "" for own, each in zip(own_materials, said, strict=True))
-    if any(each.com_mm for each in said):
-        offset = np.array([each.com_mm or (0.0, 0.0, 0.0) for each in said])
+            array = np.array([np.nan if value is None else value for value in values])
+            changes[name] = array if own_values is None else np.where(np.isnan(own_values), array, own_values)
+    if any(row.material for row in rows):
+        changes["materials"] = tuple(name or row.material or "" for name, row in zip(own_materials, rows, strict=True))
+    if any(row.com_mm for row in rows):
+        offset = np.array([row.com_mm or (0.0, 0.0, 0.0) for row in rows])
         outside = 2 * np.abs(offset) >= plan.item_size_mm
         if outside.any():
             box, axis = np.argwhere(outside)[0].tolist()
             where, size = f", placement {box}: {COM_FIELDS[axis]}", plan.item_size_mm[box, axis]
             name = f" of article {shown(plan.articles[box])}" if plan.articles[box] else ""
             raise InputError(f"{where}{name} is {offset[box, axis]:g}, not inside the box of {size:g} mm")
-        own = plan.item_com_mm
-        offset = np.where(own.any(axis=1, keepdims=True), own, offset)
+        own_com_mm = plan.item_com_mm
+        offset = np.where(own_com_mm.any(axis=1, keepdims=True), own_com_mm, offset)
         changes["mass_center_mm"] = com_along_axes(offset, plan.turned)
     return replace(plan, **changes) if changes else plan

@@ -48,8 +48,8 @@ def fields_from_boxes(
         columns |= _of_items(columns)
     lengths = {name: _length(values, f"{where}: {name}") for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
-        found = ", ".join(f"{name} {number}" for name, number in lengths.items())
-        raise InputError(f"{where}: all fields must have one value for each box, got {found}")
+        counts = ", ".join(f"{name} {number}" for name, number in lengths.items())
+        raise InputError(f"{where}: all fields must have one value for each box, got {counts}")
     n_boxes = next(iter(lengths.values()), 0)
     if not n_boxes:
         raise InputError(f"{where}: has no box")
@@ -117,8 +117,8 @@ def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
     return {"length_mm": np.where(turned, width, length), "width_mm": np.where(turned, length, width)}
 
 
-def _length(values: Any, what: str) -> int:
+def _length(values: Any, name: str) -> int:
     with suppress(Exception):  # whatever an object says when it is asked
         if not isinstance(values, str | bytes):
             return len(values)
-    raise InputError(f"{what} must be a list of values, one for each box, {got(values)}")
+    raise InputError(f"{name} must be a list of values, one for each box, {got(values)}")

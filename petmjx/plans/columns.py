@@ -86,13 +86,13 @@ class InputColumn:
         """(n,) whole numbers, 0 where there is none; and a mask of where there is one."""
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
-        whole = np.where(usable, numbers, 0).astype(np.int64)
+        integers = np.where(usable, numbers, 0).astype(np.int64)
         array = self.values
         if not isinstance(array, pa.Array) or not (self.is_text or pa.types.is_integer(array.type)):
-            return whole, usable
+            return integers, usable
         exact = _exact(_trimmed(array) if self.is_text else array)
         known = np.asarray(exact.is_valid())
-        return np.where(known, np.asarray(exact.fill_null(0)), whole), known | usable
+        return np.where(known, np.asarray(exact.fill_null(0)), integers), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
         """(n,) names, "" where there is none; and a mask of usable ones. Equal ones share one string."""
@@ -182,10 +182,10 @@ def _each(
     values: Sequence[Any], read: Callable[[Any], Any], otherwise: Any, kind: type[np.generic]
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     """Python objects one by one; ``read`` gives None for what cannot be used."""
-    found = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
-    usable = np.array([value is not None for value in found], dtype=bool)
-    array = np.empty(len(found), dtype=kind)
-    array[:] = [otherwise if value is None else value for value in found]
+    readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
+    usable = np.array([value is not None for value in readings], dtype=bool)
+    array = np.empty(len(readings), dtype=kind)
+    array[:] = [otherwise if value is None else value for value in readings]
     return array, usable
 
 

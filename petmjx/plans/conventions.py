@@ -91,10 +91,10 @@ class Convention:
 def _scaled(unit: str, sizes: bool) -> Convention:
     """Coordinates, or sizes, in a unit of their own."""
     factor, name = LENGTHS_MM[unit]
-    what, other = ("sizes", "coordinates") if sizes else ("coordinates", "sizes")
+    subject, other = ("sizes", "coordinates") if sizes else ("coordinates", "sizes")
     return Convention(
-        f"{what} look as if they were in {name}, unlike {other}",
-        f"multiply {what} by {factor:g}",
+        f"{subject} look as if they were in {name}, unlike {other}",
+        f"multiply {subject} by {factor:g}",
         lambda corner, size: (corner, size * factor) if sizes else (corner * factor, size),
     )
 
@@ -218,8 +218,8 @@ class _Search:
 
     def common(self, looks: str) -> bool:
         """Whether enough plans are explained by the convention of that name."""
-        found = self.found.get(looks)
-        return found is not None and (not found.of_layout or found.count >= LEAST_SHARE * self.n_odd)
+        finding = self.found.get(looks)
+        return finding is not None and (not finding.of_layout or finding.count >= LEAST_SHARE * self.n_odd)
 
     def _add(self, convention: Convention, plan: Plan, evidence: str) -> None:
         if convention.looks not in self.found:
@@ -231,7 +231,7 @@ class _Search:
 
 
 def with_conventions(
-    found: PlanSet, extent_mm: tuple[float, float] | None, known: Mapping[str, PlanWarnings | None] | None = None
+    plan_set: PlanSet, extent_mm: tuple[float, float] | None, known: Mapping[str, PlanWarnings | None] | None = None
 ) -> PlanSet:
     """The same plans with what is odd about them, and what that looks like.
 
@@ -245,8 +245,8 @@ def with_conventions(
             return known[plan.plan_id]
         return check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm)
 
-    odd = [layout for plan in found if (layout := layout_of(plan)) is not None and layout.any]
-    return replace(found, warnings=odd, conventions=_find_conventions(found.plans, odd, extent_mm))
+    odd = [layout for plan in plan_set if (layout := layout_of(plan)) is not None and layout.any]
+    return replace(plan_set, warnings=odd, conventions=_find_conventions(plan_set.plans, odd, extent_mm))
 
 
 def _find_conventions(
@@ -260,7 +260,7 @@ def _find_conventions(
         carrier_extent_mm: x–y extent of the carrier; None: the plan's bounding box.
     """
     search = _Search(carrier_extent_mm)
-    layouts = {each.plan_id: each for each in odd}
+    layouts = {layout.plan_id: layout for layout in odd}
     units = _odd_densities(plans)
     for plan in plans if layouts or units else ():
         layout, unit = layouts.get(plan.plan_id), units.get(plan.plan_id)
@@ -268,8 +268,8 @@ def _find_conventions(
             search.look_at(plan, layout, unit)
     total = counted(len(plans), "plan")
     return [
-        f"{found.example} ({found.count:,} of {total}); if that is so, {found.advice}"
-        for looks, found in search.found.items()
+        f"{finding.example} ({finding.count:,} of {total}); if that is so, {finding.advice}"
+        for looks, finding in search.found.items()
         if search.common(looks)
     ]
 
@@ -352,14 +352,14 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
     volume = np.add.reduceat(volumes, begins)
     mass = np.add.reduceat(np.concatenate([plan.mass_kg for plan in plans]), begins)
     density = mass / volume
-    found = {}
+    reasons = {}
     for index in np.flatnonzero((density < LIGHTEST_KG_M3) | (density > HEAVIEST_KG_M3)).tolist():
         plan, light = plans[index], density[index] < LIGHTEST_KG_M3
         of_boxes = plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3)
         box = int(of_boxes.argmin() if light else of_boxes.argmax())
         why = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
-        found[plan.plan_id] = why, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
-    return found
+        reasons[plan.plan_id] = why, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
+    return reasons
 
 
 def _why_dense(density: float, volume_m3: float) -> Convention:

@@ -188,11 +188,11 @@ def missing_anywhere(missing: Mapping[str, Sequence[int]], noun: str) -> str | N
         missing: field → placements, as they are counted, that do not have it.
         noun: what is counted.
     """
-    if len({index for found in missing.values() for index in found}) < 2:
+    if len({index for indices in missing.values() for index in indices}) < 2:
         return None
     named = [
-        f"{field} in {noun} {found[0]}" + (f" and {len(found) - 1:,} more" if len(found) > 1 else "")
-        for field, found in missing.items()
+        f"{field} in {noun} {indices[0]}" + (f" and {len(indices) - 1:,} more" if len(indices) > 1 else "")
+        for field, indices in missing.items()
     ]
     return f"fields are missing: {', '.join(named)}"
 

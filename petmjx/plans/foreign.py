@@ -46,9 +46,9 @@ def foreign_kind(data: bytes | bytearray) -> str | None:
     begin = bytes(data[:_LOOKED_AT])
     if begin.startswith(b"PK\x03\x04"):
         return _zip_kind(bytes(data[: 1 << 16]))
-    found = next((said for magic, said in _MAGIC if begin.startswith(magic)), None)
-    if found is not None:
-        return found
+    kind = next((text for magic, text in _MAGIC if begin.startswith(magic)), None)
+    if kind is not None:
+        return kind
     if _PICKLE.match(begin):
         return "is a Python pickle, which is never read: save plans with petmjx.save_plans"
     if (markup := _MARKUP.match(begin)) is not None:
@@ -77,7 +77,7 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 def other_encoding(text: str) -> str:
     """What a text that is not UTF-8 (its bytes are lone surrogates) may be, to be put behind a message."""
-    if not all(each.isascii() or is_surrogate(each) for each in text):
+    if not all(character.isascii() or is_surrogate(character) for character in text):
         return ""  # the rest is UTF-8: a damaged text, and none in another encoding
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
@@ -85,8 +85,8 @@ def other_encoding(text: str) -> str:
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"
-    said = f' ("{shortened(read)}" in Windows-1252)' if read.isprintable() else ""
-    return f"{said}: save the file as UTF-8"
+    guess = f' ("{shortened(read)}" in Windows-1252)' if read.isprintable() else ""
+    return f"{guess}: save the file as UTF-8"
 
 
 def is_surrogate(character: str) -> bool:

@@ -53,13 +53,13 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
             raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
         plans = given
     gathered = gather_plans(plans, sim, options)
-    told = plans.conventions if isinstance(plans, PlanSet) else ()
-    warn([line for line in gathered.conventions if line not in told])
-    found = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
-    if not found.plans:
-        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
-        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
-    return found
+    earlier_lines = plans.conventions if isinstance(plans, PlanSet) else ()
+    warn([line for line in gathered.conventions if line not in earlier_lines])
+    plan_set = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
+    if not plan_set.plans:
+        first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
+        raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
+    return plan_set
 
 
 def are_files(plans: PlanSource | None) -> bool:
@@ -67,34 +67,34 @@ def are_files(plans: PlanSource | None) -> bool:
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
-    return not any(isinstance(each, Plan) for each in given)
+    return not any(isinstance(source, Plan) for source in given)
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     """Read and check files; take plans as they are, those that repeat an id under names of their own. All with what the
     table of articles says of their boxes."""
-    found = _gather_plans(plans, sim, options)
-    return found if options.articles is None else _with_articles(found, options.articles, options.strict)
+    plan_set = _gather_plans(plans, sim, options)
+    return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
 
 
-def _with_articles(found: PlanSet, file: Path, strict: bool) -> PlanSet:
+def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
     """Plans with what a table says of their boxes, without those that it does not fit."""
     from petmjx.plans.articles import read_articles, with_articles  # loads Arrow
 
     articles = read_articles(file)
-    kept, skipped, changed = [], list(found.skipped), 0
-    for plan in found.plans:
+    kept, skipped, changed = [], list(plan_set.skipped), 0
+    for plan in plan_set.plans:
         try:
             kept.append(with_articles(plan, articles))
         except InputError as error:
             why = Skipped.plan(plan, str(error), strict)
-            skipped.append(replace(why, number=found.numbers.get(plan.plan_id)))
+            skipped.append(replace(why, number=plan_set.numbers.get(plan.plan_id)))
         else:
             changed += kept[-1] is not plan
     name = printable(str(file))
     idle = [f"{name}: has nothing about the boxes of these plans"]
-    notes = _idle_rows(articles, [*found.plans, *kept], name) if changed else idle
-    return replace(found, plans=kept, skipped=skipped, notes=[*found.notes, *notes])
+    notes = _idle_rows(articles, [*plan_set.plans, *kept], name) if changed else idle
+    return replace(plan_set, plans=kept, skipped=skipped, notes=[*plan_set.notes, *notes])
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
@@ -102,18 +102,20 @@ def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str
     table."""
     from petmjx.plans.articles import material_key
 
-    there = {
-        "article": {each for plan in plans for each in plan.articles},
-        "product group": {each for plan in plans for each in plan.product_groups},
-        "material": {material_key(each) for plan in plans for each in plan.materials or ()},
+    names_by_kind = {
+        "article": {article for plan in plans for article in plan.articles},
+        "product group": {group for plan in plans for group in plan.product_groups},
+        "material": {material_key(material) for plan in plans for material in plan.materials or ()},
     }
-    asked = {
+    rows_by_kind = {
         "article": articles.by_article,
         "product group": articles.by_group,
         "material": articles.by_material,
     }
-    idle = [f"{kind} {shown(each)}" for kind, rows in asked.items() for each in rows if each not in there[kind]]
-    total = sum(map(len, asked.values()))
+    idle = [
+        f"{kind} {shown(row)}" for kind, rows in rows_by_kind.items() for row in rows if row not in names_by_kind[kind]
+    ]
+    total = sum(map(len, rows_by_kind.values()))
     if not idle:
         return []
     verb = "matches" if len(idle) == 1 else "match"
@@ -152,41 +154,41 @@ def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
     return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
 
 
-def _named_apart(found: PlanSet, options: RunOptions) -> PlanSet:
+def _named_apart(plan_set: PlanSet, options: RunOptions) -> PlanSet:
     """Plans with an id each, since tables have ids as keys: of those with the same one the second is called "ID#2".
 
     In files an id names one plan, and what repeats it is skipped (petmjx.plans.read). Someone who passes plan objects
     wants an answer for each of them.
     """
-    given = found.plans[: options.limit]
-    taken = {plan.plan_id for plan in given}
+    given = plan_set.plans[: options.limit]
+    plan_ids = {plan.plan_id for plan in given}
     seen: Counter[str] = Counter()
     plans, renamed = [], []
     for plan in given:
         seen[plan.plan_id] += 1
         if seen[plan.plan_id] > 1:
-            name = next(name for n in count(seen[plan.plan_id]) if (name := f"{plan.plan_id}#{n}") not in taken)
-            taken.add(name)
+            name = next(name for n in count(seen[plan.plan_id]) if (name := f"{plan.plan_id}#{n}") not in plan_ids)
+            plan_ids.add(name)
             renamed.append(name)
             plan = replace(plan, plan_id=name)
         plans.append(plan)
-    notes = list(found.notes)
+    notes = list(plan_set.notes)
     if renamed:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{counted(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    skipped = [replace(each, number=None) for each in found.skipped]  # they are not among the plans given
-    return replace(found, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # they are not among the plans given
+    return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 
-def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
+def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
     """Skip plans with a box that the size reduction (mm) would leave without extent.
 
     Raises:
         InputError: with ``strict``, a plan that would be skipped.
     """
-    kept, skipped = [], list(found.skipped)
-    for plan in found.plans:
+    kept, skipped = [], list(plan_set.skipped)
+    for plan in plan_set.plans:
         thin = np.flatnonzero((plan.size_mm <= size_reduction_mm).any(axis=1))
         if not len(thin):
             kept.append(plan)
@@ -194,21 +196,21 @@ def without_vanishing_boxes(found: PlanSet, size_reduction_mm: float, strict: bo
         box = int(thin[0])
         side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
         why = Skipped.plan(plan, f", placement {box}: {side}", strict)
-        skipped.append(replace(why, number=found.numbers.get(plan.plan_id)))
-    return replace(found, plans=kept, skipped=skipped)
+        skipped.append(replace(why, number=plan_set.numbers.get(plan.plan_id)))
+    return replace(plan_set, plans=kept, skipped=skipped)
 
 
-def find_plan(found: PlanSet, plan_id: str) -> Plan:
+def find_plan(plan_set: PlanSet, plan_id: str) -> Plan:
     """The plan with that id.
 
     Raises:
         InputError: there is none. If it was skipped, the line says why.
     """
-    for plan in found.plans:
+    for plan in plan_set.plans:
         if plan.plan_id == plan_id:
             return plan
-    reasons = [skipped.message for skipped in found.skipped if skipped.plan_id == plan_id]
+    reasons = [skipped.message for skipped in plan_set.skipped if skipped.plan_id == plan_id]
     if reasons:
         raise InputError(reasons[0])
-    others = similar(plan_id, (plan.plan_id for plan in found.plans))
-    raise InputError(f"plan {shown(plan_id)} is not among the {counted(len(found.plans), 'plan')} read{others}")
+    others = similar(plan_id, (plan.plan_id for plan in plan_set.plans))
+    raise InputError(f"plan {shown(plan_id)} is not among the {counted(len(plan_set.plans), 'plan')} read{others}")

@@ -124,10 +124,10 @@ def match(plan: Plan, order: Order) -> Matching:
             free = sorted(set(range(len(items))) - set(matched.tolist()))
             if not left or not free:
                 break
-            wanted = _groups(free, items, way.items, way.key)
+            items_by_key = _groups(free, items, way.items, way.key)
             for key, some in _groups(left, boxes, way.boxes, way.key).items():
-                those = wanted.get(key, [])
-                pairs = _alike(some, those, of_boxes, of_items) if alike else zip(some, those, strict=False)
+                same_items = items_by_key.get(key, [])
+                pairs = _alike(some, same_items, of_boxes, of_items) if alike else zip(some, same_items, strict=False)
                 for box, item in pairs:
                     matched[box], resized[box], by_size[box] = item, not alike, not way.named
     return Matching(matched, resized, by_size, plan.sheets, len(items))

@@ -128,12 +128,12 @@ def check_orders(
     for order_id, order in read_orders(path, None if strict else left_aside):
         n_orders += 1
         digest.update(repr((order_id, sorted(map(_ordered_goods, order.items)))).encode("utf-8", "backslashreplace"))
-        plan, taken = by_id.get(order_id), takes(order_id)
-        counts.orders += taken
+        plan, in_shard = by_id.get(order_id), takes(order_id)
+        counts.orders += in_shard
         if plan is not None:
             matching = match(plan, order)
             ordered = check.of_plan[order_id] = counts_of(matching)
-            if taken:
+            if in_shard:
                 n_taken_with_plan += 1
                 counts.ordered_boxes += ordered.ordered_boxes
                 counts.left_out += ordered.left_out
@@ -143,7 +143,7 @@ def check_orders(
                 counts.plans_leaving_out += ordered.left_out > 0
                 if ordered[1:] != (0, 0, 0):
                     _list(check.lines, f"plan {shown(plan.plan_id)}: {difference_in_words(plan, order, matching)}")
-        elif taken and all_plans:
+        elif in_shard and all_plans:
             counts.orders_without_plan = (counts.orders_without_plan or 0) + 1
             counts.boxes_without_plan = (counts.boxes_without_plan or 0) + len(order.items)
             _list(check.without_plan, order_id)
@@ -158,7 +158,7 @@ def check_orders(
 
 def counts_of(matching: Matching) -> Ordered:
     """A plan's boxes and its order's, as counts."""
-    not_ordered, resized = (int(np.count_nonzero(each)) for each in (matching.not_ordered, matching.resized))
+    not_ordered, resized = (int(np.count_nonzero(mask)) for mask in (matching.not_ordered, matching.resized))
     return Ordered(matching.n_items, matching.left_out, not_ordered, resized)
 
 
@@ -193,7 +193,7 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
     extent = np.array(TARGET_EXTENT_MM[order.target], float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
     across = high.max(axis=0) - low.min(axis=0)
-    if any((across <= each + SIZE_TOLERANCE_MM).all() for each in (extent, extent[::-1])):
+    if any((across <= target_extent + SIZE_TOLERANCE_MM).all() for target_extent in (extent, extent[::-1])):
         return np.ones(plan.n_boxes, bool)
     middle = (low + high) / 2
     return np.asarray(((middle >= 0) & (middle <= extent)).all(axis=1))

@@ -23,5 +23,5 @@ def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float |
     """(…, n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance; or
     no further below it than ``most_gap``."""
     over = high[..., :, None] - low[..., None, :]
-    found: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
-    return found
+    touching: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
+    return touching

@@ -91,7 +91,7 @@ def load_plans(
             raise InputError(f"carrier_extent_mm must be two numbers, {got(carrier_extent_mm)}")
         for length in carrier_extent_mm:
             number_of(length, "carrier_extent_mm", 0)
-    found = read_plans(
+    plan_set = read_plans(
         paths,
         limit=limit,
         strict=strict,
@@ -99,8 +99,8 @@ def load_plans(
         extent_mm=carrier_extent_mm,
         given=Given.checked(units, anchor),
     )
-    warn(found.conventions)
-    return found
+    warn(plan_set.conventions)
+    return plan_set
 
 
 def read_plans(
@@ -357,8 +357,8 @@ def _kind_of_text(data: bytearray) -> str | None:
 
 
 def _orders_message(source: str, first: str, n_orders: int) -> str:
-    what = f"{first} is an order" if n_orders == 1 else f"{n_orders} entries ({first}, …) are orders"
+    content = f"{first} is an order" if n_orders == 1 else f"{n_orders} entries ({first}, …) are orders"
     return (
-        f"{source}: {what} (item_sequence), not packing plans: an order does not say where boxes go; "
+        f"{source}: {content} (item_sequence), not packing plans: an order does not say where boxes go; "
         f"pack it first: petmjx samples --orders {source} -o plans.json"
     )

@@ -126,27 +126,29 @@ def _decoded(data: bytes | bytearray, begin: int, window: int, where: str) -> tu
     """
     while True:
         text = _text(data[begin : begin + window])
-        whole = begin + window >= len(data)
+        reaches_end = begin + window >= len(data)
         try:
             value, end = _decode_start(text)
         except json.JSONDecodeError as error:
-            cut_off = error.pos >= len(text) - (0 if whole else _LONGEST_TOKEN) or error.msg.startswith("Unterminated")
-            if whole or not cut_off:
-                what = "the file ends inside this plan; truncated?" if cut_off else error.msg
-                raise _not_json(data, begin + _n_bytes(text, error.pos), what, where) from error
+            cut_off = error.pos >= len(text) - (0 if reaches_end else _LONGEST_TOKEN) or error.msg.startswith(
+                "Unterminated"
+            )
+            if reaches_end or not cut_off:
+                fault = "the file ends inside this plan; truncated?" if cut_off else error.msg
+                raise _not_json(data, begin + _n_bytes(text, error.pos), fault, where) from error
         except RecursionError as error:
             raise _not_json(data, begin, "nested too deeply", where) from error
         else:
-            if whole or end < len(text):
+            if reaches_end or end < len(text):
                 return value, begin + _n_bytes(text, end)
         if window >= LONGEST_VALUE:
             raise NotPlans(f"{where}longer than {size(LONGEST_VALUE)}; nothing of this file is read")
         window = min(4 * window, LONGEST_VALUE)
 
 
-def _not_json(data: bytes | bytearray, at: int, what: str, where: str = "") -> NotPlans:
+def _not_json(data: bytes | bytearray, at: int, fault: str, where: str = "") -> NotPlans:
     line, column = data.count(b"\n", 0, at) + 1, at - data.rfind(b"\n", 0, at)
-    return NotPlans(f"{where}not JSON at line {line}, column {column} ({what}); nothing of this file is read")
+    return NotPlans(f"{where}not JSON at line {line}, column {column} ({fault}); nothing of this file is read")
 
 
 def _after_space(data: bytes | bytearray, position: int) -> int:
@@ -172,8 +174,8 @@ def _parse_any_integer(digits: str) -> int | float:
 
 
 def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    return found if len(found) == len(pairs) else Repeating(pairs)
+    members = dict(pairs)
+    return members if len(members) == len(pairs) else Repeating(pairs)
 
 
 _DECODER: Final = json.JSONDecoder(object_pairs_hook=_object)

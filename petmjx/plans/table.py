@@ -50,7 +50,9 @@ _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 _NAMES: Final = ("plan_id", *_TEXTS)
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
 """Columns that may have no value in a row."""
-_ALIASES: Final = {own.replace("_mm", "/mm").replace("_kg", "/kg"): own for own in (*_SIZE, "weight_kg", *COM_FIELDS)}
+_ALIASES: Final = {
+    name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *COM_FIELDS)
+}
 """BED-BPP's own spelling of sizes and weights."""
 
 
@@ -104,23 +106,23 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
     Raises:
         TableError: a column is there twice, or one is missing. The text does not name the file.
     """
-    found: dict[str, int] = {}
+    positions: dict[str, int] = {}
     unread = []
     for index, name in enumerate(names):
         plain = name.strip().lower()
         plain = _ALIASES.get(plain, plain)
         if plain not in NEEDED and plain not in OPTIONAL:
             unread.append(name)
-        elif plain in found:
+        elif plain in positions:
             raise TableError(f"column {plain} is there twice")
         else:
-            found[plain] = index
-    missing = [name for name in NEEDED if name not in found]
+            positions[plain] = index
+    missing = [name for name in NEEDED if name not in positions]
     if missing:
-        there = ", ".join(map(shown, names[:30])) or "none"
+        listing = ", ".join(map(shown, names[:30])) or "none"
         columns = "column" if len(missing) == 1 else "columns"
-        raise TableError(f"{columns} {missing_fault(missing)}; there are: {there}")
-    return found, unread
+        raise TableError(f"{columns} {missing_fault(missing)}; there are: {listing}")
+    return positions, unread
 
 
 def table_plans(
@@ -182,24 +184,24 @@ class _Reading:
     @cached_property
     def _numbers(self) -> dict[str, FloatArray]:
         """Sizes, weights and coordinates, mm and kg; NaN where a value cannot be used."""
-        found = {}
+        columns = {}
         for name, (low, high, _) in self._limits.items():
             numbers, usable = self.table.columns[name].numbers()
             unit = self.given.mass_kg if name == "weight_kg" else self.given.length_mm
             # comparisons with NaN are false
-            found[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers * unit, np.nan)
-        return found
+            columns[name] = np.where(usable & (numbers >= low) & (numbers <= high), numbers * unit, np.nan)
+        return columns
 
     @cached_property
     def _com(self) -> dict[str, FloatArray]:
         """Centres of mass along the items' sides, mm; 0 where not given, NaN where a value cannot be used."""
-        found = {}
+        columns = {}
         for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:
                 numbers, usable = self.table.columns[name].numbers()
                 offset = np.where(self._missing[name], 0.0, np.where(usable, numbers * self.given.length_mm, np.nan))
-                found[name] = np.where(2 * np.abs(offset) < self._numbers[of], offset, np.nan)
-        return found
+                columns[name] = np.where(2 * np.abs(offset) < self._numbers[of], offset, np.nan)
+        return columns
 
     @cached_property
     def _limits(self) -> dict[str, Limits]:
@@ -210,12 +212,15 @@ class _Reading:
 
     @cached_property
     def _whole(self) -> dict[str, tuple[NDArray[np.int64], NDArray[np.bool_]]]:
-        found = {}
+        columns = {}
         for name in ("sequence", "order_sequence", "orientation"):
             if name in self.table.columns:
-                whole, usable = self.table.columns[name].whole()
-                found[name] = whole, usable & ((whole == 0) | (whole == 1)) if name == "orientation" else usable
-        return found
+                integers, usable = self.table.columns[name].whole()
+                columns[name] = (
+                    integers,
+                    usable & ((integers == 0) | (integers == 1)) if name == "orientation" else usable,
+                )
+        return columns
 
     @cached_property
     def _bad(self) -> NDArray[np.bool_]:
@@ -234,12 +239,12 @@ class _Reading:
     @cached_property
     def _sparse(self) -> dict[str, FloatArray]:
         """Optional numbers of placements; NaN where a value is unusable or missing."""
-        found = {}
+        columns = {}
         for name, known in SPARSE.items():
             if name in self.table.columns:
                 numbers, usable = self.table.columns[name].numbers()
-                found[name] = np.where(usable & (numbers >= known.low) & (numbers <= known.high), numbers, np.nan)
-        return found
+                columns[name] = np.where(usable & (numbers >= known.low) & (numbers <= known.high), numbers, np.nan)
+        return columns
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
@@ -271,24 +276,24 @@ class _Reading:
     @cached_property
     def _sorted(self) -> dict[str, NDArray[Any]]:
         """Columns by plan and packing order."""
-        order, number, whole, texts = self._order, self._numbers, self._whole, self._texts
+        order, number, integers, texts = self._order, self._numbers, self._whole, self._texts
         size = np.stack([number[name][order] for name in _SIZE], axis=1)
-        found: dict[str, NDArray[Any]] = {
+        columns: dict[str, NDArray[Any]] = {
             "mass": number["weight_kg"][order],
-            "number": whole["sequence"][0][order],
-            "sequence": whole["order_sequence" if "order_sequence" in whole else "sequence"][0][order],
+            "number": integers["sequence"][0][order],
+            "sequence": integers["order_sequence" if "order_sequence" in integers else "sequence"][0][order],
             **{name: texts[name][0][order] for name in _TEXTS if name in texts},
         }
-        if "orientation" in whole:
-            found["orientation"] = turned = whole["orientation"][0][order]
+        if "orientation" in integers:
+            columns["orientation"] = turned = integers["orientation"][0][order]
             size[turned == 1, :2] = size[turned == 1, 1::-1]
         if self._com:
             along = np.stack([self._com.get(name, np.zeros(len(order)))[order] for name in COM_FIELDS], axis=1)
-            turned = found.get("orientation", np.zeros(len(order), np.int64)) == 1
-            found["com"] = com_along_axes(along, turned)
-        found |= {name: numbers[order] for name, numbers in self._sparse.items()}
+            turned = columns.get("orientation", np.zeros(len(order), np.int64)) == 1
+            columns["com"] = com_along_axes(along, turned)
+        columns |= {name: numbers[order] for name, numbers in self._sparse.items()}
         point = np.stack([number[name][order] for name in _CORNER], axis=1)
-        return {"size": size, "corner": self.given.corner_mm(point, size), **found}
+        return {"size": size, "corner": self.given.corner_mm(point, size), **columns}
 
     # One plan.
 
@@ -386,13 +391,13 @@ class _Reading:
 
     def _refused_before(self) -> dict[str, str]:
         """Plans that lack a row, and why."""
-        found: dict[str, str] = {}
+        reasons: dict[str, str] = {}
         if self.table.cut_off and len(self._codes) and self._codes[-1] >= 0:
-            found[self._plan_ids[self._codes[-1]]] = "the file ends inside this plan; truncated?"
+            reasons[self._plan_ids[self._codes[-1]]] = "the file ends inside this plan; truncated?"
         for lost in reversed(self.table.lost):
             if lost.plan_id is not None:
-                found[lost.plan_id] = f", row {lost.number}: {lost.fault}"
-        return found
+                reasons[lost.plan_id] = f", row {lost.number}: {lost.fault}"
+        return reasons
 
 
 def _whole_value(value: Any) -> Any:

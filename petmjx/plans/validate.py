@@ -136,7 +136,7 @@ def _parse_columns(plan_id: str, source: str, value: list[Any], names: dict[str,
     coordinates = list(chain.from_iterable(corners))
     well_typed = (
         corner_lengths == {3}
-        and not any(isinstance(each, Repeating) for each in chain(value, items))
+        and not any(isinstance(entry, Repeating) for entry in chain(value, items))
         and set(map(type, corners)) == {list}
         and set(map(type, chain(coordinates, *columns, *offsets))) <= _NUMBERS
         and set(map(type, chain(orientations, sequences))) == {int}
@@ -204,9 +204,9 @@ def find_fault(placement: object, given: Given = USUAL) -> str | None:
     """What is wrong with one placement, in the order of the fields; None if it is fine."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
-    for each, of in ((placement, ""), (placement.get("item"), "item.")):
-        if isinstance(each, Repeating):
-            return f"{of}{shown(each.field)} stands twice"
+    for record, of in ((placement, ""), (placement.get("item"), "item.")):
+        if isinstance(record, Repeating):
+            return f"{of}{shown(record.field)} stands twice"
     missing = _missing(placement)
     if missing:
         return missing_fault(missing)

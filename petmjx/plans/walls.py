@@ -61,9 +61,9 @@ def walls_of(
         perimeter = 2.0 * float(plan.size_mm[box, :2].sum())
         above = np.flatnonzero(on[:, box])
         if len(above):
-            lines = [wall for each in above for wall in _walls(low[each], high[each])]
+            lines = [wall for other in above for wall in _walls(low[other], high[other])]
             met[box] = sum(_met(wall, lines, tolerance_mm) for wall in walls) / perimeter
-        below = [(low[each, :2], high[each, :2]) for each in np.flatnonzero(on[box])]
+        below = [(low[other, :2], high[other, :2]) for other in np.flatnonzero(on[box])]
         if on_carrier[box] and extent_mm is None:
             continue  # the carrier has the plan's extents
         if on_carrier[box] and extent_mm is not None:

@@ -57,12 +57,12 @@ class PlanWarnings:
             (self.n_outside, self.outside, "box outside the carrier", "boxes outside the carrier"),
             (self.n_floating, self.floating, "floating box", "floating boxes"),
         )
-        found = [
+        oddities = [
             f"{counted(count, one, many)} ({', '.join([*first, *(['…'] if count > len(first) else [])])})"
             for count, first, one, many in counts
             if count
         ]
-        return f"{self.source}: plan {shown(self.plan_id)}: {', '.join(found) or 'nothing odd'}"
+        return f"{self.source}: plan {shown(self.plan_id)}: {', '.join(oddities) or 'nothing odd'}"
 
 
 def check_layout(

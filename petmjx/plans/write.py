@@ -93,7 +93,7 @@ def as_placements(plan: Plan) -> list[Placement]:
                 "sequence": int(plan.sequence[box]),
                 **({"material": plan.materials[box]} if plan.materials and plan.materials[box] else {}),
                 **({} if com is None else dict(zip(COM_FIELDS_JSON, map(_exact, com[box]), strict=True))),
-                **{name: _exact(float(each[box])) for name, each in sparse.items() if not np.isnan(each[box])},
+                **{name: _exact(float(values[box])) for name, values in sparse.items() if not np.isnan(values[box])},
                 **({"kind": plan.kinds[box]} if plan.kinds and plan.kinds[box] else {}),
             },
             "orientation": int(plan.turned[box]),

@@ -38,7 +38,7 @@ def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs
     check_tables_free(folder, ("kpis",), overwrite=overwrite, inputs=inputs, others=others)
 
 
-def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite: bool = False) -> None:
+def write_kpis(kpis: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite: bool = False) -> None:
     """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
 
     All or none; the folder is made if it is not there.
@@ -52,11 +52,11 @@ def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite
     """
     folder = Path(folder)
     check_kpis_free(folder, overwrite, xlsx=xlsx)
-    workbook = _workbook(found) if xlsx else b""
-    table = kpis_table(found)
+    workbook = _workbook(kpis) if xlsx else b""
+    table = kpis_table(kpis)
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        summary = {**found.summary, "notes": found.notes, "skipped": found.skipped}
+        summary = {**kpis.summary, "notes": kpis.notes, "skipped": kpis.skipped}
         files = {folder / "kpis.parquet": parquet(table), folder / "kpis.csv": csv(table)}
         files[folder / "summary.json"] = text(json.dumps(summary, indent=2) + "\n")
         if xlsx:
@@ -64,7 +64,7 @@ def write_kpis(found: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite
         write_together(files)
 
 
-def kpis_table(found: Kpis) -> pa.Table:
+def kpis_table(kpis: Kpis) -> pa.Table:
     """The KPIs with units and meanings in the metadata of the columns."""
     fields = [
         pa.field(
@@ -74,11 +74,11 @@ def kpis_table(found: Kpis) -> pa.Table:
         )
         for column in COLUMNS
     ]
-    arrays = [pa.array(found.plans[field.name], field.type, from_pandas=True) for field in fields]
+    arrays = [pa.array(kpis.plans[field.name], field.type, from_pandas=True) for field in fields]
     return pa.table(arrays, schema=pa.schema(fields))
 
 
-def _workbook(found: Kpis) -> bytes:
+def _workbook(kpis: Kpis) -> bytes:
     """A workbook with the sheets that BED-BPP's evaluator writes, ``overview`` and ``orderwise``."""
     try:
         from openpyxl import Workbook
@@ -99,11 +99,11 @@ def _workbook(found: Kpis) -> bytes:
 
     overview = workbook.create_sheet("overview")
     for name in _SUMMED:
-        add(overview, (name, found.summary[name]))
+        add(overview, (name, kpis.summary[name]))
     for name in MEANS:
-        add(overview, (f"mean of {name}", found.summary["means"][name]))
+        add(overview, (f"mean of {name}", kpis.summary["means"][name]))
     orderwise = workbook.create_sheet("orderwise")
-    table = kpis_table(found)
+    table = kpis_table(kpis)
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)

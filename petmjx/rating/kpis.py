@@ -101,23 +101,23 @@ def kpis(
     read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
     warn(read.conventions)
     by_id = {plan.plan_id: plan for plan in read.plans}
-    skipped = [str(each) for each in read.skipped]
-    wanted: dict[str, Order] = {}
+    skipped = [str(skipped_plan) for skipped_plan in read.skipped]
+    orders_by_id: dict[str, Order] = {}
     for order_id, order in read_orders(Path(orders), None if strict else lambda bad: skipped.append(str(bad))):
-        wanted[order_id] = order
-    rated = {plan_id: plan for plan_id, plan in by_id.items() if plan_id in wanted}
+        orders_by_id[order_id] = order
+    rated = {plan_id: plan for plan_id, plan in by_id.items() if plan_id in orders_by_id}
     if not rated:
         first = f"; the first that is unusable: {skipped[0]}" if skipped else ""
         raise InputError(
-            f"no plan has an order: {counted(len(by_id), 'plan')} and {counted(len(wanted), 'usable order')} "
+            f"no plan has an order: {counted(len(by_id), 'plan')} and {counted(len(orders_by_id), 'usable order')} "
             f"have no id in common{first}"
         )
     stability = Stability.assumed() if assume_stable else read_stability(_as_list(run), rated.values())
-    matchings = {plan_id: match(plan, wanted[plan_id]) for plan_id, plan in rated.items()}
-    frame = _frame(rated, wanted, matchings, stability)
-    odd = _odd_boxes(rated, wanted, matchings)
-    notes = (*read.notes, *_notes(by_id, wanted), *odd, *stability.notes, *_unknown(frame, stability))
-    return Kpis(frame, _summary(frame, wanted.values()), tuple(notes), tuple(skipped), by_id, wanted)
+    matchings = {plan_id: match(plan, orders_by_id[plan_id]) for plan_id, plan in rated.items()}
+    frame = _frame(rated, orders_by_id, matchings, stability)
+    odd = _odd_boxes(rated, orders_by_id, matchings)
+    notes = (*read.notes, *_notes(by_id, orders_by_id), *odd, *stability.notes, *_unknown(frame, stability))
+    return Kpis(frame, _summary(frame, orders_by_id.values()), tuple(notes), tuple(skipped), by_id, orders_by_id)
 
 
 def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
@@ -247,4 +247,4 @@ def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
 def _as_list(run: Paths | None) -> list[Path]:
     if run is None:
         return []
-    return [Path(run)] if isinstance(run, str | PathLike) else [Path(each) for each in run]
+    return [Path(run)] if isinstance(run, str | PathLike) else [Path(folder) for folder in run]

@@ -49,8 +49,8 @@ class Stability:
 
     def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:
         """1, 0 or null for each plan."""
-        taken = known is self.their_rule and self.all_stand
-        values = [1 if taken else None if plan_id not in known else int(known[plan_id]) for plan_id in plan_ids]
+        is_assumed = known is self.their_rule and self.all_stand
+        values = [1 if is_assumed else None if plan_id not in known else int(known[plan_id]) for plan_id in plan_ids]
         return pd.Series(values, dtype="Int64")
 
 
@@ -61,8 +61,8 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
         InputError: a folder has no run, or a sweep, or a run in which a plan with the same id differs.
     """
     if not folders:
-        wanted = "petmjx score PLANS --check static --out DIR, then --run DIR"
-        return Stability(notes=(f"no run was given, so it is not known which plans stand: {wanted}",))
+        command = "petmjx score PLANS --check static --out DIR, then --run DIR"
+        return Stability(notes=(f"no run was given, so it is not known which plans stand: {command}",))
     runs = [load_run(folder) for folder in folders]
     for run in runs:
         _check_same(run, plans)

@@ -70,15 +70,15 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
         datetime.datetime.strptime(date, "%Y-%m-%d")
     except ValueError:
         raise InputError(f"leaderboard name {shown(text)}: the date must be YYYY-MM-DD, got {shown(date)}") from None
-    for what, part in (("surname", surname), ("algorithm", algorithm)):
+    for field, part in (("surname", surname), ("algorithm", algorithm)):
         if not _PART.fullmatch(part):
             raise InputError(
-                f"leaderboard name {shown(text)}: the {what} must be letters, digits and single - + . between them, "
+                f"leaderboard name {shown(text)}: the {field} must be letters, digits and single - + . between them, "
                 f"got {shown(part) or 'nothing'}"
             )
-    found = _TASK.fullmatch(task)
-    p, s = (int(number or 1) for number in found.groups()) if found else (0, 1)
-    if found is None or not 1 <= s <= p:
+    match = _TASK.fullmatch(task)
+    p, s = (int(number or 1) for number in match.groups()) if match else (0, 1)
+    if match is None or not 1 <= s <= p:
         raise InputError(
             f"leaderboard name {shown(text)}: the task must be offline3dbp, o3dbp or o3dbp-p-s with p ≥ s ≥ 1, such as "
             f"o3dbp-3-2, got {shown(task) or 'nothing'}"
@@ -112,8 +112,8 @@ def write_submission(
             faults.append(f"plan {shown(plan_id)} has no order")
             continue
         placements = as_placements(plan)
-        found = list(_faults(plan, placements, orders[plan_id], submission.choice))
-        faults += [f"plan {shown(plan_id)}{fault}" for fault in found]
+        plan_faults = list(_faults(plan, placements, orders[plan_id], submission.choice))
+        faults += [f"plan {shown(plan_id)}{fault}" for fault in plan_faults]
         written.append((plan_id, placements))
     if faults:
         more = f"; {len(faults) - _MOST_FAULTS:,} more" if len(faults) > _MOST_FAULTS else ""
@@ -135,10 +135,10 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
-    for index, wanted in enumerate(order.items):
-        free[wanted.item_id if has_ids else "", wanted.article].append(index)
+    for index, ordered_item in enumerate(order.items):
+        free[ordered_item.item_id if has_ids else "", ordered_item.article].append(index)
     extent = TARGET_EXTENT_MM[order.target]
-    taken = []
+    indices = []
     for box, placement in enumerate(placements):
         item = placement["item"]
         same = free.get((item["id"], item["article"]))
@@ -150,7 +150,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
         by_number = [index for index in same if order.numbers[index] == item["sequence"]]
         index = (by_number or same)[0]
         same.remove(index)
-        taken.append(index)
+        indices.append(index)
         ordered = order.items[index]
         given = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])
         if given != (ordered.length_mm, ordered.width_mm, ordered.height_mm, ordered.weight_kg):
@@ -162,7 +162,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
             yield f", box {box}: begins outside the {order.target}, at {corner}"
         item.update(_as_ordered(ordered, order.numbers[index]))
     if choice is not None:
-        yield from _sequence_faults(taken, choice, len(plan.articles))
+        yield from _sequence_faults(indices, choice, len(plan.articles))
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
@@ -178,12 +178,12 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
             placements[box]["item"].update(article=item.article, id=item.item_id if has_ids else "")
 
 
-def _sequence_faults(taken: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
+def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
     """An online packer takes one of the next ``choice`` items; items that it leaves out are never next."""
-    if len(taken) < n_boxes:
+    if len(indices) < n_boxes:
         return
-    waiting = sorted(taken)
-    for box, index in enumerate(taken):
+    waiting = sorted(indices)
+    for box, index in enumerate(indices):
         place = waiting.index(index)
         if place >= choice:
             allowed = "the next item" if choice == 1 else f"one of the next {choice}"

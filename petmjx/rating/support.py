@@ -52,9 +52,9 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
     share, n_below = np.ones(len(low)), np.zeros(len(low), dtype=np.int64)
     for box, bottom in enumerate(corner_mm[:, 2]):
         under = slice(x.first[box], x.end[box]), slice(y.first[box], y.end[box])
-        there = last[under]
+        top_boxes = last[under]
         met = np.zeros(len(low), dtype=bool)
-        met[there[(there >= 0) & (reached[under] >= bottom - HEIGHT_TOLERANCE_MM)]] = True
+        met[top_boxes[(top_boxes >= 0) & (reached[under] >= bottom - HEIGHT_TOLERANCE_MM)]] = True
         below = np.flatnonzero(met)
         if len(below):
             shared = np.minimum(high[box], high[below]) - np.maximum(low[box], low[below])

@@ -201,17 +201,19 @@ class ByPlace:
         """Write what there is of a part; returns whether parts that were written early are of no more use. Raises
         OSError."""
         tables.land_placements(wait=False)
-        waiting, whole = self._waiting[number], self._whole(number)
+        waiting, is_complete = self._waiting[number], self._whole(number)
         before = waiting.nbytes
         waiting.make_piece(self._schemas)
         self._nbytes += waiting.nbytes - before
-        early = waiting.early if whole else []
-        tables.write_part(number if whole else self._next_early, self._joined(tables.parts, early, waiting.pieces))
+        early = waiting.early if is_complete else []
+        tables.write_part(
+            number if is_complete else self._next_early, self._joined(tables.parts, early, waiting.pieces)
+        )
         tables.forget(early)
         for piece in waiting.pieces:
             self.counts.add_worlds(piece["worlds"])
         self._nbytes -= waiting.nbytes
-        if whole:
+        if is_complete:
             del self._waiting[number]
         else:
             waiting.written_early(self._next_early)
@@ -227,10 +229,10 @@ class ByPlace:
     ) -> Iterator[tuple[str, pa.Table]]:
         """The tables of a part, in order, from what was written early and from pieces; ``worlds`` comes last."""
         for name in ("boxes", "attempts", "worlds"):
-            found = [parts.read(file) for file in parts.numbered(name, early)]
-            found += [piece[name] for piece in pieces if name in piece]
-            if found:
-                table = pa.concat_tables(found)
+            tables = [parts.read(file) for file in parts.numbered(name, early)]
+            tables += [piece[name] for piece in pieces if name in piece]
+            if tables:
+                table = pa.concat_tables(tables)
                 ranks = self._places.ranks(table)
                 assert ranks is not None
                 yield name, table.take(np.argsort(ranks, kind="stable"))

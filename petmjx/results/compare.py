@@ -235,17 +235,17 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
             row: dict[str, Any] = {"metric": metric, "unit": unit, "group": group, "n": len(chosen)}
             row.update(dict.fromkeys(("mean", "median", "p95", "largest", *key, "a", "b")))
             if len(chosen):
-                found = difference[chosen]
-                worst = int(chosen[int(found.argmax())])
+                differences = difference[chosen]
+                worst = int(chosen[int(differences.argmax())])
                 row["mean"] = None if name in SIGNLESS else float(signed[chosen].mean())
-                row["median"], row["p95"] = (float(value) for value in np.percentile(found, [50, 95]))
+                row["median"], row["p95"] = (float(value) for value in np.percentile(differences, [50, 95]))
                 row["largest"] = float(difference[worst])
                 row.update({column: joined[column].iloc[worst] for column in key})
                 row["a"], row["b"] = float(values_a[worst]), float(values_b[worst])
             rows.append(row)
-    whole = {column: "Int64" for column in ("variant", "box") if column in key}
+    integers = {column: "Int64" for column in ("variant", "box") if column in key}
     numbers = dict.fromkeys(("mean", "median", "p95", "largest", "a", "b"), "float64")
-    return pd.DataFrame(rows).astype({**whole, **numbers})
+    return pd.DataFrame(rows).astype({**integers, **numbers})
 
 
 def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:

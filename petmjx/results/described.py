@@ -97,10 +97,10 @@ def is_described(file: Path) -> bool:
 def has_keys(file: Path, keys: Iterable[str]) -> bool:
     """Whether a file is a JSON object with these keys."""
     try:
-        found: Any = json.loads(read_regular(file, _MOST_JSON_BYTES))
+        content: Any = json.loads(read_regular(file, _MOST_JSON_BYTES))
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(found, dict) and found.keys() >= set(keys)
+    return isinstance(content, dict) and content.keys() >= set(keys)
 
 
 def _described_columns(file: Path) -> list[str] | None:

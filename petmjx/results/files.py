@@ -218,11 +218,11 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
     listed = _listed_parts(folder / RUN_FILE) or ()
     check(*parts, *hidden)
     if holds_run(folder) and not overwrite and not (resume and (folder / RUN_FILE).exists()):
-        what = "a run already"
+        content = "a run already"
         if not (folder / RUN_FILE).exists():
-            what = f"tables of a run without its {RUN_FILE}, so that it cannot be resumed"
+            content = f"tables of a run without its {RUN_FILE}, so that it cannot be resumed"
         out, replace = option("--out"), option("--overwrite", "True")
-        raise InputError(f"{folder}: holds {what}; name another folder with {out}, or pass {replace}")
+        raise InputError(f"{folder}: holds {content}; name another folder with {out}, or pass {replace}")
 
 
 def _listed_parts(run_file: Path) -> frozenset[Path] | None:
@@ -238,10 +238,10 @@ def _is_part_of(table: str, file: Path) -> bool:
     """Whether a file is a part of a table of a run, whichever: it says so itself."""
     try:
         with open_for_arrow(file) as stream:
-            said = pq.read_schema(stream).metadata or {}
+            metadata = pq.read_schema(stream).metadata or {}
     except (OSError, ValueError, pa.ArrowException):
         return False
-    return said.get(b"table") == table.encode() and b"schema_version" in said
+    return metadata.get(b"table") == table.encode() and b"schema_version" in metadata
 
 
 def make_room(folder: Path) -> None:

@@ -50,8 +50,8 @@ class Given:
 
     def places(self, plan_ids: pa.ChunkedArray) -> NDArray[np.int64]:
         """(n,) places of plans in the order given; those that it does not have come last."""
-        found = pc.index_in(plan_ids, value_set=self._ids)
-        return np.asarray(pc.fill_null(found, len(self.plan_ids)), dtype=np.int64)
+        places = pc.index_in(plan_ids, value_set=self._ids)
+        return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
 
     def keys(self, table: pa.Table) -> NDArray[np.int64]:
         """(n,) numbers by which worlds are sorted; those of two worlds differ."""

@@ -38,7 +38,7 @@ class Recorded:
         """Memory of its arrays, bytes."""
         contacts = vars(self.history.contacts) if self.history.contacts is not None else {}
         arrays = [*vars(self.history).values(), *contacts.values()]
-        return sum(each.nbytes for each in arrays if isinstance(each, np.ndarray))
+        return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
 
 
 Columns = Mapping[str, Any]
@@ -50,12 +50,14 @@ def history_columns(worlds: Sequence[Recorded]) -> Columns:
     for world in worlds:
         history = world.history
         frame, box = np.nonzero(np.arange(history.pos.shape[1]) < history.n_placed[:, None])
-        there = frame, box
-        columns: dict[str, Any] = {"box": box, "top_force_n": history.top_force_n[there]}
-        columns |= _components("pos", history.pos[there], _XYZ, "_m") | _components("quat", history.quat[there], _WXYZ)
+        indices = frame, box
+        columns: dict[str, Any] = {"box": box, "top_force_n": history.top_force_n[indices]}
+        columns |= _components("pos", history.pos[indices], _XYZ, "_m") | _components(
+            "quat", history.quat[indices], _WXYZ
+        )
         for name in ("lin_acc", "ang_acc"):
-            columns |= _components(name, _or_null(getattr(history, name), there, 3), _XYZ)
-        columns["penetration_m"] = _or_null(history.penetration_m, there, 1)[:, 0]
+            columns |= _components(name, _or_null(getattr(history, name), indices, 3), _XYZ)
+        columns["penetration_m"] = _or_null(history.penetration_m, indices, 1)[:, 0]
         parts.append(columns | _key(history, frame))
     return _stacked(worlds, parts)
 
@@ -149,11 +151,11 @@ def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str =
     return np.stack([columns[f"{name}_{part}{end}"] for part in parts], axis=1)
 
 
-def _or_null(values: FloatArray | None, there: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
+def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
     """(rows, width) values of frames and boxes; NaN where they were not recorded."""
     if values is None:
-        return np.full((len(there[0]), width), np.nan)
-    return values[there].reshape(-1, width)
+        return np.full((len(indices[0]), width), np.nan)
+    return values[indices].reshape(-1, width)
 
 
 def _key(history: History, frame: NDArray[np.integer]) -> dict[str, Any]:

@@ -74,13 +74,13 @@ class Parts:
 
     def _check_size(self, files: Sequence[Path], columns: Sequence[str] | None) -> None:
         """Check that together files take no more memory than such files may. Raises InputError."""
-        needed = there = 0
+        needed = file_bytes = 0
         for file in files:
             self.check(file)
             with opened(file) as parquet:
                 needed += decoded_bytes(parquet, columns)
-            there += file.stat().st_size
-        if needed > allowed_bytes(there, FREE_BYTES, MOST_TABLE_BYTES):
+            file_bytes += file.stat().st_size
+        if needed > allowed_bytes(file_bytes, FREE_BYTES, MOST_TABLE_BYTES):
             raise InputError(f"{files[0].parent}: its rows would take {size(needed)}, too much for files of their size")
 
     def check_tables(self, tables: Iterable[str]) -> None:
@@ -147,12 +147,12 @@ class Parts:
         expected = self.digests[file.parent.name][file.name]
         try:
             with open_regular(file) as stream:
-                found = digest_of(stream)
+                digest = digest_of(stream)
         except FileNotFoundError:
             raise InputError(f"{file}: missing, though the run wrote it; {self._cure(file)}") from None
         except OSError as error:
             raise InputError(f"{file}: damaged part, it cannot be read: {error.strerror or error}") from error
-        if found != expected:
+        if digest != expected:
             raise InputError(f"{file}: damaged part, it differs from what the run wrote; {self._cure(file)}")
         self._checked.add(file)
 

@@ -188,17 +188,17 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
         InputError: a plan is missing or differs.
     """
     records = Manifest.read(results.parts, results.info).plans
-    found = find_plans(results, records, set(results.worlds["plan_id"]), plans)
-    if plans is None and found.gone and found.missing:
-        gone = printable(found.gone[0])
+    plans_again = find_plans(results, records, set(results.worlds["plan_id"]), plans)
+    if plans is None and plans_again.gone and plans_again.missing:
+        gone = printable(plans_again.gone[0])
         raise InputError(f"{results.path}: needs the plans of the run, and {gone} is not there: name them")
-    for plan_ids, what in (
-        (found.missing, "is not among the plans that were read"),
-        (found.changed, "differs from the one that was simulated there"),
+    for plan_ids, fault in (
+        (plans_again.missing, "is not among the plans that were read"),
+        (plans_again.changed, "differs from the one that was simulated there"),
     ):
         if plan_ids:
-            raise InputError(f"{results.path}: plan {shown(plan_ids[0])} {what}")
-    return found.plans
+            raise InputError(f"{results.path}: plan {shown(plan_ids[0])} {fault}")
+    return plans_again.plans
 
 
 _STRENGTH: Final = ("press_strength_n", "wall_factor", "overhang_factor", "deck_factor", "strength_n")
@@ -218,8 +218,8 @@ def _strengths(
         names = zip(plan.articles, groups, materials, strict=True)
         sheets = plan.sheets
         for box, (article, group, material) in enumerate(names):
-            if (said := articles.find(article, group, material).strength) is not None:
-                strength_n[box] = said.of_box(*sizes[box])
+            if (strength := articles.find(article, group, material).strength) is not None:
+                strength_n[box] = strength.of_box(*sizes[box])
             if np.isnan(strength_n[box]) and not sheets[box]:
                 missing[article] += 1
         factors = _factors(plan, losses, carrier)
@@ -246,28 +246,28 @@ def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tup
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
     """A row a world."""
     key = ["plan_id", "variant"]
-    said = {name: share for name, share in _OVER.items() if share in boxes}
+    shares = {name: share for name, share in _OVER.items() if share in boxes}
     marked = boxes[key].assign(
-        **{f"n_{name}": boxes[share] > 1 for name, share in said.items()},
-        **{f"unknown_{name}": boxes[share].isna() for name, share in said.items()},
+        **{f"n_{name}": boxes[share] > 1 for name, share in shares.items()},
+        **{f"unknown_{name}": boxes[share].isna() for name, share in shares.items()},
     )
     counts = marked.groupby(key, sort=False, as_index=False).sum()
     numbers = boxes.groupby(key, sort=False).size().rename("n_boxes").reset_index()
-    found = results.worlds[[*key, "verdict"]].merge(numbers, on=key, how="left").merge(counts, on=key, how="left")
-    found = found.fillna({"n_boxes": 0, **{name: 0 for name in counts if name not in key}})
-    found = found.astype({"n_boxes": "int32", **{name: "int64" for name in counts if name not in key}})
+    table = results.worlds[[*key, "verdict"]].merge(numbers, on=key, how="left").merge(counts, on=key, how="left")
+    table = table.fillna({"n_boxes": 0, **{name: 0 for name in counts if name not in key}})
+    table = table.astype({"n_boxes": "int32", **{name: "int64" for name in counts if name not in key}})
     for share, names in (("load_share", ("box", "article")), ("peak_share", ("peak_box", "peak_article"))):
         known = boxes.dropna(subset=share)
         largest = known.loc[known.groupby(key, sort=False)[share].idxmax(), [*key, "box", "article", share]]
         largest.columns = pd.Index([*key, *names, f"max_{share}"])
-        found = found.merge(largest, on=key, how="left")
-    for name in said:
-        over = (found[f"n_{name}"] > 0).astype("boolean")
-        over[(found[f"n_{name}"] == 0) & (found[f"unknown_{name}"] > 0)] = pd.NA
-        found[name] = over
-    found["n_unknown"] = found["unknown_overloaded"]
-    found = found.astype({"box": "Int32", "peak_box": "Int32"})
-    return found[[name for name in _PLAN_UNITS if name in found]]
+        table = table.merge(largest, on=key, how="left")
+    for name in shares:
+        over = (table[f"n_{name}"] > 0).astype("boolean")
+        over[(table[f"n_{name}"] == 0) & (table[f"unknown_{name}"] > 0)] = pd.NA
+        table[name] = over
+    table["n_unknown"] = table["unknown_overloaded"]
+    table = table.astype({"box": "Int32", "peak_box": "Int32"})
+    return table[[name for name in _PLAN_UNITS if name in table]]
 
 
 def _notes(missing: Counter[str]) -> list[str]:

@@ -91,10 +91,10 @@ def _take(descriptor: int, folder: Path) -> bool:
 
 def _is_in(descriptor: int, folder: Path) -> bool:
     try:
-        there = os.stat(folder / LOCK_FILE, follow_symlinks=False)
+        status = os.stat(folder / LOCK_FILE, follow_symlinks=False)
     except FileNotFoundError:
         return False
-    return os.path.samestat(there, os.fstat(descriptor))
+    return os.path.samestat(status, os.fstat(descriptor))
 
 
 def _in_use(descriptor: int, folder: Path) -> InputError:

@@ -149,10 +149,13 @@ class Manifest:
             without: settings that may differ.
         """
         settings = {name: value for name, value in _as_asked(self.settings).items() if name not in without}
-        found = [*_setting_differences(_as_asked(earlier.settings), settings, ""), *self._plan_differences(earlier)]
-        found = [each for each in found if each.partition(" ")[0] not in without]
-        more = [f"{len(found) - MOST_NAMED} more"] if len(found) > MOST_NAMED else []
-        return "; ".join([*found[:MOST_NAMED], *more])
+        differences = [
+            *_setting_differences(_as_asked(earlier.settings), settings, ""),
+            *self._plan_differences(earlier),
+        ]
+        differences = [difference for difference in differences if difference.partition(" ")[0] not in without]
+        more = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
+        return "; ".join([*differences[:MOST_NAMED], *more])
 
     def _plan_differences(self, earlier: Manifest) -> Iterator[str]:
         for plan_id, record in self.plans.items():
@@ -198,7 +201,7 @@ def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:
 
 def _are_tables(value: Any) -> bool:
     """Whether a value is a list of tables, such as the boards of a carrier."""
-    return isinstance(value, list) and all(isinstance(each, Mapping) for each in value)
+    return isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value)
 
 
 def _said(value: Any) -> str:

@@ -57,7 +57,9 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
 
 def joined(checks: Sequence[OrderCheck]) -> OrderCheck:
     """The check of a whole run from those of all its shards, which were compared with the same orders."""
-    counts = {each.name: _sum([getattr(check.counts, each.name) for check in checks]) for each in fields(OrderCounts)}
+    counts = {
+        field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
+    }
     # unusable orders are no shard's: each shard has all of them
     counts["unusable_orders"] = checks[0].counts.unusable_orders
     return replace(

@@ -52,13 +52,13 @@ def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
 
 def _texts(values: Sequence[tuple[str, ...]], counts: Sequence[int]) -> list[str | None]:
     """Those of all boxes; None where a plan has none."""
-    return [text for own, count in zip(values, counts, strict=True) for text in own or (None,) * count]
+    return [text for texts, count in zip(values, counts, strict=True) for text in texts or (None,) * count]
 
 
 def _numbers(values: Sequence[Any], counts: Sequence[int]) -> tuple[Any, Any]:
     """Those of all boxes, and where a plan has none."""
-    known = [np.zeros(count) if own is None else own for own, count in zip(values, counts, strict=True)]
-    lacks = np.repeat([own is None for own in values], counts) if values else np.zeros(0, bool)
+    known = [np.zeros(count) if array is None else array for array, count in zip(values, counts, strict=True)]
+    lacks = np.repeat([array is None for array in values], counts) if values else np.zeros(0, bool)
     return np.concatenate(known) if known else np.zeros(0), lacks
 
 
@@ -84,15 +84,15 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
     wanted_ids = pa.array([plan_id for plan_id in wanted if plan_id in records], pa.string())
     table = pa.concat_tables(parts.table(PLACEMENTS, placements_schema().names)).combine_chunks()
     table = table.filter(pc.is_in(table["plan_id"], wanted_ids))
-    found = {}
+    plans = {}
     for plan_id, rows in _by_plan(table):
         try:
             plan = _plan(plan_id, records[plan_id].source, rows)
         except InputError:  # as somebody has changed it
             continue
         if plan_digest(plan) == records[plan_id].digest:
-            found[plan_id] = plan
-    return found
+            plans[plan_id] = plan
+    return plans
 
 
 def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:

@@ -64,11 +64,11 @@ def find_plans(
     if not isinstance(given, list) or given:
         read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(run.info))}
     read |= kept
-    there = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
-    changed = {name for name, plan in there.items() if name in records and records[name].digest != plan_digest(plan)}
+    plans = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
+    changed = {name for name, plan in plans.items() if name in records and records[name].digest != plan_digest(plan)}
     return PlansAgain(
-        plans={plan_id: plan for plan_id, plan in there.items() if plan_id not in changed},
-        missing=tuple(sorted(set(wanted) - there.keys())),
+        plans={plan_id: plan for plan_id, plan in plans.items() if plan_id not in changed},
+        missing=tuple(sorted(set(wanted) - plans.keys())),
         changed=tuple(sorted(changed)),
         gone=tuple(gone),
     )

@@ -54,10 +54,10 @@ class RunResults:
 
     def __repr__(self) -> str:
         counts = self.info.get("counts", {})
-        what = "world" if self._varied else "plan"
+        noun = "world" if self._varied else "plan"
         verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
         status = self.unfinished or FINISHED
-        return f"RunResults({self.where}: {counted(counts.get('worlds', 0), what)}, {verdicts}; {status})"
+        return f"RunResults({self.where}: {counted(counts.get('worlds', 0), noun)}, {verdicts}; {status})"
 
     def _repr_html_(self) -> str:
         """What a notebook shows: one line about the run, and its first worlds."""
@@ -77,9 +77,9 @@ class RunResults:
     @property
     def carrier(self) -> Carrier | OwnCarrier:
         """What the boxes stood on; ``footprint`` if the run names no known carrier."""
-        said = self.info.get("config", {}).get("simulation", {})
+        settings = self.info.get("config", {}).get("simulation", {})
         try:
-            return Simulation.read({"carrier": said["carrier"]}).carrier
+            return Simulation.read({"carrier": settings["carrier"]}).carrier
         except (InputError, KeyError, TypeError):
             return Carrier.FOOTPRINT
 
@@ -241,9 +241,9 @@ def read_info(folder: Path) -> dict[str, Any]:
     try:
         info = json.loads(read_regular(file, MOST_RUN_FILE_BYTES).decode())
     except (FileNotFoundError, NotADirectoryError):
-        there = "not a folder" if folder.exists() else "no such folder"
-        there = "no run of petmjx there (it has no run.json)" if folder.is_dir() else there
-        raise InputError(f"{folder}: {there}") from None
+        fault = "not a folder" if folder.exists() else "no such folder"
+        fault = "no run of petmjx there (it has no run.json)" if folder.is_dir() else fault
+        raise InputError(f"{folder}: {fault}") from None
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"{file}: cannot be read: {one_line(error)}") from error
     if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):

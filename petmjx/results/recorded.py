@@ -70,8 +70,8 @@ class Recorded:
     def _rows_of(self, plan_id: str) -> dict[int, int]:
         """Variant → row of a plan's worlds. Runs ask plan by plan, so that of the last one is kept."""
         if self._last[0] != plan_id:
-            there = slice(*self._spans.get(plan_id, (0, 0)))
-            rows = dict(zip(self._variants[there].tolist(), self._sorted[there].tolist(), strict=True))
+            span = slice(*self._spans.get(plan_id, (0, 0)))
+            rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
             self._last = plan_id, rows
         return self._last[1]
 

@@ -48,13 +48,13 @@ class Recording:
         if self.record is None:
             return 0
         frames = parts.table("frames", _KEY)
-        there = {key for part in frames for key in zip(*part.to_pydict().values(), strict=True)}
+        recorded_keys = {key for part in frames for key in zip(*part.to_pydict().values(), strict=True)}
         worlds = [part.to_pydict() for part in parts.table("worlds", (*_KEY, "verdict"))]
         rows = (row for part in worlds for row in zip(*part.values(), strict=True))
         return sum(
             (self.plan_ids is None or plan_id in self.plan_ids)
             and not (self.failed_only and verdict == Verdict.STABLE.value)
-            and (plan_id, variant) not in there
+            and (plan_id, variant) not in recorded_keys
             for plan_id, variant, verdict in rows
         )
 
@@ -71,16 +71,16 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     Raises:
         InputError: a plan that is to be recorded is not there, or the engine cannot record what is asked for.
     """
-    asked = options.record
-    if asked is None:
+    choice = options.record
+    if choice is None:
         return NO_RECORDING
     if options.record_details and engine != "mujoco":
         raise InputError(f"record_details needs the engine mujoco, and the run's is {engine}")
     record = Record(options.record_interval_s, options.record_details)
-    if asked in (ALL, FAILED):
-        return Recording(record, failed_only=asked == FAILED)
+    if choice in (ALL, FAILED):
+        return Recording(record, failed_only=choice == FAILED)
     known = {plan.plan_id for plan in plans}
-    ids = frozenset(asked if not isinstance(asked, str) else [asked] if asked in known else _split(asked))
+    ids = frozenset(choice if not isinstance(choice, str) else [choice] if choice in known else _split(choice))
     unknown = sorted(ids - known)
     if unknown:
         raise InputError(f"record: {first_names(unknown)}: not among the {counted(len(known), 'plan')} of the run")

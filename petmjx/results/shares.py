@@ -107,8 +107,8 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     bounds = wilson_interval(n_standing * n_draws / known, n_draws)
     low, high = (np.where(n_draws > 0, bound, np.nan) for bound in bounds)
     share = np.where(n_judged > 0, n_standing / known, np.nan)
-    whole = {"n_worlds": n_worlds, "n_standing": n_standing, "n_invalid": n_invalid}
-    return summary[[*KEYS]].assign(**whole, share=share, n_draws=n_draws, low=low, high=high)
+    world_counts = {"n_worlds": n_worlds, "n_standing": n_standing, "n_invalid": n_invalid}
+    return summary[[*KEYS]].assign(**world_counts, share=share, n_draws=n_draws, low=low, high=high)
 
 
 def _text(value: object) -> str:

@@ -95,17 +95,17 @@ def _rows(
     parts: Parts, table: str, given: Given, keys: NDArray[np.int64], low: int, high: int
 ) -> tuple[pa.Table, NDArray[np.int64]]:
     """The rows of the worlds from rank ``low`` to ``high`` in order, and the rank of each row's world."""
-    found, of = [], []
+    pieces, of = [], []
     for part in parts.table(table):
         ranks = np.searchsorted(keys, given.keys(part))
         chosen = np.flatnonzero((ranks >= low) & (ranks < high))
-        found.append(part if len(chosen) == len(ranks) else part.take(chosen))
+        pieces.append(part if len(chosen) == len(ranks) else part.take(chosen))
         of.append(ranks[chosen])
-    if not found:
+    if not pieces:
         return pa.table({}), np.empty(0, np.int64)
     ranks = np.concatenate(of)
     order = np.argsort(ranks, kind="stable")
-    return pa.concat_tables(found, promote_options="default").take(order), ranks[order]
+    return pa.concat_tables(pieces, promote_options="default").take(order), ranks[order]
 
 
 def _cut(rows: pa.Table, ranks: NDArray[np.int64], worlds_per_part: int) -> Iterator[tuple[int, pa.Table]]:

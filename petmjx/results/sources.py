@@ -19,16 +19,16 @@ def source_files(*sources: Any) -> list[Path]:
     Args:
         sources: paths, lists of paths, or None. Others, such as data frames and runs in memory, are no files.
     """
-    found: list[Path] = []
+    files: list[Path] = []
     for source in sources:
         if isinstance(source, Mapping):
-            found += source_files(*source.values())
+            files += source_files(*source.values())
         elif isinstance(source, list | tuple):
-            found += source_files(*source)
+            files += source_files(*source)
         elif isinstance(source, str | PathLike):
             with suppress(OSError, ValueError):  # what cannot be read is told by who reads it
-                found += _files_of(Path(source))
-    return found
+                files += _files_of(Path(source))
+    return files
 
 
 def _files_of(path: Path) -> list[Path]:

@@ -39,8 +39,8 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
     table = boxes.sort_by("box")
     values: dict[str, Any] = {}
     for metric in box_metrics():
-        there = [name for name in metric.columns if name in table.column_names]
-        columns = [table[name].to_numpy().astype(np.float64) for name in there] or [np.full(len(table), np.nan)]
+        column_names = [name for name in metric.columns if name in table.column_names]
+        columns = [table[name].to_numpy().astype(np.float64) for name in column_names] or [np.full(len(table), np.nan)]
         values[metric.attribute] = np.stack(columns, axis=1) if len(columns) > 1 else columns[0]
     values["dropped"] = values["dropped"] > 0
     cells: dict[str, Any] = {name: row[name] for name in ("n_boxes", "n_placed", "solver", "attempt")}
@@ -68,8 +68,8 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
     of_table = {file.name: file for file in run.parts.files(table)}
     for file in run.parts.files(_NAMES_WORLDS.get(table, "worlds")):
         if len(_only(run.parts.read(file, ("plan_id", "variant")), plan_id, variant)):
-            there = of_table.get(file.name)  # parts with the same number belong together
-            rows = None if there is None else _only(run.parts.read(there), plan_id, variant)
+            table_file = of_table.get(file.name)  # parts with the same number belong together
+            rows = None if table_file is None else _only(run.parts.read(table_file), plan_id, variant)
             return rows if rows is not None and len(rows) else None
     return None
 
@@ -90,15 +90,15 @@ def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: S
         place = np.asarray(pc.fill_null(pc.index_in(plan_id, value_set=plan_ids), -1), dtype=np.int64)
         return np.where(place < 0, -1, (place << 32) + np.asarray(variant, dtype=np.int64))
 
-    wanted = keys(pa.array(worlds["plan_id"], pa.string()), pa.array(worlds["variant"], pa.int32()))
-    found = []
+    world_keys = keys(pa.array(worlds["plan_id"], pa.string()), pa.array(worlds["variant"], pa.int32()))
+    part_rows = []
     for file in run.parts.files(table):
         part = run.parts.read(file, ("plan_id", "variant"))
-        rows = np.flatnonzero(np.isin(keys(part["plan_id"], part["variant"]), wanted))
+        rows = np.flatnonzero(np.isin(keys(part["plan_id"], part["variant"]), world_keys))
         if len(rows):
-            found.append(run.parts.read(file, columns).take(rows))
+            part_rows.append(run.parts.read(file, columns).take(rows))
     none = schemas()[table].empty_table().select([name for name in columns if name in schemas()[table].names])
-    return data_frame(pa.concat_tables(found or [none], promote_options="default"))
+    return data_frame(pa.concat_tables(part_rows or [none], promote_options="default"))
 
 
 def _only(part: pa.Table, plan_id: str, variant: int) -> pa.Table:

@@ -15,31 +15,31 @@ from petmjx.show.layout import FittedTable, TableColumn, line, number
 from petmjx.verdict import Verdict
 
 
-def comparison_tables(found: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
+def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
     """All tables and lines. ``max_rows``: most worlds that are listed as flipped, or as only in one run."""
-    yield line(f"a  {found.a}")
-    yield line(f"b  {found.b}")
-    for note in found.notes:
+    yield line(f"a  {comparison.a}")
+    yield line(f"b  {comparison.b}")
+    for note in comparison.notes:
         yield line(f"note: {note}", style="yellow")
-    for name, frame in (("a", found.only_a), ("b", found.only_b)):
+    for name, frame in (("a", comparison.only_a), ("b", comparison.only_b)):
         if len(frame):
             shown = ", ".join(f"{row.plan_id}/{row.variant}" for row in frame.head(max_rows).itertuples())
             more = ", …" if len(frame) > max_rows else ""
             yield line(f"{counted(len(frame), 'world')} only in {name}: {shown}{more}")
     yield ""
-    yield _confusion_table(found)
-    if found.n_not_stable:
-        of = f"of {counted(found.n_not_stable, 'world')} that neither calls stable"
-        yield line(f"{of}: same reason {found.same_reason:,}, same first box {found.same_culprit:,}")
-    if len(found.flips):
+    yield _confusion_table(comparison)
+    if comparison.n_not_stable:
+        of = f"of {counted(comparison.n_not_stable, 'world')} that neither calls stable"
+        yield line(f"{of}: same reason {comparison.same_reason:,}, same first box {comparison.same_culprit:,}")
+    if len(comparison.flips):
         yield ""
-        yield _flips_table(found.flips, max_rows)
-        if found.flips_within is not None:
+        yield _flips_table(comparison.flips, max_rows)
+        if comparison.flips_within is not None:
             yield line(
-                f"each has a margin within ±{three_digits(found.flips_within)} of a threshold in one of the runs"
+                f"each has a margin within ±{three_digits(comparison.flips_within)} of a threshold in one of the runs"
             )
-    several = (("worlds", found.worlds), ("boxes", found.boxes))
-    tables = [table for what, differences in several for table in _differences_tables(what, differences)]
+    several = (("worlds", comparison.worlds), ("boxes", comparison.boxes))
+    tables = [table for table_name, differences in several for table in _differences_tables(table_name, differences)]
     for table in tables:
         yield ""
         yield table
@@ -47,14 +47,14 @@ def comparison_tables(found: Comparison, max_rows: int = 40) -> Iterator[Rendera
         yield line(f"%: |b - a| / max(a, {FORCE_FLOOR_N:g} N)", style="dim")
 
 
-def _confusion_table(found: Comparison) -> FittedTable:
-    share = number(found.agreement, ".2f", " %", 100.0)
+def _confusion_table(comparison: Comparison) -> FittedTable:
+    share = number(comparison.agreement, ".2f", " %", 100.0)
     table = FittedTable(
         TableColumn("a ↓   b →", "left"),
-        *(TableColumn(str(name)) for name in found.confusion.columns),
-        title=f"verdicts: {found.n_agree:,} of {counted(found.n_common, 'world')} agree ({share})",
+        *(TableColumn(str(name)) for name in comparison.confusion.columns),
+        title=f"verdicts: {comparison.n_agree:,} of {counted(comparison.n_common, 'world')} agree ({share})",
     )
-    for row, counts in found.confusion.iterrows():
+    for row, counts in comparison.confusion.iterrows():
         table.add(str(row), *(f"{count:,}" for count in counts))
     return table
 
@@ -91,7 +91,7 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
     return table
 
 
-def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
+def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
     """One table for each group that has worlds."""
     key = [column for column in BOX_KEY if column in differences]
     for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
@@ -102,7 +102,7 @@ def _differences_tables(what: str, differences: pd.DataFrame) -> Iterator[Fitted
             *(TableColumn(header) for header in ("median", "95 %", "largest")),
             TableColumn("at " + "/".join(column.removesuffix("_id") for column in key), "left", least=8, middle=True),
             *(TableColumn(header, spare=2) for header in "ab"),
-            title=f"differences |b - a| of {what}, {group}",
+            title=f"differences |b - a| of {table_name}, {group}",
         )
         for row in rows.to_dict("records"):
             name, factor = _name_and_factor(row)

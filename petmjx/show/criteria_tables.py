@@ -76,7 +76,7 @@ def _says_table(results: CriteriaResults) -> FittedTable:
 def _judged_table(judged: pd.DataFrame) -> FittedTable:
     first = judged.iloc[0]
     known = counted(int(first["n_plans"]), "plan")
-    stand, fall = (first[f"accepted_{what}"] + first[f"refused_{what}"] for what in ("stands", "falls"))
+    stand, fall = (first[f"accepted_{outcome}"] + first[f"refused_{outcome}"] for outcome in ("stands", "falls"))
     alike = (
         "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"
     )

@@ -13,23 +13,23 @@ from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS
 
 
-def kpi_tables(found: Kpis, out: str | None = None) -> Iterator[RenderableType]:
+def kpi_tables(kpis: Kpis, out: str | None = None) -> Iterator[RenderableType]:
     """The plans if they are few, the means and the ratings, notes.
 
     Args:
         out: where the files are, if any were written.
     """
-    if len(found.plans) <= FEW_ROWS:
-        yield _plans_table(found)
+    if len(kpis.plans) <= FEW_ROWS:
+        yield _plans_table(kpis)
         yield ""
-    for note in found.notes:
+    for note in kpis.notes:
         yield line(f"note: {note}", style="yellow")
-    yield _summary_table(found)
+    yield _summary_table(kpis)
     if out is not None:
         yield line(f"KPIs in {out}")
 
 
-def _plans_table(found: Kpis) -> FittedTable:
+def _plans_table(kpis: Kpis) -> FittedTable:
     table = FittedTable(
         TableColumn("plan", "left", least=12, middle=True),
         TableColumn("boxes"),
@@ -44,7 +44,7 @@ def _plans_table(found: Kpis) -> FittedTable:
         TableColumn("score\nheight m", spare=2),
         TableColumn("below\n2 m", spare=3),
     )
-    for row in found.plans.to_dict("records"):
+    for row in kpis.plans.to_dict("records"):
         table.add(
             row["plan_id"],
             f"{row['n_boxes']:,} of {row['n_ordered']:,}",
@@ -58,8 +58,8 @@ def _plans_table(found: Kpis) -> FittedTable:
     return table
 
 
-def _summary_table(found: Kpis) -> FittedTable:
-    summary, means = found.summary, found.summary["means"]
+def _summary_table(kpis: Kpis) -> FittedTable:
+    summary, means = kpis.summary, kpis.summary["means"]
     table = FittedTable(TableColumn("over all plans", "left"), TableColumn(""), TableColumn("", "left", least=20))
     table.add("plans", f"{summary['plans']:,}", f"of {summary['orders']:,} orders, {summary['ordered_boxes']:,} boxes")
     for name, form, meaning in (

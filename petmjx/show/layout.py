@@ -120,8 +120,8 @@ def line(text: str, style: str = "") -> Text:
 
 def print_each(renderables: Iterable[RenderableType], console: Console) -> None:
     """Print tables and lines. The terminal wraps long lines itself, so a path can be copied as a whole."""
-    for each in renderables:
-        console.print(each, soft_wrap=isinstance(each, Text))
+    for renderable in renderables:
+        console.print(renderable, soft_wrap=isinstance(renderable, Text))
 
 
 def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:

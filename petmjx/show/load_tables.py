@@ -14,33 +14,33 @@ from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 from petmjx.show.sweep_tables import FEW_ROWS
 
 
-def load_tables(found: Loads, out: str | None = None) -> Iterator[RenderableType]:
+def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
     """The worlds in which a box bears most of its strength, and a line with the counts.
 
     Args:
         out: where the files are, if any were written.
     """
-    yield _table(found)
+    yield _table(loads)
     yield ""
-    for note in found.notes:
+    for note in loads.notes:
         yield line(f"note: {note}", style="yellow")
-    over, unknown = found.plans["overloaded"].sum(), found.plans["overloaded"].isna().sum()
-    boxes = counted(int(found.plans["n_overloaded"].sum()), "box", "boxes")
-    what = counted(len(found.plans), "world" if (found.plans["variant"] > 0).any() else "plan")
-    yield line(f"{over:,} of {what} overloaded ({boxes}), {unknown:,} not known")
-    if peak := int(found.plans["overloaded_at_peak"].sum()):
-        boxes = counted(int(found.plans["n_overloaded_at_peak"].sum()), "box", "boxes")
-        yield line(f"{peak:,} of {what} overloaded at the peak ({boxes})")
-    if "surely_overloaded" in found.plans:
-        surely, possibly = (int(found.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
+    over, unknown = loads.plans["overloaded"].sum(), loads.plans["overloaded"].isna().sum()
+    boxes = counted(int(loads.plans["n_overloaded"].sum()), "box", "boxes")
+    world_count = counted(len(loads.plans), "world" if (loads.plans["variant"] > 0).any() else "plan")
+    yield line(f"{over:,} of {world_count} overloaded ({boxes}), {unknown:,} not known")
+    if peak := int(loads.plans["overloaded_at_peak"].sum()):
+        boxes = counted(int(loads.plans["n_overloaded_at_peak"].sum()), "box", "boxes")
+        yield line(f"{peak:,} of {world_count} overloaded at the peak ({boxes})")
+    if "surely_overloaded" in loads.plans:
+        surely, possibly = (int(loads.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
         yield line(f"{surely:,} surely, {possibly:,} possibly: by the least and the most force that statics allows")
     if out is not None:
         yield line(f"loads in {out}")
 
 
-def _table(found: Loads) -> FittedTable:
-    with_variants = (found.plans["variant"] > 0).any()
-    ranked = found.plans.sort_values(["max_load_share", "plan_id"], ascending=[False, True], na_position="last")
+def _table(loads: Loads) -> FittedTable:
+    with_variants = (loads.plans["variant"] > 0).any()
+    ranked = loads.plans.sort_values(["max_load_share", "plan_id"], ascending=[False, True], na_position="last")
     title = f"the {FEW_ROWS} with the largest loads" if len(ranked) > FEW_ROWS else ""
     table = FittedTable(
         TableColumn("plan", "left", least=12, middle=True),
@@ -57,7 +57,7 @@ def _table(found: Loads) -> FittedTable:
         TableColumn("strength\nN", spare=4),
         title=title,
     )
-    forces = found.boxes.set_index(["plan_id", "variant", "box"])[["rest_top_force_n", "strength_n"]]
+    forces = loads.boxes.set_index(["plan_id", "variant", "box"])[["rest_top_force_n", "strength_n"]]
     for row in ranked.head(FEW_ROWS).to_dict("records"):
         known = not pd.isna(row["box"])
         force = forces.loc[(row["plan_id"], row["variant"], row["box"])] if known else None
@@ -80,8 +80,8 @@ def _table(found: Loads) -> FittedTable:
 
 def _overloaded(row: Mapping[str, Any]) -> str:
     """Whether a world is overloaded, and whether that is sure where the run has intervals."""
-    found: Any = row["overloaded"]
-    told = "-" if pd.isna(found) else "yes" if found else "no"
+    overloaded: Any = row["overloaded"]
+    answer = "-" if pd.isna(overloaded) else "yes" if overloaded else "no"
     if row.get("surely_overloaded") is True:
         return "surely"
-    return "possibly" if row.get("possibly_overloaded") is True else told
+    return "possibly" if row.get("possibly_overloaded") is True else answer

@@ -17,70 +17,72 @@ from petmjx.packers.words import LEAST_P
 from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
 
 
-def packer_tables(found: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
+def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
     """All tables and lines. ``max_rows``: most orders that are named as won or lost, of each two packers."""
-    for name, folder in found.runs.items():
+    for name, folder in comparison.runs.items():
         yield line(f"{shown(name)}  {folder}")
-    for note in found.notes:
+    for note in comparison.notes:
         yield line(f"note: {note}", style="yellow")
-    yield from _not_compared(found)
-    if not found.packers["n"].any():
+    yield from _not_compared(comparison)
+    if not comparison.packers["n"].any():
         return  # a note says why
     yield ""
-    yield _packers_table(found)
-    if KPIS[0] in found.packers:
+    yield _packers_table(comparison)
+    if KPIS[0] in comparison.packers:
         yield ""
-        yield _kpis_table(found)
+        yield _kpis_table(comparison)
     yield ""
-    yield _pairs_table(found)
+    yield _pairs_table(comparison)
     yield ""
     # in a padding it is wrapped between words; the terminal would break words
-    yield from (Padding(line(sentence), 0, expand=False) for sentence in found.sentences)
-    sized = found.packers[(found.packers["size"] != ALL_SIZES) & (found.packers["n"] > 0)]
+    yield from (Padding(line(sentence), 0, expand=False) for sentence in comparison.sentences)
+    sized = comparison.packers[(comparison.packers["size"] != ALL_SIZES) & (comparison.packers["n"] > 0)]
     if sized["size"].nunique() > 1:
         yield ""
-        yield _sizes_table(found, sized)
-    if len(found.reasons):
+        yield _sizes_table(comparison, sized)
+    if len(comparison.reasons):
         yield ""
-        yield _reasons_table(found.reasons)
+        yield _reasons_table(comparison.reasons)
         yield ""
-        yield from _decided_lines(found.decided, max_rows)
+        yield from _decided_lines(comparison.decided, max_rows)
 
 
-def _not_compared(found: PackerComparison) -> Iterator[RenderableType]:
-    whole = found.packers[found.packers["size"] == ALL_SIZES]
-    first = whole.iloc[0]
+def _not_compared(comparison: PackerComparison) -> Iterator[RenderableType]:
+    all_sizes = comparison.packers[comparison.packers["size"] == ALL_SIZES]
+    first = all_sizes.iloc[0]
     left = int(first["n_orders"] - first["n"])
     if not left:
         return
     parts = [
-        f"{shown(row['packer'])} {row[column]:,} {what}"
-        for row in whole.to_dict("records")
-        for column, what in (("n_invalid", "invalid"), ("n_missing", MISSING))
+        f"{shown(row['packer'])} {row[column]:,} {status}"
+        for row in all_sizes.to_dict("records")
+        for column, status in (("n_invalid", "invalid"), ("n_missing", MISSING))
         if row[column]
     ]
     of = counted(int(first["n_orders"]), "order")
     yield line(f"{left:,} of {of} {'is' if left == 1 else 'are'} not compared: {', '.join(parts)}", style="yellow")
-    worst = ", ".join(f"{shown(row['packer'])} {percent(row['share_at_worst'])}" for row in whole.to_dict("records"))
+    worst = ", ".join(
+        f"{shown(row['packer'])} {percent(row['share_at_worst'])}" for row in all_sizes.to_dict("records")
+    )
     yield line(f"share that stands if these plans count as unstable: {worst}")
 
 
-def _packers_table(found: PackerComparison) -> FittedTable:
-    whole = found.packers[found.packers["size"] == ALL_SIZES]
-    left_out = _left_out(found)
+def _packers_table(comparison: PackerComparison) -> FittedTable:
+    all_sizes = comparison.packers[comparison.packers["size"] == ALL_SIZES]
+    left_out = _left_out(comparison)
     table = FittedTable(
         TableColumn("packer", "left", least=8, middle=True),
         TableColumn("stand"),
         TableColumn("share"),
-        TableColumn(_interval_header(found)),
+        TableColumn(_interval_header(comparison)),
         TableColumn("boxes\nplaced", spare=2),
         *left_out,
         TableColumn("volume\nm³", spare=1),
         TableColumn("height\nm"),
         TableColumn("kpi_2"),
-        title=f"{counted(int(whole['n'].iloc[0]), 'order')} compared; boxes, volume, height and kpi_2 are means",
+        title=f"{counted(int(all_sizes['n'].iloc[0]), 'order')} compared; boxes, volume, height and kpi_2 are means",
     )
-    for row in whole.to_dict("records"):
+    for row in all_sizes.to_dict("records"):
         table.add(
             row["packer"],
             f"{row['n_stable']:,}",
@@ -93,18 +95,18 @@ def _packers_table(found: PackerComparison) -> FittedTable:
     return table
 
 
-def _kpis_table(found: PackerComparison) -> FittedTable:
-    whole = found.packers[found.packers["size"] == ALL_SIZES]
+def _kpis_table(comparison: PackerComparison) -> FittedTable:
+    all_sizes = comparison.packers[comparison.packers["size"] == ALL_SIZES]
     columns = [TableColumn(name.replace("_2m", "\nbelow 2 m")) for name in KPIS]
     table = FittedTable(TableColumn("packer", "left", least=8, middle=True), *columns, title="KPIs of BED-BPP, means")
-    for row in whole.to_dict("records"):
+    for row in all_sizes.to_dict("records"):
         table.add(row["packer"], *(number(row[name], ".4f") for name in KPIS))
     return table
 
 
-def _pairs_table(found: PackerComparison) -> FittedTable:
-    whole = found.pairs[found.pairs["size"] == ALL_SIZES]
-    several = len(whole) > 1
+def _pairs_table(comparison: PackerComparison) -> FittedTable:
+    all_sizes = comparison.pairs[comparison.pairs["size"] == ALL_SIZES]
+    several = len(all_sizes) > 1
     test = "p\nHolm" if several else "p\nMcNemar"
     table = FittedTable(
         TableColumn("a", "left", least=8, middle=True),
@@ -114,26 +116,26 @@ def _pairs_table(found: PackerComparison) -> FittedTable:
         TableColumn("only\nb"),
         TableColumn("neither", spare=1),
         TableColumn("b - a\npoints"),
-        TableColumn(_interval_header(found)),
+        TableColumn(_interval_header(comparison)),
         TableColumn(test),
-        title="differences, in percentage points" + (f"; p corrected for {len(whole)} pairs" if several else ""),
+        title="differences, in percentage points" + (f"; p corrected for {len(all_sizes)} pairs" if several else ""),
     )
-    for row in whole.to_dict("records"):
+    for row in all_sizes.to_dict("records"):
         counts = [f"{row[name]:,}" for name in ("both", "only_a", "only_b", "neither")]
         difference = number(row["difference"], "+.2f", factor=100.0)
         table.add(row["a"], row["b"], *counts, difference, _interval(row, "+.2f"), _p(row["p_holm"]))
     return table
 
 
-def _sizes_table(found: PackerComparison, sized: pd.DataFrame) -> FittedTable:
-    left_out = _left_out(found)
+def _sizes_table(comparison: PackerComparison, sized: pd.DataFrame) -> FittedTable:
+    left_out = _left_out(comparison)
     table = FittedTable(
         TableColumn("boxes of\nthe order", "left"),
         TableColumn("packer", "left", least=8, middle=True),
         TableColumn("orders"),
         TableColumn("stand"),
         TableColumn("share"),
-        TableColumn(_interval_header(found)),
+        TableColumn(_interval_header(comparison)),
         *left_out,
         TableColumn("kpi_2"),
         title="by size of the order",
@@ -169,13 +171,13 @@ def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableT
         yield line(f"{shown(winner)} stands, {shown(loser)} does not: {ids}{more}")
 
 
-def _left_out(found: PackerComparison) -> list[TableColumn]:
+def _left_out(comparison: PackerComparison) -> list[TableColumn]:
     """The column of boxes left out, if a run was compared with orders."""
-    return [TableColumn("left\nout", spare=3)] if found.packers["left_out"].notna().any() else []
+    return [TableColumn("left\nout", spare=3)] if comparison.packers["left_out"].notna().any() else []
 
 
-def _interval_header(found: PackerComparison) -> str:
-    return f"{100 * found.confidence:g} %\ninterval"
+def _interval_header(comparison: PackerComparison) -> str:
+    return f"{100 * comparison.confidence:g} %\ninterval"
 
 
 def _interval(row: dict[str, Any], form: str) -> str:

@@ -66,9 +66,9 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
         yield ""
     yield from notes(results.info)
     against = "most worlds contradict the nominal verdict"
-    for what, chosen in (("coin toss", summary["coin_toss"]), (against, contradicted(summary))):
+    for label, chosen in (("coin toss", summary["coin_toss"]), (against, contradicted(summary))):
         if chosen.any():
-            yield line(f"{what}: {_listed(summary.loc[chosen, 'plan_id'].tolist())}", style="yellow")
+            yield line(f"{label}: {_listed(summary.loc[chosen, 'plan_id'].tolist())}", style="yellow")
     yield from _why_they_fail(summary)
     yield confidence_counts(results.info, summary)
     yield line(f"results in {results.path}")
@@ -82,12 +82,12 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
         yield line(f"most worlds that do not stand have a box that could not be placed: {named}", style="yellow")
     if "placing_matters" not in summary:
         return
-    for what, way in (("carried", ">"), ("exact", "<")):
+    for placing, way in (("carried", ">"), ("exact", "<")):
         more = summary.eval(f"only_carried {way} only_exact") & summary["placing_matters"]
         if more.any():
-            said = "carried to their places" if what == "carried" else "placed exactly"
+            placing_text = "carried to their places" if placing == "carried" else "placed exactly"
             named = _listed(summary.loc[more, "plan_id"].tolist())
-            yield line(f"stands more often, beyond chance, if boxes are {said}: {named}", style="yellow")
+            yield line(f"stands more often, beyond chance, if boxes are {placing_text}: {named}", style="yellow")
 
 
 def _listed(plan_ids: list[str]) -> str:

@@ -59,10 +59,12 @@ def answer(
         tolerance_mm, deck_mm: see ``petmjx.statics.contacts.find_contacts``.
     """
     contacts = find_contacts(plan, tolerance_mm, deck_mm)
-    asked = Asked(contacts, friction, any(criterion.name == LEANING for criterion in criteria), plan.strength_n)
-    found = [criterion.slack_of(asked) for criterion in criteria]
-    stable = [_stable(slack, criterion) for slack, criterion in zip(found, criteria, strict=True)]
-    return Answers(contacts.n_supports, asked.share, asked.corners, np.stack(found, axis=1), np.stack(stable, axis=1))
+    inputs = Asked(contacts, friction, any(criterion.name == LEANING for criterion in criteria), plan.strength_n)
+    slacks = [criterion.slack_of(inputs) for criterion in criteria]
+    stable = [_stable(slack, criterion) for slack, criterion in zip(slacks, criteria, strict=True)]
+    return Answers(
+        contacts.n_supports, inputs.share, inputs.corners, np.stack(slacks, axis=1), np.stack(stable, axis=1)
+    )
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:

@@ -79,12 +79,12 @@ class _Stack:
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
         """Put a box down, where vertical forces alone have a slack."""
-        found = vertical
-        if found < NO_SLACK:
+        slack = vertical
+        if slack < NO_SLACK:
             structure = structures.of(box)
-            found = max(found, friction_slack(self._contacts, structure, box, self._friction, self._sides))
-        self.slack[box] = found
-        self.balanced = found >= NO_SLACK
+            slack = max(slack, friction_slack(self._contacts, structure, box, self._friction, self._sides))
+        self.slack[box] = slack
+        self.balanced = slack >= NO_SLACK
 
 
 class _Structures:
@@ -157,7 +157,7 @@ class _VerticalSystem:
         row = 3 * place[body[side, contact]][:, None, None] + np.arange(3)[:, None]
         column = 4 * contact[:, None, None] + np.arange(4)
         row, column = np.broadcast_arrays(row, column)
-        wanted = np.zeros((len(boxes), 3))
-        wanted[:, 0] = self._weight[boxes]
+        loads = np.zeros((len(boxes), 3))
+        loads[:, 0] = self._weight[boxes]
         forces = Entries(value.ravel(), row.ravel(), column.ravel())
-        return largest_slack(forces, np.repeat(self._share[chosen], 4), wanted.ravel())
+        return largest_slack(forces, np.repeat(self._share[chosen], 4), loads.ravel())

@@ -35,8 +35,10 @@ def _with_overlaps(contacts: PlanContacts) -> IntArray:
 def _union_area(contacts: PlanContacts, box: int) -> float:
     import shapely
 
-    own = contacts.upper == box
-    return float(shapely.union_all(shapely.box(*contacts.low_mm[own].T, *contacts.high_mm[own].T)).area)
+    box_contacts = contacts.upper == box
+    return float(
+        shapely.union_all(shapely.box(*contacts.low_mm[box_contacts].T, *contacts.high_mm[box_contacts].T)).area
+    )
 
 
 def corners_supported(contacts: PlanContacts) -> IntArray:
@@ -52,5 +54,5 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
         least: shares asked for with four corners, with three, and with fewer.
     """
     four, three, fewer = least
-    asked: FloatArray = np.select([corners >= N_CORNERS, corners == N_CORNERS - 1], [four, three], fewer)
-    return share - asked
+    least_share: FloatArray = np.select([corners >= N_CORNERS, corners == N_CORNERS - 1], [four, three], fewer)
+    return share - least_share

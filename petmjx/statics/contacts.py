@@ -79,8 +79,8 @@ class PlanContacts:
     def grounded(self) -> NDArray[np.bool_]:
         """(n,) whether a box lies on the carrier with all four corners, so that nothing tips it."""
         n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
-        found: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
-        return found
+        on_carrier: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
+        return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """(n, 4) whether a bottom corner lies on something, within the tolerance; edges count.
@@ -89,10 +89,10 @@ class PlanContacts:
             chosen: (c,) which contacts are looked at.
         """
         base = self.corner_mm[:, :2]
-        own = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
+        corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
         near = self.under_low_mm[chosen] - self.tolerance_mm
         far = self.under_high_mm[chosen] + self.tolerance_mm
-        inside = ((own >= near[:, None]) & (own <= far[:, None])).all(axis=-1)
+        inside = ((corners >= near[:, None]) & (corners <= far[:, None])).all(axis=-1)
         borne = np.zeros((self.n_boxes, N_CORNERS), dtype=bool)
         np.logical_or.at(borne, self.upper[chosen], inside)
         return borne
@@ -181,14 +181,14 @@ def find_sides(contacts: PlanContacts) -> Sides:
     """Where the boxes of a plan touch side by side."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
-    found = []
+    pairs_by_axis = []
     for axis in range(2):
         touching = meets(low[:, axis], high[:, axis], tolerance_mm)
         for across in (1 - axis, 2):
             touching &= shared(low[:, across], high[:, across]) > tolerance_mm
         first, second = np.nonzero(touching)
-        found.append((first, second, np.full(len(first), axis)))
-    first, second, axes = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        pairs_by_axis.append((first, second, np.full(len(first), axis)))
+    first, second, axes = (np.concatenate(parts) for parts in zip(*pairs_by_axis, strict=True))
     near, far = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
     rows = np.arange(len(axes))
     near[rows, axes] = far[rows, axes] = (near[rows, axes] + far[rows, axes]) / 2

@@ -61,8 +61,8 @@ def friction_slack(
     boxes = _hanging_together(contacts, structure, newest, sides)
     points = _points(contacts, boxes, structure, friction, sides)
     weight = contacts.mass_kg / contacts.mass_kg.mean()
-    wanted = np.zeros((int(boxes.sum()), WRENCH))
-    wanted[:, 2] = weight[boxes]
+    loads = np.zeros((int(boxes.sum()), WRENCH))
+    loads[:, 2] = weight[boxes]
     share = np.zeros((len(points.share), _DIRECTIONS))
     share[:, 0] = points.share
     possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
@@ -75,7 +75,7 @@ def friction_slack(
         wrenches(first, second, points.position_m, _directions(points.axis), centre_m), chosen, possible.size
     )
     limits = _columns(_pyramids(points.friction), chosen, possible.size)
-    return largest_slack(forces, share.ravel()[chosen], wanted.ravel(), limits)
+    return largest_slack(forces, share.ravel()[chosen], loads.ravel(), limits)
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
@@ -94,12 +94,12 @@ def _hanging_together(
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
     pair = pair[(pair[:, 1] != CARRIER) & (pair.max(axis=1) <= newest)]
-    found = structure.copy()
+    members = structure.copy()
     count = 0
-    while count != found.sum():
-        count = int(found.sum())
-        found[pair[found[pair].any(axis=1)]] = True
-    return found
+    while count != members.sum():
+        count = int(members.sum())
+        members[pair[members[pair].any(axis=1)]] = True
+    return members
 
 
 def _points(
@@ -110,26 +110,35 @@ def _points(
     sides: Sides | None,
 ) -> _Points:
     """The corners of all contact areas of these boxes."""
-    own = np.flatnonzero(boxes[contacts.upper])
-    upper = contacts.upper[own]
-    height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(own), 4, 1))
-    corners = np.concatenate([contacts.corners_mm[own], height], axis=-1)
-    asked = even_share(contacts, contacts.mass_kg / contacts.mass_kg.mean())[own] * structure[upper]
-    parts = [(contacts.lower[own], upper, np.full(len(own), 2), corners, asked, np.full(len(own), friction.flat))]
+    indices = np.flatnonzero(boxes[contacts.upper])
+    upper = contacts.upper[indices]
+    height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(indices), 4, 1))
+    corners = np.concatenate([contacts.corners_mm[indices], height], axis=-1)
+    carried_share = even_share(contacts, contacts.mass_kg / contacts.mass_kg.mean())[indices] * structure[upper]
+    parts = [
+        (
+            contacts.lower[indices],
+            upper,
+            np.full(len(indices), 2),
+            corners,
+            carried_share,
+            np.full(len(indices), friction.flat),
+        )
+    ]
     if sides is not None:
-        own = np.flatnonzero(boxes[sides.first] & boxes[sides.second])
-        ends = (sides.first[own], sides.second[own], sides.axis[own], _side_corners(sides, own))
-        parts.append((*ends, np.zeros(len(own)), np.full(len(own), friction.sides)))
+        indices = np.flatnonzero(boxes[sides.first] & boxes[sides.second])
+        ends = (sides.first[indices], sides.second[indices], sides.axis[indices], _side_corners(sides, indices))
+        parts.append((*ends, np.zeros(len(indices)), np.full(len(indices), friction.sides)))
     first, second, axis, position, share, mu = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     first, second, axis, share, mu = (np.repeat(column, 4) for column in (first, second, axis, share, mu))
     return _Points(first, second, axis, position.reshape(-1, 3) / MM_PER_M, share, mu)
 
 
-def _side_corners(sides: Sides, own: IntArray) -> FloatArray:
+def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
     """(s, 4, 3) corners of upright rectangles."""
-    corners = np.repeat(sides.low_mm[own][:, None, :], 4, axis=1)
-    far, across = sides.high_mm[own], 1 - sides.axis[own]
-    rows = np.arange(len(own))[:, None]
+    corners = np.repeat(sides.low_mm[indices][:, None, :], 4, axis=1)
+    far, across = sides.high_mm[indices], 1 - sides.axis[indices]
+    rows = np.arange(len(indices))[:, None]
     corners[rows, [[1, 2]], across[:, None]] = far[rows, across[:, None]]
     corners[rows, [[2, 3]], 2] = far[:, 2:]
     return corners

@@ -58,32 +58,32 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
     """
     touching = find_touching(scene, physics, pos, quat)
     weight = scene.mass / scene.mass.mean()
-    found = _without_programme(touching, weight)
+    intervals = _without_programme(touching, weight)
     parts = _hanging_together(touching, scene.n_boxes)
-    for part in np.unique(parts[np.isnan(found[:, 0])]):
+    for part in np.unique(parts[np.isnan(intervals[:, 0])]):
         boxes = np.flatnonzero(parts == part)
-        found[boxes] = _of_part(touching, boxes, found[boxes], weight, pos)
+        intervals[boxes] = _of_part(touching, boxes, intervals[boxes], weight, pos)
     scale: float = scene.mass.mean() * physics.gravity_m_s2
-    return found * scale
+    return intervals * scale
 
 
 def _without_programme(touching: Touching, weight: FloatArray) -> FloatArray:
     """(n, 2) what needs no linear programme: 0 where nothing lies on a box, and the weight of what rests on it alone.
     NaN elsewhere."""
     n_boxes = len(weight)
-    found = np.full((n_boxes, 2), np.nan)
+    intervals = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])
     ends[ends == CARRIER] = n_boxes
     for box in range(n_boxes):
-        own = (ends == box).any(axis=0)
-        on_top = touching.pressed[own] == box
+        box_contacts = (ends == box).any(axis=0)
+        on_top = touching.pressed[box_contacts] == box
         # what hangs together without this box
-        group = _groups(ends[:, ~own], n_boxes + 1)
-        other = group[ends[:, own].sum(axis=0) - box]
+        group = _groups(ends[:, ~box_contacts], n_boxes + 1)
+        other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])
         if group[n_boxes] not in above and not np.isin(other[~on_top], above).any():
-            found[box] = weight[np.isin(group[:n_boxes], above)].sum()
-    return found
+            intervals[box] = weight[np.isin(group[:n_boxes], above)].sum()
+    return intervals
 
 
 def _hanging_together(touching: Touching, n_boxes: int) -> IntArray:
@@ -112,19 +112,21 @@ def _of_part(
     """
     place = np.full(len(weight) + 1, CARRIER)  # its own place is the last one
     place[boxes] = np.arange(len(boxes))
-    own = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
+    contacts = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
     # (p, 4, 3) forces along the edges of the pyramids
-    direction = own.frame[:, :1] + np.einsum("ks,ps,psx->pkx", _EDGES, own.friction, own.frame[:, 1:])
-    forces = wrenches(place[own.first], place[own.second], own.position_m, direction, centre_m[boxes])
-    wanted = np.zeros((len(boxes), WRENCH))
-    wanted[:, 2] = weight[boxes]
-    asked = np.isnan(known[:, 0])
-    pressing = (own.sign[:, None] * direction[:, :, 2])[None] * (own.pressed == boxes[asked, None])[:, :, None]
+    direction = contacts.frame[:, :1] + np.einsum("ks,ps,psx->pkx", _EDGES, contacts.friction, contacts.frame[:, 1:])
+    forces = wrenches(place[contacts.first], place[contacts.second], contacts.position_m, direction, centre_m[boxes])
+    loads = np.zeros((len(boxes), WRENCH))
+    loads[:, 2] = weight[boxes]
+    unknown = np.isnan(known[:, 0])
+    pressing = (contacts.sign[:, None] * direction[:, :, 2])[None] * (contacts.pressed == boxes[unknown, None])[
+        :, :, None
+    ]
     try:
-        found = least_and_most(pressing.reshape(int(asked.sum()), -1), forces, wanted.ravel())
+        bounds = least_and_most(pressing.reshape(int(unknown.sum()), -1), forces, loads.ravel())
     except PetmjxError:  # an interval less is better than a run that ends
-        found = None
+        bounds = None
     intervals = known.copy()
-    if found is not None:
-        intervals[asked] = np.sort(found, axis=1)  # equal ones may differ by the solver's rounding
+    if bounds is not None:
+        intervals[unknown] = np.sort(bounds, axis=1)  # equal ones may differ by the solver's rounding
     return intervals

@@ -127,13 +127,13 @@ def best_thresholds(
             continue
         published = 1.0 if criterion.name == "support_100" else 0.0
         number = both[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
-        threshold, found = best_threshold(number[first_half], stands[first_half])
+        threshold, mcc = best_threshold(number[first_half], stands[first_half])
         # without a threshold there is nothing to judge
         judged = ~first_half if np.isfinite(threshold) else np.zeros_like(first_half)
         as_published = confusion(both[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
         row: dict[str, object] = {"criterion": criterion.name, "number": criterion.number, "unit": criterion.unit}
         row |= {"threshold": threshold, "published": published}
-        row |= {"n_found_on": int(first_half.sum()), "mcc_found_on": found, "n_plans": int((~first_half).sum())}
+        row |= {"n_found_on": int(first_half.sum()), "mcc_found_on": mcc, "n_plans": int((~first_half).sum())}
         row |= scored(number[judged] >= threshold, stands[judged], seed)
         rows.append(row | {"mcc_published": float(scores(as_published)[2])})
     return pd.DataFrame(rows)

@@ -32,7 +32,7 @@ def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
     return share
 
 
-def largest_slack(forces: Entries, share: FloatArray, wanted: FloatArray, limits: Entries | None = None) -> float:
+def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limits: Entries | None = None) -> float:
     """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = wanted``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
     Args:
@@ -47,7 +47,7 @@ def largest_slack(forces: Entries, share: FloatArray, wanted: FloatArray, limits
     Raises:
         PetmjxError: HiGHS gave up.
     """
-    rows, n_forces = len(wanted), len(share)
+    rows, n_forces = len(row_sums), len(share)
     by_slack = np.zeros(rows)
     np.add.at(by_slack, forces.row, forces.value * share[forces.column])
     # s is the last column
@@ -57,17 +57,17 @@ def largest_slack(forces: Entries, share: FloatArray, wanted: FloatArray, limits
         parts.append(limits._replace(row=limits.row + rows))
         n_limits = int(limits.row.max(initial=-1)) + 1
     value, row, column = (np.concatenate(entries) for entries in zip(*parts, strict=True))
-    least = np.r_[wanted, np.full(n_limits, -np.inf)]
-    found = _minimised(
+    least = np.r_[row_sums, np.full(n_limits, -np.inf)]
+    solution = _minimised(
         np.r_[np.zeros(n_forces), -1.0],
         Entries(value, row, column),
-        (least, np.r_[wanted, np.zeros(n_limits)]),
+        (least, np.r_[row_sums, np.zeros(n_limits)]),
         (np.r_[np.zeros(n_forces), -np.inf], np.r_[np.full(n_forces, np.inf), EVEN]),
     )
-    return -np.inf if found is None else float(found[-1])
+    return -np.inf if solution is None else float(solution[-1])
 
 
-def least_and_most(sums: FloatArray, forces: Entries, wanted: FloatArray) -> FloatArray | None:
+def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
     """The least and the most of several sums of forces g ≥ 0 with ``forces @ g = wanted``.
 
     Args:
@@ -82,14 +82,14 @@ def least_and_most(sums: FloatArray, forces: Entries, wanted: FloatArray) -> Flo
         PetmjxError: HiGHS gave up, or a sum has no bound.
     """
     bounds = (np.zeros(sums.shape[1]), np.full(sums.shape[1], np.inf))
-    found = np.empty((len(sums), 2))
+    extremes = np.empty((len(sums), 2))
     for number, factors in enumerate(sums):
         for side, sign in enumerate((1.0, -1.0)):
-            balanced = _minimised(sign * factors, forces, (wanted, wanted), bounds)
+            balanced = _minimised(sign * factors, forces, (row_sums, row_sums), bounds)
             if balanced is None:
                 return None
-            found[number, side] = factors @ balanced
-    return found
+            extremes[number, side] = factors @ balanced
+    return extremes
 
 
 def _minimised(
@@ -106,10 +106,10 @@ def _minimised(
     from scipy.sparse import csc_array
 
     matrix = csc_array((entries.value, (entries.row, entries.column)), shape=(len(rows[0]), len(costs)))
-    found = milp(costs, constraints=LinearConstraint(matrix, *rows), bounds=Bounds(*bounds))
-    if found.status == _INFEASIBLE:
+    solution = milp(costs, constraints=LinearConstraint(matrix, *rows), bounds=Bounds(*bounds))
+    if solution.status == _INFEASIBLE:
         return None
-    if found.x is None:
-        raise PetmjxError(f"HiGHS has no answer to a force balance of {len(rows[0])} rows: {found.message}")
-    answer: FloatArray = found.x
+    if solution.x is None:
+        raise PetmjxError(f"HiGHS has no answer to a force balance of {len(rows[0])} rows: {solution.message}")
+    answer: FloatArray = solution.x
     return answer

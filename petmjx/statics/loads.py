@@ -118,8 +118,8 @@ def _passed_down(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
     """(n, n, 3): what box j (row) bears of the weight of box m (column), as (kg, kg·mm, kg·mm); its own included."""
     n = contacts.n_boxes
     on_box = np.zeros((n, n, 3))
-    own = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
-    on_box[np.arange(n), np.arange(n)] = own
+    weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
+    on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
     # contacts are in the order of the boxes above, and supports are placed earlier: from the last box down
     for contact in range(len(contacts.upper) - 1, -1, -1):
@@ -176,8 +176,8 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
     # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
-    whole = _sums(moments, upper, contacts.n_boxes)[upper]
-    share = moments @ np.linalg.inv(whole)
+    total_moments = _sums(moments, upper, contacts.n_boxes)[upper]
+    share = moments @ np.linalg.inv(total_moments)
     to_global = np.zeros_like(share)
     to_global[:, 0, 0] = 1.0
     to_global[:, 1:, 0] = origin

@@ -72,7 +72,7 @@ def _support(share: float) -> Criterion:
         f"borne share - {share:g}",
         DIMENSIONLESS,
         "Bortfeldt & Wäscher 2013",
-        lambda asked: asked.share - share,
+        lambda inputs: inputs.share - share,
         number="borne share of the base" if share == 1 else "",
     )
 
@@ -85,7 +85,7 @@ def _corner_area(name: str, least: tuple[float, float, float], source: str) -> C
         "borne share - share asked for",
         DIMENSIONLESS,
         source,
-        lambda asked: corner_and_area_slack(asked.share, asked.corners, least),
+        lambda inputs: corner_and_area_slack(inputs.share, inputs.corners, least),
         strict=True,
     )
 
@@ -98,7 +98,7 @@ CRITERIA: Final = (
         f"corners borne - {LEAST_CORNERS}",
         DIMENSIONLESS,
         "Paquay, Schyns, Limbourg 2016",
-        lambda asked: (asked.corners - LEAST_CORNERS).astype(np.float64),
+        lambda inputs: (inputs.corners - LEAST_CORNERS).astype(np.float64),
     ),
     _corner_area("corner_area_paper", CORNER_AREA_PAPER, "Zhao et al. 2021, paper"),
     _corner_area("corner_area_code", CORNER_AREA_CODE, "Zhao et al. 2021, code"),
@@ -108,7 +108,7 @@ CRITERIA: Final = (
         "distance of the centre from the hull's edge, inwards",
         _MM,
         "common",
-        lambda asked: asked.hulls.distance(np.arange(asked.contacts.n_boxes), asked.contacts.centre_mm[:, :2]),
+        lambda inputs: inputs.hulls.distance(np.arange(inputs.contacts.n_boxes), inputs.contacts.centre_mm[:, :2]),
         number="centre inside the hull's edge",
     ),
     Criterion(
@@ -117,7 +117,7 @@ CRITERIA: Final = (
         "distance of the centre from that hull's edge, inwards",
         _MM,
         "Gao et al. 2025, arXiv 2507.09123",
-        lambda asked: load_polygon_slack(asked.contacts),
+        lambda inputs: load_polygon_slack(inputs.contacts),
         number="centre inside the load polygon's edge",
     ),
     Criterion(
@@ -126,7 +126,7 @@ CRITERIA: Final = (
         "least distance of the resultant from a hull's edge, inwards",
         _MM,
         "Zhao et al. 2022, arXiv 2108.13680",
-        lambda asked: load_slack(asked.contacts, asked.hulls, lever_rule),
+        lambda inputs: load_slack(inputs.contacts, inputs.hulls, lever_rule),
         number="resultant inside the hulls' edges",
     ),
     Criterion(
@@ -135,7 +135,7 @@ CRITERIA: Final = (
         "least distance of the resultant from a hull's edge, inwards",
         _MM,
         "Ramos et al. 2016",
-        lambda asked: equilibrium_slack(asked.contacts, asked.hulls),
+        lambda inputs: equilibrium_slack(inputs.contacts, inputs.hulls),
         number="resultant inside the hulls' edges",
     ),
     Criterion(
@@ -144,7 +144,7 @@ CRITERIA: Final = (
         "share of an even load that every corner can carry",
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
-        lambda asked: asked.balance[0],
+        lambda inputs: inputs.balance[0],
         number="even load on every corner",
         ends=True,
     ),
@@ -154,7 +154,7 @@ CRITERIA: Final = (
         "share of an even load that every corner can carry",
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",
-        lambda asked: asked.balance[1],
+        lambda inputs: inputs.balance[1],
         number="even load on every corner",
         ends=True,
     ),
@@ -164,7 +164,7 @@ CRITERIA: Final = (
         "1 - load / strength, the least of these boxes that have a strength; 1 where none has",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
-        lambda asked: strength_slack(asked.contacts, asked.strength_n, even_bedding),
+        lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
         usual=False,  # where no strength is known it accepts everything
     ),
 )
@@ -180,8 +180,8 @@ def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]
     Raises:
         InputError: there is no such criterion.
     """
-    wanted = tuple(names or ()) or _UNNAMED
-    for name in wanted:
+    chosen_names = tuple(names or ()) or _UNNAMED
+    for name in chosen_names:
         if name not in NAMES:
             raise InputError(f"criteria: there is no {shown(name)}; {hint(name, NAMES)}")
-    return tuple(criterion for criterion in CRITERIA if criterion.name in wanted)
+    return tuple(criterion for criterion in CRITERIA if criterion.name in chosen_names)

@@ -61,8 +61,8 @@ class CriteriaResults:
         Raises:
             KeyError: there is no such table.
         """
-        found = {name: described for name, _, described in self._tables()}
-        return {column: unit for column, (unit, _) in found[table].items()}
+        columns_by_table = {name: described for name, _, described in self._tables()}
+        return {column: unit for column, (unit, _) in columns_by_table[table].items()}
 
     def write(self, folder: str | Path, overwrite: bool = False) -> None:
         """Write every table as Parquet, with units in the metadata of its columns, and as CSV; the rest as JSON.

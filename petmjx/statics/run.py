@@ -82,31 +82,33 @@ def criteria(
     doubts = [] if physics is None else [*physics.doubts("the run"), *_other_carrier(chosen.carrier, physics)]
     if physics is not None:
         read = read.changed(articles=how_read(physics.info).articles)
-    found = gather_plans(plans, Simulation(), read)
-    warn(found.conventions)
-    if not found.plans:
-        first = f"; the first: {found.skipped[0].message}" if found.skipped else ""
-        raise InputError(f"no usable plan ({len(found.skipped)} skipped){first}")
+    plan_set = gather_plans(plans, Simulation(), read)
+    warn(plan_set.conventions)
+    if not plan_set.plans:
+        first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
+        raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
     start = time.perf_counter()
-    answers = list(_answers(found.plans, chosen, progress))
-    asked = chosen.criteria
-    by_plan = plans_frame(found.plans, answers, asked)
+    answers = list(_answers(plan_set.plans, chosen, progress))
+    selected_criteria = chosen.criteria
+    by_plan = plans_frame(plan_set.plans, answers, selected_criteria)
     judged = thresholds = None
     if physics is not None:
-        worlds = _nominal_worlds(physics, found.plans)
-        judged = judge(by_plan, worlds, asked, chosen.seed)
-        thresholds = best_thresholds(by_plan, worlds, asked, chosen.seed)
+        worlds = _nominal_worlds(physics, plan_set.plans)
+        judged = judge(by_plan, worlds, selected_criteria, chosen.seed)
+        thresholds = best_thresholds(by_plan, worlds, selected_criteria, chosen.seed)
     info = {
-        "criteria": [criterion.name for criterion in asked],
+        "criteria": [criterion.name for criterion in selected_criteria],
         "options": chosen.model_dump(mode="json", exclude={"only"}),
         "run": None if physics is None else str(physics.path),
         "doubts": doubts,
-        "n_plans": len(found.plans),
-        "n_boxes": sum(plan.n_boxes for plan in found.plans),
-        "skipped": [skipped.message for skipped in found.skipped],
+        "n_plans": len(plan_set.plans),
+        "n_boxes": sum(plan.n_boxes for plan in plan_set.plans),
+        "skipped": [skipped.message for skipped in plan_set.skipped],
         "wall_s": time.perf_counter() - start,
     }
-    results = CriteriaResults(boxes_frame(found.plans, answers, asked), by_plan, judged, thresholds, info)
+    results = CriteriaResults(
+        boxes_frame(plan_set.plans, answers, selected_criteria), by_plan, judged, thresholds, info
+    )
     if out is not None:
         results.write(out, overwrite)
     return results
@@ -116,8 +118,11 @@ def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
     """A line where the criteria are asked on another carrier than that on which boxes stood."""
     if carrier == run.carrier:
         return []
-    here, there = (shown(each if isinstance(each, Carrier) else each.name) for each in (carrier, run.carrier))
-    return [f"the criteria are evaluated on the carrier {here}, but the run's boxes stood on {there}"]
+    here, run_carrier = (
+        shown(carrier_option if isinstance(carrier_option, Carrier) else carrier_option.name)
+        for carrier_option in (carrier, run.carrier)
+    )
+    return [f"the criteria are evaluated on the carrier {here}, but the run's boxes stood on {run_carrier}"]
 
 
 def _need_packers() -> None:

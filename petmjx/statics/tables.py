@@ -26,12 +26,12 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
         "box": np.concatenate([np.arange(count, dtype=np.int32) for count in counts]),
         "item_id": [name for plan in plans for name in plan.item_ids],
         "article": [name for plan in plans for name in plan.articles],
-        "n_supports": np.concatenate([found.n_supports for found in answers]).astype(np.int32),
-        "support_share": np.concatenate([found.share for found in answers]),
-        "corners": np.concatenate([found.corners for found in answers]).astype(np.int32),
+        "n_supports": np.concatenate([plan_answers.n_supports for plan_answers in answers]).astype(np.int32),
+        "support_share": np.concatenate([plan_answers.share for plan_answers in answers]),
+        "corners": np.concatenate([plan_answers.corners for plan_answers in answers]).astype(np.int32),
     }
-    slack = np.concatenate([found.slack for found in answers])
-    stable = np.concatenate([found.stable for found in answers])
+    slack = np.concatenate([plan_answers.slack for plan_answers in answers])
+    stable = np.concatenate([plan_answers.stable for plan_answers in answers])
     for number, criterion in enumerate(criteria):
         answer = stable[:, number]
         columns[criterion.name] = pd.arrays.BooleanArray(answer == YES, answer == NOT_ASKED)
@@ -46,10 +46,10 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     columns: dict[str, object] = {
         "plan_id": np.array([plan.plan_id for plan in plans], dtype=object),
         "n_boxes": counts.astype(np.int32),
-        "support_share": np.minimum.reduceat(np.concatenate([found.share for found in answers]), starts),
+        "support_share": np.minimum.reduceat(np.concatenate([plan_answers.share for plan_answers in answers]), starts),
     }
-    slack = np.concatenate([found.slack for found in answers])
-    stable = np.concatenate([found.stable for found in answers])
+    slack = np.concatenate([plan_answers.slack for plan_answers in answers])
+    stable = np.concatenate([plan_answers.stable for plan_answers in answers])
     box = np.concatenate([np.arange(count) for count in counts])
     never = int(counts.max())
     for number, criterion in enumerate(criteria):

@@ -79,7 +79,7 @@ def find_touching(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatAr
     gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M
     lying = np.abs(frame[:, 0, 2]) >= VERTICAL_COSINE
     body = np.maximum(body, CARRIER)
-    found = Touching(
+    touching = Touching(
         first=body[:, 0],
         second=body[:, 1],
         position_m=np.array(contact.pos),
@@ -88,4 +88,4 @@ def find_touching(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatAr
         pressed=np.where(on_top, lower, CARRIER),
         sign=sign,
     )
-    return found.some((body.max(axis=1) >= 0) & (gap_m <= np.where(lying, LYING_GAP_M, SIDE_GAP_M)))
+    return touching.some((body.max(axis=1) >= 0) & (gap_m <= np.where(lying, LYING_GAP_M, SIDE_GAP_M)))

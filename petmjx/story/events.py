@@ -53,10 +53,10 @@ def _subject(story: Story, box: int) -> str:
 
 def events(story: Story) -> list[Event]:
     """What happened, in order of time; the last one is the end. Drops beyond ``MOST_DROPS`` are one event."""
-    found = [*_placements(story), *_shaking(story), *_first_sign(story), *_drops(story)]
-    found.sort(key=lambda event: event.time_s)
+    timeline = [*_placements(story), *_shaking(story), *_first_sign(story), *_drops(story)]
+    timeline.sort(key=lambda event: event.time_s)
     end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
-    return [*found, Event(end_s, f"End: {_last_state(story)}")]
+    return [*timeline, Event(end_s, f"End: {_last_state(story)}")]
 
 
 def _placements(story: Story) -> Iterator[Event]:
@@ -79,9 +79,9 @@ def _shaking(story: Story) -> Iterator[Event]:
     pushed = np.flatnonzero(np.abs(story.history.drive).max(axis=1) > 0)
     if len(pushed):
         excitation = story.drive.excitation
-        what = "forces on the carrier" if excitation.kind == FORCE else "accelerations of the carrier"
+        quantity = "forces on the carrier" if excitation.kind == FORCE else "accelerations of the carrier"
         name = f"{shown(excitation.name)}, scale {story.drive.scale:g}, {math.degrees(story.drive.yaw_rad):.0f}°"
-        yield Event(float(story.history.time_s[pushed[0]]), f"Shaking begins: {what} ({name})")
+        yield Event(float(story.history.time_s[pushed[0]]), f"Shaking begins: {quantity} ({name})")
         yield Event(float(story.history.time_s[pushed[-1]]), "Shaking ends")
 
 

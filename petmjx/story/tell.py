@@ -66,8 +66,8 @@ class Story:
 
     def __repr__(self) -> str:
         outcome = self.outcome
-        said = f"{outcome.verdict.value}" + (f" by {outcome.reason.value}" if outcome.reason.value else "")
-        return f"Story({self.name}: {said}; {self.history!r}, engine {self.engine})"
+        verdict = f"{outcome.verdict.value}" + (f" by {outcome.reason.value}" if outcome.reason.value else "")
+        return f"Story({self.name}: {verdict}; {self.history!r}, engine {self.engine})"
 
     def _repr_html_(self) -> str | None:
         """What a notebook shows: the story's page, to play and turn."""
@@ -218,10 +218,10 @@ def _difference(story: Story, run: RunResults) -> str:
     row = world_row(run, story.plan.plan_id, story.variant)
     if row is None:
         return ""
-    here, there = _said(vars(story.outcome)), _said(row)
-    if here == there:
+    here, run_text = _said(vars(story.outcome)), _said(row)
+    if here == run_text:
         return "" if story.engine == run.info["config"].get("engine") else f"as in the run: {here}"
-    return f"in the run: {there}; here: {here}"
+    return f"in the run: {run_text}; here: {here}"
 
 
 def _said(world: Mapping[str, Any]) -> str:

@@ -113,10 +113,10 @@ def _hangs_over(story: Story) -> list[str]:
     begins, held = steps_beyond(story.scene, box)
     if begins < 0:
         return []
-    what = f"While the plan is built, box {box} hangs over from step {begins} on"
+    overhang = f"While the plan is built, box {box} hangs over from step {begins} on"
     if held < 0:
-        return [f"{what}; nothing that is placed later holds it."]
-    return [f"{what}; its counterweight, box {held}, comes too late."]
+        return [f"{overhang}; nothing that is placed later holds it."]
+    return [f"{overhang}; its counterweight, box {held}, comes too late."]
 
 
 def _leans(story: Story) -> str:
@@ -159,17 +159,17 @@ def _signs(story: Story, box: int) -> list[str]:
     if not np.isfinite(pos).all():
         return []
     sinks = sinks_of(story)
-    own = None if sinks is None else sinks[[box]]
-    shift = float(np.abs(motion_np.shift(pos, story.scene.target[[box]], limits.shift_floor_m, own)).max())
+    box_sinks = None if sinks is None else sinks[[box]]
+    shift = float(np.abs(motion_np.shift(pos, story.scene.target[[box]], limits.shift_floor_m, box_sinks)).max())
     tilt = float(motion_np.tilt_deg(quat)[0])
-    said = []
+    signs = []
     if motion_np.has_dropped(pos, quat, story.scene.half_size[[box]], limits)[0]:
-        said.append("had dropped")
+        signs.append("had dropped")
     if tilt > limits.tilt_deg:
-        said.append(f"was tilted by {tilt:.1f}° (limit {limits.tilt_deg:g}°)")
+        signs.append(f"was tilted by {tilt:.1f}° (limit {limits.tilt_deg:g}°)")
     if shift > limits.shift_m:
-        said.append(f"had shifted by {_mm(shift)} (limit {_mm(limits.shift_m)})")
-    return said
+        signs.append(f"had shifted by {_mm(shift)} (limit {_mm(limits.shift_m)})")
+    return signs
 
 
 def _at(story: Story, values: FloatArray) -> FloatArray:

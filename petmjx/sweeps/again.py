@@ -107,13 +107,17 @@ def sweep_of_run(run: RunResults) -> Sweep:
             if sweep_identity(kept) == _identity(run.info):
                 return kept
     try:
-        found = named if named.is_file() else find_sweep(named.stem)
+        sweep_file = named if named.is_file() else find_sweep(named.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
     both = PLACING in config["sweep"].get("axes", {})  # of errors alone this is no axis
-    sweep = confidence_sweep(worlds, found, changes, exact_too=both) if worlds else load_sweep(found, True, changes)
+    sweep = (
+        confidence_sweep(worlds, sweep_file, changes, exact_too=both)
+        if worlds
+        else load_sweep(sweep_file, True, changes)
+    )
     if sweep_identity(sweep) != _identity(run.info):
-        raise InputError(f"{found}: is no longer the sweep of {run.path}: it changed")
+        raise InputError(f"{sweep_file}: is no longer the sweep of {run.path}: it changed")
     return sweep
 
 

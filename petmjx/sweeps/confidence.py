@@ -87,17 +87,17 @@ def confidence_sweep(
         InputError: an unusable file, or one that has more than single errors; or ``exact_too`` where boxes are not
             carried.
     """
-    found = load_sweep(find_sweep(errors or READY_MADE), plans_given=True, simulation=simulation)
-    wrong = _what_is_no_error(found)
+    error_sweep = load_sweep(find_sweep(errors or READY_MADE), plans_given=True, simulation=simulation)
+    wrong = _what_is_no_error(error_sweep)
     if wrong:
-        raise InputError(f"{found.file}: {wrong}")
-    axes = found.axes
+        raise InputError(f"{error_sweep.file}: {wrong}")
+    axes = error_sweep.axes
     if exact_too:
-        carried = found.simulation.placing.for_errors
-        if not (found.simulation.may_carry and carried.carries):
+        carried = error_sweep.simulation.placing.for_errors
+        if not (error_sweep.simulation.may_carry and carried.carries):
             raise InputError("exact_too compares with boxes that are carried: it needs placing auto, hand or tines")
         axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
-    return found.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})
+    return error_sweep.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})
 
 
 def _what_is_no_error(sweep: Sweep) -> str:
@@ -127,22 +127,22 @@ def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
         parts: of the run, all of them written and in order.
         both: whether worlds with errors were placed both ways (``exact_too``).
     """
-    wanted = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
-    wanted += [PLACING, "replicate"] if both else []
-    worlds = pa.concat_tables(parts.table("worlds", wanted)).to_pandas()
+    columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
+    columns += [PLACING, "replicate"] if both else []
+    worlds = pa.concat_tables(parts.table("worlds", columns)).to_pandas()
     nominal = worlds[worlds["variant"] == 0]
     drawn = worlds[worlds["variant"] > 0]
     exact = drawn[PLACING] == Way.EXACT.value if both else pd.Series(False, index=drawn.index)
-    found = nominal.drop(columns=[PLACING, "replicate"] if both else []).merge(
+    summary = nominal.drop(columns=[PLACING, "replicate"] if both else []).merge(
         _shares(drawn[~exact]).merge(_failures(drawn[~exact]), on="plan_id"), on="plan_id", how="left"
     )
-    found["coin_toss"] = (found["low"] <= EVEN) & (found["high"] >= EVEN)
+    summary["coin_toss"] = (summary["low"] <= EVEN) & (summary["high"] >= EVEN)
     if not both:
-        return found[[*_DESCRIPTIONS]]
+        return summary[[*_DESCRIPTIONS]]
     other = _shares(drawn[exact]).rename(columns={"n_standing": "n_standing_exact", "share": "share_exact"})
-    found = found.merge(other[["plan_id", "n_standing_exact", "share_exact"]], on="plan_id", how="left")
-    found = found.merge(_paired(drawn[~exact], drawn[exact]), on="plan_id", how="left")
-    return found[[*_DESCRIPTIONS, *_OF_BOTH]]
+    summary = summary.merge(other[["plan_id", "n_standing_exact", "share_exact"]], on="plan_id", how="left")
+    summary = summary.merge(_paired(drawn[~exact], drawn[exact]), on="plan_id", how="left")
+    return summary[[*_DESCRIPTIONS, *_OF_BOTH]]
 
 
 def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
@@ -172,11 +172,11 @@ def _paired(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
         "neither": ~stands & ~stands_exact,
     }
     counted = pd.DataFrame({"plan_id": both["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
-    found = counted.groupby("plan_id", observed=True).sum().reset_index()
-    trials = found[[*outcomes]].astype(int).itertuples(index=False, name=None)
-    found["p_value"] = holm([mcnemar_p(PairedCounts(*counts)) for counts in trials])
-    found["placing_matters"] = found["p_value"] < SIGNIFICANCE
-    return found.drop(columns=["both", "neither"])
+    pair_counts = counted.groupby("plan_id", observed=True).sum().reset_index()
+    trials = pair_counts[[*outcomes]].astype(int).itertuples(index=False, name=None)
+    pair_counts["p_value"] = holm([mcnemar_p(PairedCounts(*counts)) for counts in trials])
+    pair_counts["placing_matters"] = pair_counts["p_value"] < SIGNIFICANCE
+    return pair_counts.drop(columns=["both", "neither"])
 
 
 def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:

@@ -93,10 +93,10 @@ def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
         names: list[str] = []
         for value in axes["profile"].values:
             try:
-                found = resolve(str(value), info.data.get("own_profiles"))
+                profiles = resolve(str(value), info.data.get("own_profiles"))
             except InputError as error:
                 raise complaint(f": {error}", "profile") from None
-            names += [profile.name for profile in found]
+            names += [profile.name for profile in profiles]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise complaint(f"holds {twice[0]!r} twice", "profile")
@@ -269,7 +269,7 @@ class Sweep(Checked):
         if not self.axes and not self.nominal:
             text = "is empty: nothing is varied (nominal = true simulates the unchanged plans)"
             raise complaint(text, "axes")
-        varies = [axis.random for axis in self.axes.values()] + [each.random for each in self.profiles.values()]
+        varies = [axis.random for axis in self.axes.values()] + [profile.random for profile in self.profiles.values()]
         if self.replicates > 1 and not any(varies):
             raise ValueError(f"replicates = {self.replicates} needs something random: no axis and no profile is")
         return self
@@ -298,9 +298,11 @@ def sweep_of_tables(
 ) -> Sweep:
     """As :func:`load_sweep`, of the tables of a file that was there once."""
     said_by_file = _plain(tables)
-    said = tables.get("simulation")
-    if simulation and "carrier" in simulation and isinstance(said, dict):
-        said.pop("carrier", None)  # of a run that is looked at again: its file may be gone, or another one by now
+    simulation_table = tables.get("simulation")
+    if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
+        simulation_table.pop(
+            "carrier", None
+        )  # of a run that is looked at again: its file may be gone, or another one by now
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
         changes: dict[str, Any] = {"plans": None if plans_given else _existing(sweep.plans, path.parent)}
@@ -333,10 +335,10 @@ def _existing(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple
     paths = tuple(folder / plan for plan in plans)
     for path in paths:
         try:
-            there = path.exists()
+            exists = path.exists()
         except (OSError, ValueError):  # a name that is too long, for instance, or holds a zero
-            there = False
-        if not there:
+            exists = False
+        if not exists:
             raise InputError(f"plans: no such file or folder: {printable(str(path))}")
     return paths
 

@@ -149,19 +149,19 @@ class SweepPlan(Design):
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
         """The world of a placement that tests one level of an item of a search. Its index is the same in any order."""
         items, levels = self.search_items(), self.sweep.search_levels
-        asked, level = items[item], float(levels[level_index])
+        search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index
-        drive = DriveSpec(asked.profile, level, asked.direction_deg)
+        drive = DriveSpec(search_item.profile, level, search_item.direction_deg)
         column = AXIS_KINDS[self.sweep.strength].column
-        parameters = {**group.placement.parameters, "profile": asked.profile, column: level}
+        parameters = {**group.placement.parameters, "profile": search_item.profile, column: level}
         if "direction" in self.sweep.axes:
-            parameters["direction_deg"] = asked.direction_deg
+            parameters["direction_deg"] = search_item.direction_deg
         return replace(group.placement, index=index, drive=drive, parameters=parameters)
 
     def scene(self, group: PlacementGroup) -> Scene:
         """The scene of a group's placement."""
-        ((_, found),) = self.scenes([group])
-        return found
+        ((_, scene),) = self.scenes([group])
+        return scene
 
     def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
         """Groups with the scenes of their placements; those of one plan, in a row, are made together."""

@@ -51,15 +51,15 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         differs = manifest.difference_from(manifests[0], without=("shard",))
         if differs:
             raise InputError(f"{run.path}: not of the same run as {runs[0].path} ({differs})")
-    whole = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans, lambda: _placements(runs))
-    _check_worlds(runs, whole)
+    merged_manifest = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans, lambda: _placements(runs))
+    _check_worlds(runs, merged_manifest)
     orders = _orders(runs)
     first = runs[0].info
     expected = [run.info["expected_worlds"] for run in runs]
     with RunWriter(
         out,
         {**first["config"], "shard": None, "shards": [_of_shard(run) for run in runs]},
-        manifest=whole,
+        manifest=merged_manifest,
         orders=orders,
         params=[Param(**param) for param in first["params"]],
         boxes=runs[0].keeps_boxes,
@@ -79,7 +79,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         writer.put_in_order()
         if first["config"].get("confidence") is not None:
             write_confidence(writer, first["config"]["sweep"]["axes"])
-        elif whole.settings["command"] == "sweep":
+        elif merged_manifest.settings["command"] == "sweep":
             _write_summary(writer, runs)
     return load_run(out)
 
@@ -90,7 +90,7 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
     Raises:
         InputError: one is no shard or not finished, or not all shards are there once.
     """
-    found: dict[int, RunResults] = {}
+    run_by_shard: dict[int, RunResults] = {}
     of: set[int] = set()
     for run in runs:
         shard = run.info.get("identity", {}).get("shard")
@@ -104,19 +104,19 @@ def _in_order(runs: Sequence[RunResults]) -> list[RunResults]:
         of.add(total)
         if len(of) > 1:
             raise InputError(f"{run.path}: is shard {shard}, others are of {min(of - {total})}")
-        if number in found:
-            raise InputError(f"{run.path}: shard {shard} twice, also in {found[number].path}")
-        found[number] = run
-    if not found:
+        if number in run_by_shard:
+            raise InputError(f"{run.path}: shard {shard} twice, also in {run_by_shard[number].path}")
+        run_by_shard[number] = run
+    if not run_by_shard:
         raise InputError("no shard to merge: name their folders")
     total = of.pop()
-    missing = [f"{number}/{total}" for number in range(1, total + 1) if number not in found]
+    missing = [f"{number}/{total}" for number in range(1, total + 1) if number not in run_by_shard]
     if missing:
         raise InputError(f"missing: {'shard' if len(missing) == 1 else 'shards'} {first_names(missing)}")
-    return [found[number] for number in sorted(found)]
+    return [run_by_shard[number] for number in sorted(run_by_shard)]
 
 
-def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
+def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
     """Raises InputError where two shards have the same world, none has any of a plan, or boxes are missing."""
     home: dict[tuple[str, int], Path] = {}
     for run in runs:
@@ -128,7 +128,7 @@ def _check_worlds(runs: Sequence[RunResults], whole: Manifest) -> None:
                     where = f"{home[key]} and {run.path}" if home[key] != run.path else f"{run.path}"
                     raise InputError(f"plan {shown(key[0])}, variant {key[1]} twice: in {where}")
                 home[key] = run.path
-    lacking = sorted(whole.plans.keys() - {plan_id for plan_id, _ in home})
+    lacking = sorted(manifest.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
         raise InputError(f"no world of {counted(len(lacking), 'plan')}: {first_names(lacking)}")
 
@@ -176,8 +176,8 @@ def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
         Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))
         for entry in entries
     )
-    for each in dict.fromkeys(skipped):
-        writer.skip(each)
+    for skipped_plan in dict.fromkeys(skipped):
+        writer.skip(skipped_plan)
     warnings = [told_apart(info) for info in infos]
     for warning in itertools.chain.from_iterable(about_run for about_run, _ in warnings):
         writer.warn(warning)
@@ -191,8 +191,8 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
         versions = run.info["versions"]
         for name in sorted({*first, *versions}):
             if first.get(name) != versions.get(name):
-                had, others = (each.get(name) or "none" for each in (versions, first))
-                shard, other = (each.info["identity"]["shard"] for each in (run, runs[0]))
+                had, others = (version_by_package.get(name) or "none" for version_by_package in (versions, first))
+                shard, other = (shard_run.info["identity"]["shard"] for shard_run in (run, runs[0]))
                 yield f"shard {shard} was simulated with {name} {had}, shard {other} with {others}"
 
 

@@ -138,7 +138,7 @@ class SweepRun:
 
     def _missing(self, group: PlacementGroup) -> list[Variant]:
         """Those of a placement's worlds that are not recorded."""
-        return [each for each in group.variants if (group.plan.plan_id, each.index) not in self.recorded]
+        return [variant for variant in group.variants if (group.plan.plan_id, variant.index) not in self.recorded]
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
@@ -220,8 +220,8 @@ class SweepRun:
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[Settled]:
         """The same, in the order of the groups."""
-        found = {id(settled.group): settled for settled in self._settling(groups)}
-        return [found[id(group)] for group in groups]
+        settled_by_group = {id(settled.group): settled for settled in self._settling(groups)}
+        return [settled_by_group[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: Settled) -> bool:
         """Not if the placement does not stand; without early stop, not if it is invalid."""
@@ -285,20 +285,20 @@ class SweepRun:
         more is simulated for it.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
-        asked = [(start, number) for start in settled for number in range(len(items))]
-        bisection = self._bisection([Probe.of(start.outcome, tilt_deg) for start, _ in asked])
+        searches = [(start, number) for start in settled for number in range(len(items))]
+        bisection = self._bisection([Probe.of(start.outcome, tilt_deg) for start, _ in searches])
 
         def variant(which: int, level: int) -> Variant:
-            start, number = asked[which]
+            start, number = searches[which]
             return self.plan.search_variant(start.group, number, level)
 
         def recorded(which: int, level: int) -> Probe | None:
-            start, number = asked[which]
+            start, number = searches[which]
             return self._recorded_test(start.group, number, level)
 
-        for which, found in enumerate(bisection.items):
-            if not found.stands_at_rest and recorded(which, 0) is None:
-                yield asked[which][0].undriven(variant(which, 0))
+        for which, bracket in enumerate(bisection.items):
+            if not bracket.stands_at_rest and recorded(which, 0) is None:
+                yield searches[which][0].undriven(variant(which, 0))
         tested: dict[Test, Probe] = {}
         missing: dict[int, set[Test]] = {}
 
@@ -309,7 +309,7 @@ class SweepRun:
                 tested.update(known)
                 if missing_now := [test for test in tests if test not in known]:
                     missing[which] = set(missing_now)
-                    return [self._driving(asked[which][0], variant(*test), test) for test in missing_now]
+                    return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
                 # only the worlds at the bounds of an item's search may yet be an answer
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
@@ -323,7 +323,7 @@ class SweepRun:
             following.clear()
             return drives
 
-        first = (drive for which in range(len(asked)) for drive in next_drives(which))
+        first = (drive for which in range(len(searches)) for drive in next_drives(which))
         for test, world in self._drive(first, more):
             which, _ = test
             tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
@@ -331,7 +331,7 @@ class SweepRun:
             if not missing[which]:
                 following += next_drives(which)
             yield world
-        self._answer([(start.group, number) for start, number in asked], bisection, tested)
+        self._answer([(start.group, number) for start, number in searches], bisection, tested)
 
     def _bisection(self, at_rest: Sequence[Probe]) -> Bisection:
         sweep = self.plan.sweep
@@ -339,19 +339,19 @@ class SweepRun:
         return Bisection(sweep.search_levels, at_rest, sweep.search.sections)
 
     def _answer(
-        self, asked: Sequence[tuple[PlacementGroup, int]], bisection: Bisection, tested: Mapping[Test, Probe]
+        self, searches: Sequence[tuple[PlacementGroup, int]], bisection: Bisection, tested: Mapping[Test, Probe]
     ) -> None:
         items = self.plan.search_items()
-        for which, ((group, number), found) in enumerate(zip(asked, bisection.items, strict=True)):
+        for which, ((group, number), bracket) in enumerate(zip(searches, bisection.items, strict=True)):
             self.on_answer(
                 Answer(
                     group,
                     items[number],
-                    found,
+                    bracket,
                     bisection.largest_survived(which),
                     bisection.first_failed(which),
-                    tested.get((which, found.survived)),
-                    tested.get((which, found.failed)),
+                    tested.get((which, bracket.survived)),
+                    tested.get((which, bracket.failed)),
                 )
             )
 
@@ -361,7 +361,9 @@ class SweepRun:
             return False
         numbers = range(len(self.plan.search_items()))
         bisection = self._bisection([self._recorded_rest(group, number) for number in numbers])
-        if any(found.stands_at_rest and not bisection.next_tests(which) for which, found in enumerate(bisection.items)):
+        if any(
+            bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
+        ):
             return False  # a search of one level, of which no world tells that the placement stood
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):

@@ -135,8 +135,8 @@ class Bisection:
 
     def bounds(self, item: int) -> tuple[tuple[int, int], tuple[int, int]]:
         """(item, level index) of the largest level survived and of the smallest that failed."""
-        found = self.items[item]
-        return (item, found.survived), (item, found.failed)
+        bracket = self.items[item]
+        return (item, bracket.survived), (item, bracket.failed)
 
     def largest_survived(self, item: int) -> float | None:
         """Level in g, or scale; None: none."""
@@ -145,16 +145,18 @@ class Bisection:
 
     def first_failed(self, item: int) -> float | None:
         """Level in g, or scale; None: none up to the highest, or nothing was tested."""
-        found = self.items[item]
-        return float(self.levels[found.failed]) if found.stands_at_rest and found.failed < len(self.levels) else None
+        bracket = self.items[item]
+        return (
+            float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None
+        )
 
     def next_tests(self, item: int) -> list[tuple[int, int]]:
         """(item, level index) of an item's next tests; empty when its answer is exact."""
-        found = self.items[item]
-        untested = found.failed - found.survived - 1
+        bracket = self.items[item]
+        untested = bracket.failed - bracket.survived - 1
         count = min(self.sections, untested)
         steps = np.round(np.arange(1, count + 1) * (untested + 1) / (count + 1)).astype(np.int64)
-        return [(item, found.survived + step) for step in steps.tolist()]
+        return [(item, bracket.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
         """Record the worlds of tests: of all levels that were requested for an item, and for any number of items.
@@ -165,17 +167,17 @@ class Bisection:
             raise ValueError("record needs one answer for each test")
         survivors = []
         for (item, level), world in zip(tests, worlds, strict=True):
-            found = self.items[item]
-            found.n_tests += 1
-            found.n_invalid += world.verdict is Verdict.INVALID
-            found.n_moving += world.moving
+            bracket = self.items[item]
+            bracket.n_tests += 1
+            bracket.n_invalid += world.verdict is Verdict.INVALID
+            bracket.n_moving += world.moving
             if world.verdict is Verdict.STABLE:
-                survivors.append((found, level))
-            elif level < found.failed:
-                found.failed = level
-                found.box, found.mode = world.culprit, world.mode
+                survivors.append((bracket, level))
+            elif level < bracket.failed:
+                bracket.failed = level
+                bracket.box, bracket.mode = world.culprit, world.mode
         # Failures came first: a level survived above a failed one must not raise the answer.
-        for found, level in survivors:
-            found.highest = max(found.highest, level)
-            if level < found.failed:
-                found.survived = max(found.survived, level)
+        for bracket, level in survivors:
+            bracket.highest = max(bracket.highest, level)
+            if level < bracket.failed:
+                bracket.survived = max(bracket.survived, level)

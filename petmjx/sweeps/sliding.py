@@ -104,7 +104,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
     errors = _friction_errors(sweep)
     friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
-    varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(each.random for each in errors)
+    varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(error.random for error in errors)
     up_to = "up to " if varies else ""
     lines = []
     for name, profile in sweep.profiles.items():

@@ -44,43 +44,43 @@ class SweepStudy(Study):
 
     def __init__(
         self,
-        asked: Sweep,
+        sweep: Sweep,
         plans: Sequence[Plan],
         options: RunOptions,
         *,
         confidence: int | None = None,
         batching: Batching | None = None,
     ) -> None:
-        plan = SweepPlan(asked, plans, options.allow_large, options.strict)
+        plan = SweepPlan(sweep, plans, options.allow_large, options.strict)
         everything = tuple(plan.plans)
-        plan.plans = [each for each in everything if options.takes(each.plan_id)]
+        plan.plans = [input_plan for input_plan in everything if options.takes(input_plan.plan_id)]
         self._plan, self._columns = plan, SweepColumns(plan)
         self._confidence, self._batching = confidence, batching or Batching()
-        self._shares = ShareColumns.of(plan) if confidence is None and asked.search is None else None
+        self._shares = ShareColumns.of(plan) if confidence is None and sweep.search is None else None
         self._answers: list[dict[str, Any]] = []
         self._tally = Tally()
         super().__init__(
-            sim=asked.simulation,
+            sim=sweep.simulation,
             everything=everything,
             plans=plan.plans,
             work=plan.work(),
             n_worlds=plan.n_worlds,
-            known=asked.search is None,
-            first_variant=int(not asked.nominal),
+            known=sweep.search is None,
+            first_variant=int(not sweep.nominal),
             amount=plan.amount,
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
             # friction by materials may hold what that of boxes and carrier does not
-            notes=() if any(each.materials for each in everything) else hopeless_profiles(asked),
+            notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,
             dynamic=self._columns.has_drives,
-            axes=tuple(asked.axes),
+            axes=tuple(sweep.axes),
             has_errors=plan.has_errors,
-            identity={"sweep": sweep_identity(asked)},
+            identity={"sweep": sweep_identity(sweep)},
             config={
                 **({"confidence": confidence} if confidence is not None else {}),
-                "sweep": asked.resolved(),
+                "sweep": sweep.resolved(),
                 **({"shares": asdict(self._shares)} if self._shares else {}),
             },
         )

@@ -84,8 +84,8 @@ class SweepColumns:
         """EUMOS's figures, which count from where the boxes stood; what did not stand has none, or has not passed."""
         values: dict[str, Any] = {}
         if world.driven:
-            found = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
-            values = {name: None if value != value else value for name, value in found.items()}
+            assessment = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
+            values = {name: None if value != value else value for name, value in assessment.items()}
         if placement.verdict is not Verdict.STABLE:
             values["eumos_passed"] = False
         if world.outcome.verdict is Verdict.INVALID:
@@ -152,8 +152,8 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     axes = list(columns.axes)
     extra = ["eumos_passed"] if columns.eumos else []
     extra += [FAIL_ANGLE.name] if columns.tilt else []
-    wanted = ["plan_id", "variant", "verdict", *axes, *extra]
-    worlds = pa.concat_tables(parts.table("worlds", wanted)).to_pandas()
+    world_columns = ["plan_id", "variant", "verdict", *axes, *extra]
+    worlds = pa.concat_tables(parts.table("worlds", world_columns)).to_pandas()
     for name, (low, high) in columns.ranges.items():
         worlds[name] = _binned(worlds[name], low, high)
     worlds["draw"] = _draws(worlds, columns)
@@ -194,8 +194,8 @@ def _binned(values: pd.Series[float], lowest: float, highest: float) -> pd.Serie
 
 def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
     """One row of a search's summary."""
-    group, found = answer.group, answer.found
-    box = found.box if found.box >= 0 else None
+    group, bracket = answer.group, answer.found
+    box = bracket.box if bracket.box >= 0 else None
     at_failure: Mapping[str, Any] = answer.at_failure.values if answer.at_failure is not None else {}
     row: dict[str, Any] = {
         "plan_id": group.plan.plan_id,
@@ -203,17 +203,17 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
         **group.placement.parameters,
         "profile": answer.item.profile,
         "direction_deg": answer.item.direction_deg,
-        "stands_at_rest": found.stands_at_rest,
+        "stands_at_rest": bracket.stands_at_rest,
         f"largest_{columns.strength}": answer.largest_survived,
         f"first_failed_{columns.strength}": answer.first_failed,
         "box": box,
         "article": group.plan.articles[box] if box is not None else "",
-        "mode": found.mode,
+        "mode": bracket.mode,
         SIGN.name: at_failure.get(SIGN.name),
-        "monotone": found.monotone,
-        "n_tests": found.n_tests,
-        "n_invalid": found.n_invalid,
-        "n_moving": found.n_moving,
+        "monotone": bracket.monotone,
+        "n_tests": bracket.n_tests,
+        "n_invalid": bracket.n_invalid,
+        "n_moving": bracket.n_moving,
         "moving": any(probe.moving for probe in (answer.at_largest, answer.at_failure) if probe is not None),
     }
     if columns.has_eumos:

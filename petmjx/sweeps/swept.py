@@ -34,8 +34,8 @@ class Settled:
         """What a fork came to, judged with its placement. Its history begins with that of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
-            found = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
-            verdict, reason = judge(*found, placement=(placed.verdict, placed.reason))
+            judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
+            verdict, reason = judge(*judge_args, placement=(placed.verdict, placed.reason))
             outcome = replace(
                 outcome,
                 verdict=verdict,

@@ -18,23 +18,23 @@ AT_A_TIME: Final = 64
 def groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
     """Numbers of scenes that are alike, and whether they are plain: boxes alone, that neither give nor lie on sheets.
     What is not plain has a group of its own. Worlds of a plan are alike."""
-    found: dict[Any, list[int]] = {}
+    numbers_by_key: dict[Any, list[int]] = {}
     for number, scene in enumerate(scenes):
         if not is_plain(scene):
             yield [number], False
             continue
         key = scene.n_boxes, len(scene.carrier.half_size), id(scene.approach), scene.placing, scene.wrap
-        group = found.setdefault(key, [])
+        group = numbers_by_key.setdefault(key, [])
         group.append(number)
         if len(group) == AT_A_TIME:
-            yield found.pop(key), True
-    yield from ((group, True) for group in found.values())
+            yield numbers_by_key.pop(key), True
+    yield from ((group, True) for group in numbers_by_key.values())
 
 
 def is_plain(scene: Scene) -> bool:
     """Whether nothing but places, sizes, masses and friction tells a scene's boxes apart."""
     more = scene.mass_center, scene.inertia_box, scene.surface, scene.stiffness, scene.soft, scene.carrier.surface
-    return not scene.pieces and all(each is None for each in more)
+    return not scene.pieces and all(array is None for array in more)
 
 
 def stacked(scenes: Sequence[Scene], name: str) -> NDArray[Any]:

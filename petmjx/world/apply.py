@@ -131,9 +131,9 @@ def _changed(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], st
     start_quat = _turned(scene.start_quat, yaw)
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
-    each = (slippery, half_size, mass, target, start_pos, start_quat)
+    fields = (slippery, half_size, mass, target, start_pos, start_quat)
     # one and the same object where worlds do not differ: pickles and tables have it once
-    columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in each)
+    columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in fields)
     for _, base, half, kg, planned, place, turn in zip(keys, *columns, strict=False):
         yield replace(
             base,

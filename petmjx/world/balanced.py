@@ -127,12 +127,12 @@ def _solved(
     for axis, sign in enumerate((1.0, -1.0, 1.0, -1.0)):
         balance[number, 1 + axis // 2, moments + 4 * number + axis] = sign * weight[open_]
     rows = np.concatenate([edges, balance.reshape(-1, least + 1)])
-    wanted = fixed[open_].ravel()
+    open_loads = fixed[open_].ravel()
     cost, most = np.zeros(least + 1), np.full(least + 1, np.inf)
     cost[least], most[least] = -1.0, FAR_M
     cost[outside:moments] = _OUTSIDE
     cost[moments:least] = _OUTSIDE**2
-    limits = np.concatenate([inside, wanted]), np.concatenate([np.full(len(place), np.inf), wanted])
+    limits = np.concatenate([inside, open_loads]), np.concatenate([np.full(len(place), np.inf), open_loads])
     force = _least(cost, rows, *limits, most)
     if force is None:
         return None

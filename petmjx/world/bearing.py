@@ -119,8 +119,8 @@ class Bearing:
         """(n, 4) the boxes' own weights, as ``loads`` has them."""
         boxes = self.boxes
         centre = boxes.target + boxes.mass_center
-        own: FloatArray = boxes.mass[:, None] * np.concatenate([np.ones((len(centre), 1)), centre], axis=1)
-        return own
+        weights: FloatArray = boxes.mass[:, None] * np.concatenate([np.ones((len(centre), 1)), centre], axis=1)
+        return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
         """(c, 3) what boxes under loads press on what bears them at each contact: force and first moments along x and
@@ -158,8 +158,10 @@ class Bearing:
         for chosen in (within, ~within):
             if chosen.any():
                 some = chosen[owner]
-                those = load[chosen], (np.cumsum(chosen) - 1)[owner[some]], low[some], high[some]
-                force[some] = pushes(*those) if chosen is within else on_edges(*those, self.hulls, hull[chosen])
+                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[some]], low[some], high[some]
+                force[some] = (
+                    pushes(*contact_args) if chosen is within else on_edges(*contact_args, self.hulls, hull[chosen])
+                )
         return force
 
     def edges_m(self, load: FloatArray) -> FloatArray:
@@ -167,13 +169,13 @@ class Bearing:
         nothing bears the box, or there is no load."""
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
-        found = np.full(len(load), np.nan)
+        distance_m = np.full(len(load), np.nan)
         single = np.flatnonzero(self.n_supports[self.upper] == 1)
         alone = self.upper[single]
-        found[alone] = np.minimum(point[alone] - self.low[single], self.high[single] - point[alone]).min(axis=1)
+        distance_m[alone] = np.minimum(point[alone] - self.low[single], self.high[single] - point[alone]).min(axis=1)
         several = np.flatnonzero(self.n_supports > 1)
-        found[several] = self.hulls.inside_m(np.arange(len(several)), point[several])
-        return found
+        distance_m[several] = self.hulls.inside_m(np.arange(len(several)), point[several])
+        return distance_m
 
     @cached_property
     def hulls(self) -> HullTable:
@@ -256,15 +258,15 @@ class Bearing:
         area = length.prod(axis=1)
         moments = area[:, None, None] * middle[:, :, None] * middle[:, None, :]
         moments[:, [1, 2], [1, 2]] += area[:, None] * length**2 / 12
-        whole = np.zeros((len(boxes.mass), 3, 3))
-        np.add.at(whole, upper, moments)
+        total_moments = np.zeros((len(boxes.mass), 3, 3))
+        np.add.at(total_moments, upper, moments)
         to_global = np.zeros_like(moments)
         to_global[:, 0, 0] = 1.0
         to_global[:, 1:, 0] = origin
         to_global[:, [1, 2], [1, 2]] = scale
-        inverse = np.zeros_like(whole)
+        inverse = np.zeros_like(total_moments)
         together = self.n_supports > 1
-        inverse[together] = np.linalg.inv(whole[together])
+        inverse[together] = np.linalg.inv(total_moments[together])
         share[several] = to_global @ (moments @ inverse[upper]) @ np.linalg.inv(to_global)
         return share
 
@@ -282,9 +284,9 @@ def bearings_of(
     different = list({id(scene): scene for scene in scenes}.values())
     if len(different) == 1:
         return [bearing_of(different[0])] * len(scenes) + find_bearings(at_rest, pos)
-    found = find_bearings([*different, *at_rest], [*(scene.target for scene in different), *pos])
-    of_scene = dict(zip(map(id, different), found, strict=False))
-    return [of_scene[id(scene)] for scene in scenes] + found[len(different) :]
+    bearings = find_bearings([*different, *at_rest], [*(scene.target for scene in different), *pos])
+    of_scene = dict(zip(map(id, different), bearings, strict=False))
+    return [of_scene[id(scene)] for scene in scenes] + bearings[len(different) :]
 
 
 def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float = TOUCH_M) -> list[Bearing]:
@@ -292,15 +294,17 @@ def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_g
     if len(scenes) < 2:
         moved = [replace(scene, target=target) for scene, target in zip(scenes, targets, strict=True)]
         return [find_bearing(scene, most_gap_m) for scene in moved]
-    found: dict[int, Bearing] = {}
+    bearing_by_number: dict[int, Bearing] = {}
     for numbers, plain in groups(scenes):
         some = [scenes[k] for k in numbers]
         if plain and some[0].n_boxes:
             target = np.array([targets[k] for k in numbers])
-            found.update(zip(numbers, _found_alike(some, target, most_gap_m), strict=True))
+            bearing_by_number.update(zip(numbers, _found_alike(some, target, most_gap_m), strict=True))
         else:
-            found.update((k, find_bearing(replace(scenes[k], target=targets[k]), most_gap_m)) for k in numbers)
-    return [found[k] for k in range(len(scenes))]
+            bearing_by_number.update(
+                (k, find_bearing(replace(scenes[k], target=targets[k]), most_gap_m)) for k in numbers
+            )
+    return [bearing_by_number[k] for k in range(len(scenes))]
 
 
 def _found_alike(scenes: Sequence[Scene], target: FloatArray, most_gap_m: float) -> Iterator[Bearing]:
@@ -329,8 +333,8 @@ def _found_alike(scenes: Sequence[Scene], target: FloatArray, most_gap_m: float)
     every = upper[order], lower[order], area_low[order], area_high[order]
     first, centred = np.array([0, n]), np.zeros((n, 3))
     for k, scene in enumerate(scenes):
-        own = Boxes(first, target[k], half_size[k], scene.mass, centred, np.full(n, scene.carrier.mass))
-        yield Bearing(own, *(values[ends[k] : ends[k + 1]] for values in every))
+        boxes = Boxes(first, target[k], half_size[k], scene.mass, centred, np.full(n, scene.carrier.mass))
+        yield Bearing(boxes, *(values[ends[k] : ends[k + 1]] for values in every))
 
 
 def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:

@@ -147,21 +147,21 @@ def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
     return PALLETS[carrier]() if carrier in PALLETS else None
 
 
-def body_of(found: Pallet, physics: Physics) -> Body:
+def body_of(board_pallet: Pallet, physics: Physics) -> Body:
     """A pallet as a body, with its deck at z = 0."""
-    corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*found.boards, strict=True))
-    corner[:, 2] -= found.height_mm / MM_PER_M
+    corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*board_pallet.boards, strict=True))
+    corner[:, 2] -= board_pallet.height_mm / MM_PER_M
     friction = np.tile(physics.carrier_friction, (len(size), 1))
-    for board, sliding in enumerate(found.frictions):
+    for board, sliding in enumerate(board_pallet.frictions):
         if sliding is not None:
             friction[board, 0] = sliding
-    return Body.of_boards(corner + size / 2, size / 2, np.array(found.masses_kg), friction)
+    return Body.of_boards(corner + size / 2, size / 2, np.array(board_pallet.masses_kg), friction)
 
 
 def carrier_notes(sim: Simulation) -> Iterator[str]:
     """A line for each option that has no effect with this carrier."""
-    found, physics = pallet(sim.carrier), sim.physics
-    if found is None:
+    board_pallet, physics = pallet(sim.carrier), sim.physics
+    if board_pallet is None:
         return
     name = shown(sim.carrier if isinstance(sim.carrier, Carrier) else sim.carrier.name or "the carrier")
     idle = [field for field in OF_SLABS if getattr(physics, field) != Physics.model_fields[field].default]
@@ -169,20 +169,20 @@ def carrier_notes(sim: Simulation) -> Iterator[str]:
         verb = "has" if len(idle) == 1 else "have"
         these = " and ".join(f"physics.{field}" for field in idle)
         yield f"{these} {verb} no effect: {name} is made of boards, which have their own height and mass"
-    own = [friction for friction in found.frictions if friction is not None]
-    if not physics.has_own_friction and own and min(own) < physics.box_friction[0]:
+    frictions = [friction for friction in board_pallet.frictions if friction is not None]
+    if not physics.has_own_friction and frictions and min(frictions) < physics.box_friction[0]:
         why = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
-        yield f"friction {min(own):g} of boards of {name} has no effect with pyramidal cones: {why}"
+        yield f"friction {min(frictions):g} of boards of {name} has no effect with pyramidal cones: {why}"
 
 
 def carrier_friction(sim: Simulation) -> float:
     """The largest coefficient of sliding friction of the carrier."""
-    found, usual = pallet(sim.carrier), sim.physics.carrier_friction[0]
-    frictions = () if found is None else found.frictions
-    return max((usual if own is None else own for own in frictions), default=usual)
+    board_pallet, usual = pallet(sim.carrier), sim.physics.carrier_friction[0]
+    frictions = () if board_pallet is None else board_pallet.frictions
+    return max((usual if friction is None else friction for friction in frictions), default=usual)
 
 
 def floor_z_m(sim: Simulation) -> float:
     """Height of the floor, m: where pallets of boards stand, else as the physics says."""
-    found = pallet(sim.carrier)
-    return sim.physics.floor_z_m if found is None else -found.height_mm / MM_PER_M
+    board_pallet = pallet(sim.carrier)
+    return sim.physics.floor_z_m if board_pallet is None else -board_pallet.height_mm / MM_PER_M

@@ -146,9 +146,9 @@ def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
         return None
     bearing = bearing_of(scene)
     depth = bed_depth_m(scene, gravity_m_s2 * bearing.loads(scene.n_boxes)[:, 0])
-    found = np.zeros(scene.n_boxes)
+    sink_m = np.zeros(scene.n_boxes)
     for box in np.argsort(scene.target[:, 2] - scene.half_size[:, 2], kind="stable").tolist():
         lower = bearing.lower[bearing.upper == box]
-        below = found[lower[lower != CARRIER]]
-        found[box] = depth[box] + below.max(initial=0.0)
-    return found
+        below = sink_m[lower[lower != CARRIER]]
+        sink_m[box] = depth[box] + below.max(initial=0.0)
+    return sink_m

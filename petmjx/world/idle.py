@@ -91,13 +91,13 @@ def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool) -> Iterator[str
 
 def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
     """Boxes on a carrier of boards whose middles are outside of all that bears them."""
-    found = pallet(sim.carrier)
-    if found is None:
+    board_pallet = pallet(sim.carrier)
+    if board_pallet is None:
         return
     named: list[str] = []
     count = 0
     for plan in plans:
-        boxes = _over_gaps(plan, found.deck_mm)
+        boxes = _over_gaps(plan, board_pallet.deck_mm)
         count += len(boxes)
         named += [f"box {box} of {shown(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
     if count:
@@ -168,8 +168,8 @@ def _pressed_through(plan: Plan, sim: Simulation) -> list[int]:
     scene = build_scene(plan, sim)
     assert scene.stiffness is not None
     load_n = sim.physics.gravity_m_s2 * (bearing_of(scene).loads(scene.n_boxes)[:, 0] - scene.mass / 2)
-    found: list[int] = np.flatnonzero(load_n / scene.stiffness > scene.half_size[:, 2]).tolist()
-    return found
+    boxes: list[int] = np.flatnonzero(load_n / scene.stiffness > scene.half_size[:, 2]).tolist()
+    return boxes
 
 
 def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
@@ -180,5 +180,5 @@ def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
     # the hull of what bears a box is no larger than the rectangle around it
     least, most = np.where(borne, begin, np.inf).min(axis=1), np.where(borne, end, -np.inf).max(axis=1)
     middle = (low + high) / 2
-    found: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()
-    return found
+    boxes: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()
+    return boxes

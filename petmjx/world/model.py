@@ -130,8 +130,8 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
     of_body = np.full(model.nbody, CARRIER, np.intp)
     of_body[0] = FLOOR
     of_body[model.nbody - len(boxes) :] = boxes
-    found: NDArray[np.intp] = of_body[np.asarray(model.geom_bodyid)]
-    return found
+    box_of_geom: NDArray[np.intp] = of_body[np.asarray(model.geom_bodyid)]
+    return box_of_geom
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,11 @@ class _Partner:
 
 
 def _declare_pairs(
-    spec: mujoco.MjSpec, physics: Physics, table: FloatArray, these: Sequence[_Partner], those: Sequence[_Partner]
+    spec: mujoco.MjSpec,
+    physics: Physics,
+    table: FloatArray,
+    these: Sequence[_Partner],
+    other_partners: Sequence[_Partner],
 ) -> None:
     """Each of these touches each of those.
 
@@ -158,10 +162,10 @@ def _declare_pairs(
     if not physics.has_own_friction:
         return
     for one in these:
-        for two in those:
+        for two in other_partners:
             sliding, torsional, rolling = map(max, one.friction, two.friction)
-            own = float(table[one.surface, two.surface])
-            sliding = sliding if own == LARGER else own
+            table_friction = float(table[one.surface, two.surface])
+            sliding = sliding if table_friction == LARGER else table_friction
             solref, solimp = physics.solref, physics.solimp
             if two.face is not None:
                 solref, solimp = law_between(physics, two.face, one.face)
@@ -179,18 +183,20 @@ def _declare_pairs(
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
     """The shapes of each body and the floor; ``held``: the carrier is clamped."""
-    found = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
+    partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)
     rows = zip(shapes.body.tolist(), shapes.friction.tolist(), shapes.surface.tolist(), faces, strict=True)
     for body, friction, surface, face in rows:
         skin_m = physics.carrier_skin_m if body == CARRIER else physics.skin_m
         name = CARRIER_NAME if body == CARRIER else box_name(body)
-        found.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m, surface, face))
-    for body, several in found.items():
+        partners.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m, surface, face))
+    for body, several in partners.items():
         if len(several) > 1:
-            found[body] = [replace(each, name=f"{each.name}_{number}") for number, each in enumerate(several)]
-    return found
+            partners[body] = [
+                replace(partner, name=f"{partner.name}_{number}") for number, partner in enumerate(several)
+            ]
+    return partners
 
 
 def _faces(scene: Scene, held: bool) -> list[Face | None]:
@@ -203,7 +209,7 @@ def _faces(scene: Scene, held: bool) -> list[Face | None]:
     inverse = np.append(1 / scene.mass, 0.0 if held else 1 / carrier.mass)[shapes.body]
     frame = np.vstack([scene.target - scene.middle, carrier.pos])[shapes.body]
     rows = zip(give.tolist(), (frame + shapes.pos).tolist(), shapes.half_size.tolist(), inverse.tolist(), strict=True)
-    return [Face(each, tuple(middle), tuple(half), lightness) for each, middle, half, lightness in rows]
+    return [Face(compliance, tuple(middle), tuple(half), lightness) for compliance, middle, half, lightness in rows]
 
 
 def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:

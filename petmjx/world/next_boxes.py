@@ -88,11 +88,11 @@ class Blank:
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
         """A scene with one box more, of which only extents, place and mass are known."""
         place = boxes.target[row]
-        own = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
+        box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}
         for name in OF_BOXES:
             before = getattr(scene, name)
             if before is not None:
-                value = own[name] if name in own else getattr(self._one, name)[0]
+                value = box_values[name] if name in box_values else getattr(self._one, name)[0]
                 grown[name] = np.concatenate([before, np.asarray(value)[None]])
         return replace(scene, **grown)

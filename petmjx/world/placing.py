@@ -117,8 +117,8 @@ def courses_of(scenes: Sequence[Scene], sim: Simulation) -> Course | None:
     if placing.appears or sim.check is Check.STATIC:
         return None
     if placing.name is Way.TINES:
-        each = [course_of(scene, sim) for scene in scenes]
-        return Course(*(np.array(values) for values in zip(*(course for course in each if course), strict=True)))
+        courses = [course_of(scene, sim) for scene in scenes]
+        return Course(*(np.array(values) for values in zip(*(course for course in courses if course), strict=True)))
     start, target = (stacked(scenes, name) for name in ("start_pos", "target"))
     quat, offset = stacked(scenes, "start_quat"), np.zeros(start.shape)
     offset[..., 2] = placing.height_mm / MM_PER_M
@@ -257,13 +257,13 @@ def _beside(place: FloatArray, half: FloatArray, placing: Placing) -> NDArray[np
     gap = [np.abs(between[axis]) - (half[..., None, :, axis] + half[..., :, None, axis]) for axis in range(3)]
     before = np.tri(place.shape[-2], k=-1, dtype=bool)
     level = before & ((gap[2] < -_BESIDE_M) | ((gap[2] < lifted_m) & (between[2] > 0)))
-    found = np.zeros((*place.shape[:-1], 2, 2), dtype=bool)
+    neighbours = np.zeros((*place.shape[:-1], 2, 2), dtype=bool)
     for axis in range(2):
         shares = gap[1 - axis] < -_BESIDE_M
         beside = level & shares & (gap[axis] >= -_BESIDE_M) & (gap[axis] < near_m)
         for side in range(2):
-            found[..., side, axis] = (beside & ((between[axis] > 0) == bool(side))).any(axis=-1)
-    return found
+            neighbours[..., side, axis] = (beside & ((between[axis] > 0) == bool(side))).any(axis=-1)
+    return neighbours
 
 
 def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[FloatArray, FloatArray]:

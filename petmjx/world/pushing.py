@@ -80,8 +80,8 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
     to_cone[:, 0, 0] = root
     to_cone[:, 0, 1:] = root[:, None] * middle
     to_cone[:, [1, 2], [1, 2]] = root[:, None] * half / _ROOT
-    wanted = np.concatenate([np.ones((len(load), 1)), (load[:, 1:] / load[:, :1] - origin) / scale], axis=1)
-    plane = _planes(to_cone, owner, begins, wanted)
+    unit_loads = np.concatenate([np.ones((len(load), 1)), (load[:, 1:] / load[:, :1] - origin) / scale], axis=1)
+    plane = _planes(to_cone, owner, begins, unit_loads)
     projected, _ = _projected(np.einsum("cij,cj->ci", to_cone, plane[owner]))
     force: FloatArray = np.einsum("cji,cj->ci", to_cone, projected)
     force[:, 1:] = origin[owner] * force[:, :1] + scale[owner] * force[:, 1:]
@@ -89,20 +89,20 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
     return force
 
 
-def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, wanted: FloatArray) -> FloatArray:
+def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
     """(p, 3) the planes of pressure whose projections balance what is wanted."""
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         projected, slope = _projected(np.einsum("cij,cj->ci", to_cone, plane[owner]))
-        value = np.add.reduceat((projected**2).sum(axis=1), begins) / 2 - (plane * wanted).sum(axis=1)
+        value = np.add.reduceat((projected**2).sum(axis=1), begins) / 2 - (plane * unit_loads).sum(axis=1)
         return value, projected, slope
 
     second = np.add.reduceat(np.einsum("cki,ckj->cij", to_cone, to_cone), begins)
-    plane: FloatArray = np.asarray(np.linalg.solve(second, wanted[..., None])[..., 0], np.float64)
+    plane: FloatArray = np.asarray(np.linalg.solve(second, unit_loads[..., None])[..., 0], np.float64)
     value, projected, slope = energy(plane)
     before, goes_on = np.full(len(plane), np.inf), np.ones(len(plane), bool)
     for _ in range(_MOST_STEPS):
-        rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - wanted
+        rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
         off = np.abs(rest).max(axis=1)
         # each box stops for itself: its forces do not depend on company
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))

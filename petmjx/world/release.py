@@ -66,10 +66,10 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
     support = _supports(scene.target, scene.half_size)
     touches = (support != NOTHING) & (scene.start_pos[:, 2] <= scene.target[:, 2])
-    physics, own = sim.physics, scene.friction[:, 0]
+    physics, friction = sim.physics, scene.friction[:, 0]
     on_carrier, below = support == CARRIER, np.maximum(support, 0)
     share = 1.0 + scene.mass / np.where(on_carrier, scene.carrier.mass, scene.mass[below])
-    soft = cone_factor(physics, own, np.where(on_carrier, scene.carrier.friction[:, 0].max(), own[below]))
+    soft = cone_factor(physics, friction, np.where(on_carrier, scene.carrier.friction[:, 0].max(), friction[below]))
     pos = scene.start_pos.copy()
     depth = depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE)
     sinks, most = sinks_m(scene, physics.gravity_m_s2), MOST_FOLLOWED_M
@@ -87,7 +87,7 @@ def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not n:
         return Release(np.full((m, n), NOTHING), start)
     target, half = (stacked(scenes, name) for name in ("target", "half_size"))
-    mass, own = stacked(scenes, "mass"), stacked(scenes, "friction")[..., 0]
+    mass, friction = stacked(scenes, "mass"), stacked(scenes, "friction")[..., 0]
     carrier_mass = stacked(scenes, "carrier.mass")[:, None]
     carrier_friction = stacked(scenes, "carrier.friction")[..., 0].max(axis=1)[:, None]
     support = _supports(target, half)
@@ -95,7 +95,9 @@ def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
     on_carrier, below = support == CARRIER, np.maximum(support, 0)
     physics = sim.physics
     share = 1.0 + mass / np.where(on_carrier, carrier_mass, np.take_along_axis(mass, below, axis=1))
-    soft = cone_factor(physics, own, np.where(on_carrier, carrier_friction, np.take_along_axis(own, below, axis=1)))
+    soft = cone_factor(
+        physics, friction, np.where(on_carrier, carrier_friction, np.take_along_axis(friction, below, axis=1))
+    )
     depth = depth_m(physics, soft * share * physics.gravity_m_s2 / CONTACTS_PER_FACE)
     start[..., 2] -= np.where(touches, depth, 0.0)
     return Release(support, start)
@@ -111,15 +113,15 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     sides = np.maximum(ends - np.maximum(before.target - before.half_size, low[:, None]), 0.0)
     top = before.target[:, :, 2] + before.half_size[:, :, 2]
     area = np.nan_to_num(sides[:, :, 0] * sides[:, :, 1]) * (np.abs(top - low[:, None, 2]) <= TOUCH_M)
-    found = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
-    support = np.where(low[:, 2] <= TOUCH_M, CARRIER, found)
+    box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
+    support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
     # where nothing bears a box its own mass and friction stand in, and count for nothing
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
-    own = np.full(len(boxes), before.box_friction)
-    soft = cone_factor(sim.physics, own, np.where(on_carrier, before.carrier_friction, own))
+    friction = np.full(len(boxes), before.box_friction)
+    soft = cone_factor(sim.physics, friction, np.where(on_carrier, before.carrier_friction, friction))
     depth = depth_m(sim.physics, soft * share * sim.physics.gravity_m_s2 / CONTACTS_PER_FACE)
     pos = boxes.target.copy()
     pos[:, 2] -= np.where(support != NOTHING, depth, 0.0)
@@ -131,5 +133,5 @@ def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
     low, high = target - half_size, target + half_size
     length, width = (np.maximum(shared(low[..., axis], high[..., axis]), 0.0) for axis in range(2))
     area = length * width * np.triu(meets(low[..., 2], high[..., 2], TOUCH_M), k=1)
-    found = np.where(area.any(axis=-2), area.argmax(axis=-2), NOTHING)
-    return np.where(low[..., 2] <= TOUCH_M, CARRIER, found)
+    box_below = np.where(area.any(axis=-2), area.argmax(axis=-2), NOTHING)
+    return np.where(low[..., 2] <= TOUCH_M, CARRIER, box_below)

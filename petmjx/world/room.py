@@ -83,9 +83,9 @@ def make_room(
         running = running[worst > _KNOWN_TO_M]
         if not len(running):
             break
-    found = place.copy()
-    found[open_worlds] += moved
-    return found
+    new_place = place.copy()
+    new_place[open_worlds] += moved
+    return new_place
 
 
 def _apart(place: FloatArray, half_size: FloatArray) -> FloatArray:

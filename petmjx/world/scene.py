@@ -113,13 +113,13 @@ class Scene:
     def first(self, count: int) -> Scene:
         """The scene with its first boxes alone."""
         cut = {name: values[:count] for name in OF_BOXES if (values := getattr(self, name)) is not None}
-        return replace(self, **cut, pieces=tuple(each for each in self.pieces if each.box < count))
+        return replace(self, **cut, pieces=tuple(piece for piece in self.pieces if piece.box < count))
 
     @property
     def all_soft(self) -> Scene:
         """The scene with all its boxes as flex bodies. Sheets stay rigid."""
         soft = np.ones(self.n_boxes, bool)
-        soft[[each.box for each in self.pieces]] = False
+        soft[[piece.box for piece in self.pieces]] = False
         return replace(self, soft=soft)
 
     @cached_property
@@ -156,13 +156,13 @@ class Scene:
         """The shapes of all bodies: a box has one, a sheet as many as it has pieces."""
         carrier = self.carrier
         counts = np.ones(self.n_boxes, np.intp)
-        for each in self.pieces:
-            counts[each.box] = len(each.half_size)
+        for piece in self.pieces:
+            counts[piece.box] = len(piece.half_size)
         body = np.repeat(np.arange(self.n_boxes), counts)
         half_size, pos = self.half_size[body], self.middle[body]
-        for each in self.pieces:
-            half_size[body == each.box] = each.half_size
-            pos[body == each.box] += each.pos
+        for piece in self.pieces:
+            half_size[body == piece.box] = piece.half_size
+            pos[body == piece.box] += piece.pos
         return Shapes(
             body=np.concatenate([np.full(len(carrier.half_size), CARRIER), body]),
             half_size=np.concatenate([carrier.half_size, half_size]),
@@ -227,7 +227,7 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
 def _is_plain(plan: Plan) -> bool:
     """Whether a plan has nothing but sizes, places and masses that its scene depends on."""
     more = plan.mass_center_mm, plan.approach_deg, plan.stiffness_n_mm
-    return not plan.kinds and not plan.materials and all(each is None for each in more)
+    return not plan.kinds and not plan.materials and all(array is None for array in more)
 
 
 def _together(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
@@ -237,8 +237,8 @@ def _together(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
     boxes, of_all = _of_boxes(size, corner, mass, sim), _of_all(sim)
     carriers, begin = _slabs(corner, size, np.array([0, *ends[:-1]]), sim), 0
     for end, carrier in zip(ends.tolist(), carriers, strict=True):
-        own, begin = slice(begin, end), end
-        yield Scene(**{name: values[own] for name, values in boxes.items()}, **of_all, carrier=carrier)
+        rows, begin = slice(begin, end), end
+        yield Scene(**{name: values[rows] for name, values in boxes.items()}, **of_all, carrier=carrier)
 
 
 def _of_boxes(

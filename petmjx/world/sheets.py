@@ -36,7 +36,7 @@ def pieces_of(
         target, half_size: (n, 3) of all boxes, as planned, m.
         carrier: whose boards with their tops at z = 0 bear, too.
     """
-    found = []
+    pieces = []
     board = carrier.pos + carrier.shape_pos
     low, high = (
         np.vstack([target - half_size, board - carrier.half_size]),
@@ -54,5 +54,5 @@ def pieces_of(
             area_low, area_high = area_low[borne], area_high[borne]
             height = np.full((len(area_low), 1), half_size[box, 2])
             place = (area_low + area_high) / 2 - target[box, :2]
-            found.append(Pieces(box, np.hstack([(area_high - area_low) / 2, height]), np.hstack([place, 0 * height])))
-    return tuple(found)
+            pieces.append(Pieces(box, np.hstack([(area_high - area_low) / 2, height]), np.hstack([place, 0 * height])))
+    return tuple(pieces)

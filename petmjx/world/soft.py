@@ -72,19 +72,21 @@ _BALLS: Final = 4
 def tetrahedra() -> NDArray[np.intp]:
     """(40, 4) points of the elements: five in each of the eight cells, mirrored from cell to cell, so that no box
     twists when it is pressed."""
-    found = []
+    elements = []
     for cell in product(range(2), repeat=3):
-        corners = [tuple(np.add(cell, each)) for each in product(range(2), repeat=3)]
-        even = [each for each in corners if sum(each) % 2 == 0]
-        found.append(even)
+        corners = [tuple(np.add(cell, offset)) for offset in product(range(2), repeat=3)]
+        even = [cell_corner for cell_corner in corners if sum(cell_corner) % 2 == 0]
+        elements.append(even)
         for corner in corners:
             if corner not in even:
-                found.append([corner, *(each for each in even if np.abs(np.subtract(each, corner)).sum() == 1)])
-    numbers = np.array(found) @ np.array([9, 3, 1])
-    for each in numbers:
-        sides = POINTS[each[1:]] - POINTS[each[0]]
+                elements.append(
+                    [corner, *(neighbour for neighbour in even if np.abs(np.subtract(neighbour, corner)).sum() == 1)]
+                )
+    numbers = np.array(elements) @ np.array([9, 3, 1])
+    for element in numbers:
+        sides = POINTS[element[1:]] - POINTS[element[0]]
         if np.linalg.det(sides) < 0:
-            each[:2] = each[1::-1]
+            element[:2] = element[1::-1]
     return np.asarray(numbers, np.intp)
 
 
@@ -101,8 +103,8 @@ def rounding_m(half_size: FloatArray) -> float:
 
 def points_of(half_size: FloatArray) -> FloatArray:
     """(27, 3) where a box's points are, seen from its middle, m."""
-    found: FloatArray = POINTS * (half_size - rounding_m(half_size))
-    return found
+    points_m: FloatArray = POINTS * (half_size - rounding_m(half_size))
+    return points_m
 
 
 def shares() -> FloatArray:
@@ -282,26 +284,28 @@ def soft_friction(scene: Scene) -> SoftFriction:
     Raises:
         InputError: it has frictions of pairs that "the larger of both coefficients" cannot express.
     """
-    own = scene.friction[:, 0].copy()
+    box_friction = scene.friction[:, 0].copy()
     if scene.pair_friction is None or scene.surface is None or scene.soft is None:
-        return SoftFriction(own, None)
+        return SoftFriction(box_friction, None)
     table, surface = filled_up(scene.pair_friction), scene.surface
     shapes = scene.shapes
     boards = np.flatnonzero(shapes.body == CARRIER)
     soft = np.flatnonzero(scene.soft)
     alike = table[surface, surface]
-    own = np.where(alike == LARGER, own, alike)
+    box_friction = np.where(alike == LARGER, box_friction, alike)
     with_boards = table[np.ix_(surface[soft], shapes.surface[boards])]
     bare = with_boards == LARGER
-    given = np.where(bare, np.maximum(own[soft][:, None], shapes.friction[boards, 0]), with_boards)
-    of_carrier = float(np.where(given > own[soft][:, None] + 1e-9, given, 0.0).max())
-    wanted = table[np.ix_(surface[soft], surface)]
-    wanted = np.where(wanted == LARGER, np.maximum(scene.friction[soft, 0][:, None], scene.friction[:, 0]), wanted)
-    np.putmask(wanted, np.arange(scene.n_boxes) == soft[:, None], own[soft])
-    larger = np.maximum(own[soft][:, None], own), np.maximum(own[soft], of_carrier)[:, None]
-    if not (np.allclose(larger[0], wanted) and np.allclose(larger[1], given)):
+    given = np.where(bare, np.maximum(box_friction[soft][:, None], shapes.friction[boards, 0]), with_boards)
+    of_carrier = float(np.where(given > box_friction[soft][:, None] + 1e-9, given, 0.0).max())
+    pair_friction = table[np.ix_(surface[soft], surface)]
+    pair_friction = np.where(
+        pair_friction == LARGER, np.maximum(scene.friction[soft, 0][:, None], scene.friction[:, 0]), pair_friction
+    )
+    np.putmask(pair_friction, np.arange(scene.n_boxes) == soft[:, None], box_friction[soft])
+    larger = np.maximum(box_friction[soft][:, None], box_friction), np.maximum(box_friction[soft], of_carrier)[:, None]
+    if not (np.allclose(larger[0], pair_friction) and np.allclose(larger[1], given)):
         raise InputError(
             "soft: MuJoCo takes the larger friction of two soft boxes, and these materials have pairs with a "
             "smaller one: leave materials out, or name friction_pairs that fit"
         )
-    return SoftFriction(own, of_carrier)
+    return SoftFriction(box_friction, of_carrier)

@@ -52,12 +52,12 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
     """
     boards = _boards(sim, n_boards)
     materials = plan.materials or (_NOT_SAID,) * plan.n_boxes
-    said = any(materials)
-    if not sim.physics.has_own_friction or not (said or any(own is not None for own, _ in boards)):
+    has_materials = any(materials)
+    if not sim.physics.has_own_friction or not (has_materials or any(friction is not None for friction, _ in boards)):
         return None
     of_boxes, of_boards = sorted(set(materials)), sorted(set(boards), key=repr)
-    if said:
-        of_materials = [material for own, material in of_boards if own is None]
+    if has_materials:
+        of_materials = [material for friction, material in of_boards if friction is None]
         check_pairs([material for material in materials if material], of_materials, sim.friction_pairs)
     if 1 + len(of_boxes) + len(of_boards) > MOST_SURFACES:
         raise InputError(
@@ -70,8 +70,8 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
         for column, other in enumerate(of_boxes, start=1):
             table[row, column] = _between(one, other, sim)
             landing[row, column] = _landing(one, other, sim)
-        for column, (own, material) in enumerate(of_boards, start=1 + len(of_boxes)):
-            table[row, column] = table[column, row] = own if own is not None else _between(one, material, sim)
+        for column, (friction, material) in enumerate(of_boards, start=1 + len(of_boxes)):
+            table[row, column] = table[column, row] = friction if friction is not None else _between(one, material, sim)
             landing[row, column] = landing[column, row] = _landing(one, material, sim)
     surface_of = {material: row for row, material in enumerate(of_boxes, start=1)}
     surface_of_board = {board: row for row, board in enumerate(of_boards, start=1 + len(of_boxes))}
@@ -98,23 +98,23 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
         return notes
     if not sim.physics.has_own_friction:
         return [*notes, "materials have no effect: with pyramidal cones only the friction of boxes and carrier counts"]
-    found = pallet(sim.carrier)
+    board_pallet = pallet(sim.carrier)
     for plan in with_materials:
-        find_surfaces(plan, sim, 1 if found is None else len(found.boards))
+        find_surfaces(plan, sim, 1 if board_pallet is None else len(board_pallet.boards))
     return notes
 
 
 def _boards(sim: Simulation, count: int) -> list[_Board]:
-    found = pallet(sim.carrier)
-    frictions = found.frictions if found is not None else ()
-    materials = found.materials if found is not None else ()
+    board_pallet = pallet(sim.carrier)
+    frictions = board_pallet.frictions if board_pallet is not None else ()
+    materials = board_pallet.materials if board_pallet is not None else ()
     return list(zip(frictions or (None,) * count, materials or (WOOD,) * count, strict=True))
 
 
 def _between(one: str, other: str, sim: Simulation) -> float:
     """As in a table; of a pair that is not known no two bodies touch (``check_pairs``)."""
-    found = friction_between(one, other, sim.friction_pairs) if one and other else None
-    return LARGER if found is None else found
+    friction = friction_between(one, other, sim.friction_pairs) if one and other else None
+    return LARGER if friction is None else friction
 
 
 def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:

@@ -23,8 +23,8 @@ def turned(quat: FloatArray, vector: FloatArray) -> FloatArray:
     """(…, 3) vectors turned by (…, 4) quaternions (w, x, y, z) of any length but zero."""
     axis, w = quat[..., 1:], quat[..., :1]
     twice = 2 * np.cross(axis, vector) / (quat**2).sum(axis=-1, keepdims=True)
-    found: FloatArray = vector + w * twice + np.cross(axis, twice)
-    return found
+    turned_vector: FloatArray = vector + w * twice + np.cross(axis, twice)
+    return turned_vector
 
 
 def corners(pos: FloatArray, turns: FloatArray, half_size: FloatArray) -> FloatArray:

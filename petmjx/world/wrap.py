@@ -66,12 +66,12 @@ def film_of(scene: Scene) -> Film:
     pressure_n_m = 2.0 * wrap.force_n * wrap.turns * MM_PER_M / wrap.film_mm
     levels = np.unique(np.round(np.concatenate([low[:, 2], high[:, 2]]), 6))
     for begin, end in zip(levels[:-1].tolist(), levels[1:].tolist(), strict=True):
-        there = (low[:, 2] <= begin + 1e-6) & (high[:, 2] >= end - 1e-6)
-        if not there.any():
+        level_boxes = (low[:, 2] <= begin + 1e-6) & (high[:, 2] >= end - 1e-6)
+        if not level_boxes.any():
             continue
         for axis, sign in SIDES:
             reach = sign * (high if sign > 0 else low)[:, axis]
-            outer = there & (reach >= reach[there].max() - MOST_BACK_M)
+            outer = level_boxes & (reach >= reach[level_boxes].max() - MOST_BACK_M)
             width = np.where(outer, 2.0 * scene.half_size[:, 1 - axis], 0.0)
             force = pressure_n_m * (end - begin) * width / width.sum()
             press[:, axis] -= sign * force

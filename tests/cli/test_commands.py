@@ -92,8 +92,8 @@ def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str], monkey
 
 
 def test_without_a_command_the_help_is_printed() -> None:
-    alone, asked = run_process(), run_process("--help")
-    assert (alone.returncode, alone.stdout, alone.stderr) == (0, asked.stdout, "")
+    alone, help_run = run_process(), run_process("--help")
+    assert (alone.returncode, alone.stdout, alone.stderr) == (0, help_run.stdout, "")
     assert "score " in alone.stdout
 
 
@@ -119,8 +119,8 @@ def test_every_command_explains_itself(
 
 
 def flags_of(record: type[Checked]) -> list[str]:
-    found = [entry for info in record.model_fields.values() for entry in info.metadata if isinstance(entry, CliFlag)]
-    return [flag.name.partition("/")[0] for flag in found]
+    flags = [entry for info in record.model_fields.values() for entry in info.metadata if isinstance(entry, CliFlag)]
+    return [flag.name.partition("/")[0] for flag in flags]
 
 
 def test_export_takes_what_a_model_depends_on(plans: Path, capsys: pytest.CaptureFixture[str]) -> None:

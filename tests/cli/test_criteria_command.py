@@ -50,11 +50,11 @@ def test_a_run_that_is_not_finished_is_told(physics: str, capsys: pytest.Capture
 def test_json_has_all_that_the_tables_have(physics: str, capsys: pytest.CaptureFixture[str]) -> None:
     only = ("--only", "centre", "--only", "support_50")
     assert run("criteria", "--limit", "10", "--run", physics, "--json", *only, *ONE) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["criteria"] == ["support_50", "centre"]
-    assert [row["n_plans"] for row in found["judged"]] == [10, 10]
-    assert sum(found["judged"][1][cell] for cell in CELLS) == 10
-    assert found["thresholds"][0]["unit"] == "mm"
+    report = json.loads(capsys.readouterr().out)
+    assert report["criteria"] == ["support_50", "centre"]
+    assert [row["n_plans"] for row in report["judged"]] == [10, 10]
+    assert sum(report["judged"][1][cell] for cell in CELLS) == 10
+    assert report["thresholds"][0]["unit"] == "mm"
 
 
 @pytest.mark.parametrize(

@@ -74,11 +74,11 @@ def test_slurm_array(folder: Path, repository: Path) -> None:
 
 def test_ray_cluster(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What it asks for; that workers do it is for tests/unit/test_workers.py, since Ray takes long to start."""
-    asked: dict[str, Any] = {}
-    monkeypatch.setattr(petmjx, "score", lambda plans, **options: asked.update(options, plans=plans))
+    arguments: dict[str, Any] = {}
+    monkeypatch.setattr(petmjx, "score", lambda plans, **options: arguments.update(options, plans=plans))
     script = repository / "examples" / "ray_cluster.py"
     monkeypatch.setattr(sys, "argv", [str(script), "plans.json", "results", "--ray", "head:6379"])
     runpy.run_path(str(script), run_name="__main__")
-    assert asked.pop("plans") == Path("plans.json")
-    options = petmjx.RunOptions(**asked)
+    assert arguments.pop("plans") == Path("plans.json")
+    options = petmjx.RunOptions(**arguments)
     assert (options.ray, options.asked_workers, options.resume) == ("head:6379", "auto", True)

@@ -47,9 +47,9 @@ def test_it_goes_on_where_it_was_and_tells_who_won(results: Path, capsys: pytest
     assert lines.index("packer good") < lines.index("packer bad,one")
     assert "good stands, bad,one does not: y" in lines
     assert run("score", "--name", *plans, *FAST, "-o", results, "--resume", "--json") == 0
-    whole = json.loads(capsys.readouterr().out)
-    assert list(whole["runs"]) == ["good", "bad,one"]
-    assert whole["compared"]["pairs"][0]["only_a"] == 1
+    report = json.loads(capsys.readouterr().out)
+    assert list(report["runs"]) == ["good", "bad,one"]
+    assert report["compared"]["pairs"][0]["only_a"] == 1
 
 
 def test_compare_names_runs_and_writes_files(results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -75,11 +75,15 @@ def test_kpis_stand_beside_shares(
     orders = write(tmp_path / "orders.json", {"x": order_for(TOWER, more=2), "y": order_for(TOWER, more=6)})
     runs = [f"A={results / 'good'}", f"B={results / 'bad,one'}"]
     assert run("compare", "--packers", *runs, "--orders", orders, "--json") == 0
-    found = {row["packer"]: row for row in json.loads(capsys.readouterr().out)["packers"] if row["size"] == "all"}
+    row_by_packer = {
+        row["packer"]: row for row in json.loads(capsys.readouterr().out)["packers"] if row["size"] == "all"
+    }
     for name, file in (("A", "good"), ("B", "bad")):
         expected = petmjx.kpis(results.parent / f"{file}.json", orders).summary["means"]
-        assert {kpi: found[name][kpi] for kpi in KPIS} == pytest.approx({kpi: expected[kpi] for kpi in KPIS})
-    assert (found["A"]["kpi_1"], found["B"]["kpi_4"]) == pytest.approx(((2 / 4 + 6 / 8) / 2, (1 + (1 + 0.35) / 2) / 2))
+        assert {kpi: row_by_packer[name][kpi] for kpi in KPIS} == pytest.approx({kpi: expected[kpi] for kpi in KPIS})
+    assert (row_by_packer["A"]["kpi_1"], row_by_packer["B"]["kpi_4"]) == pytest.approx(
+        ((2 / 4 + 6 / 8) / 2, (1 + (1 + 0.35) / 2) / 2)
+    )
     write(orders, {"x": order_for(TOWER)})
     assert run("compare", "--packers", *runs, "--orders", orders) == 0
     text = capsys.readouterr().out
@@ -128,6 +132,6 @@ def test_what_cannot_be_compared_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert run(*(each.format(results / "good") for each in arguments)) == 2
+    assert run(*(argument.format(results / "good") for argument in arguments)) == 2
     assert text in only_line(capsys.readouterr().err)
     assert list(tmp_path.iterdir()) == []

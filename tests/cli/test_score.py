@@ -267,7 +267,7 @@ def test_nothing_from_a_file_reaches_the_terminal_raw(tmp_path: Path, capsys: py
     printed = capsys.readouterr()
     assert run("export", f"{nasty}3", path) == 2
     errors = only_line(capsys.readouterr().err)
-    assert all(each.isprintable() or each == "\n" for each in printed.out + printed.err + errors)
+    assert all(char.isprintable() or char == "\n" for char in printed.out + printed.err + errors)
     assert "a\\u001b[2J\\u009b1m\\u202eb\\nc[bold]" in printed.out
 
 

@@ -78,12 +78,12 @@ PLAN = json.dumps(
 
 @needs_pictures()
 def test_several_files_from_one_simulation(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    told = []
+    calls = []
     tell = petmjx.tell
-    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: told.append(given) or tell(*given, **named))
+    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: calls.append(given) or tell(*given, **named))
     size = ("--size", "120x100")
     printed = lines_of(capsys, "hand-falls-off", "--png", "a.png", "--gif", "b.gif", "--svg", "c.svg", *size)
-    assert len(told) == 1
+    assert len(calls) == 1
     for name in ("a.png", "b.gif", "c.svg"):
         assert Path(name).stat().st_size > 1000
         assert name in printed
@@ -129,10 +129,10 @@ def test_what_is_wrong_is_one_line(
 
 
 def test_a_moment_that_the_story_has_not(capsys: pytest.CaptureFixture[str]) -> None:
-    said = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "first-sign", code=2)
-    assert "there is no moment first-sign: nothing failed in plan hand-one-box" in said
-    said = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "1e308", code=2)
-    assert "there is no moment 1e+308 s: plan hand-one-box ends at " in said
+    printed = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "first-sign", code=2)
+    assert "there is no moment first-sign: nothing failed in plan hand-one-box" in printed
+    printed = lines_of(capsys, "hand-one-box", "--png", "x.png", "--at", "1e308", code=2)
+    assert "there is no moment 1e+308 s: plan hand-one-box ends at " in printed
     assert not Path("x.png").exists()
 
 
@@ -141,8 +141,8 @@ def test_no_opengl_is_said_before_anything_is_simulated(
 ) -> None:
     monkeypatch.setenv("MUJOCO_GL", "vulkan")
     monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: pytest.fail("simulated"))
-    said = lines_of(capsys, "hand-bridge", "--html", "x.html", "--gif", "x.gif", code=2)
-    assert "x.gif: MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw" in said
+    printed = lines_of(capsys, "hand-bridge", "--html", "x.html", "--gif", "x.gif", code=2)
+    assert "x.gif: MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw" in printed
 
 
 def test_words() -> None:

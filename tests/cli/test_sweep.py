@@ -81,9 +81,9 @@ def test_a_search_names_the_largest_level_and_what_fails_first(
 def test_json_holds_the_summary(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = write(tmp_path / "x.toml", SEARCH)
     assert run("sweep", file, plans, "--engine", "mujoco", "--out", tmp_path / "out", "--json") == 0
-    said = json.loads(capsys.readouterr().out)
-    assert [row["plan_id"] for row in said["summary"]] == ["box", "tower"]
-    assert said["counts"]["worlds"] >= 2
+    report = json.loads(capsys.readouterr().out)
+    assert [row["plan_id"] for row in report["summary"]] == ["box", "tower"]
+    assert report["counts"]["worlds"] >= 2
 
 
 def test_ready_made_sweeps_go_by_name(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -115,19 +115,19 @@ def test_a_gap_bears_nothing_and_the_centre_of_mass_decides(outcomes: dict[str, 
 
 
 def test_a_carrier_of_ones_own_bears_up_to_its_edge(outcomes: dict[str, Outcome]) -> None:
-    found = outcomes["own stands"]
-    assert found.verdict is Verdict.STABLE
-    np.testing.assert_allclose(found.boxes.pos, SCENES["own stands"].target, atol=SAME_PLACE_M)
+    outcome = outcomes["own stands"]
+    assert outcome.verdict is Verdict.STABLE
+    np.testing.assert_allclose(outcome.boxes.pos, SCENES["own stands"].target, atol=SAME_PLACE_M)
     assert outcomes["own tips"].verdict is Verdict.UNSTABLE
     assert outcomes["own tips"].culprit == 0
 
 
 def test_places_are_those_of_middles(outcomes: dict[str, Outcome]) -> None:
-    found, scene = outcomes["stands"], SCENES["stands"]
-    np.testing.assert_allclose(found.boxes.pos, scene.target, atol=SAME_PLACE_M)
-    np.testing.assert_allclose(found.boxes.shift_m, 0.0, atol=SAME_PLACE_M)
-    assert found.history is not None
-    np.testing.assert_allclose(found.history.pos[-1], scene.target, atol=SAME_PLACE_M)
+    outcome, scene = outcomes["stands"], SCENES["stands"]
+    np.testing.assert_allclose(outcome.boxes.pos, scene.target, atol=SAME_PLACE_M)
+    np.testing.assert_allclose(outcome.boxes.shift_m, 0.0, atol=SAME_PLACE_M)
+    assert outcome.history is not None
+    np.testing.assert_allclose(outcome.history.pos[-1], scene.target, atol=SAME_PLACE_M)
 
 
 def test_each_box_has_its_own_friction(outcomes: dict[str, Outcome]) -> None:

@@ -75,4 +75,4 @@ def test_what_is_made_beside_a_gpu_is_the_same_as_without_one() -> None:
     command = [sys.executable, "-c", KERNEL_ON_THREADS]
     alone = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
     assert int(alone[0]) == result.outcome.n_steps
-    assert [float(each) for each in alone[1:]] == result.outcome.boxes.pos.ravel().tolist()
+    assert [float(coordinate) for coordinate in alone[1:]] == result.outcome.boxes.pos.ravel().tolist()

@@ -103,11 +103,11 @@ class PlainLoop:
             self.frames[look] = Seen(pose, lin, ang, self._on_tops(contacts), contacts)
 
     def _accelerations(self) -> tuple[FloatArray, FloatArray]:
-        found = np.zeros((self.placed, 6))
+        accelerations = np.zeros((self.placed, 6))
         for box in range(self.placed):
             kind = mujoco.mjtObj.mjOBJ_BODY
-            mujoco.mj_objectAcceleration(self.model, self.data, kind, FIRST_BOX + box, found[box], 0)
-        return found[:, 3:] + self.model.opt.gravity, found[:, :3]
+            mujoco.mj_objectAcceleration(self.model, self.data, kind, FIRST_BOX + box, accelerations[box], 0)
+        return accelerations[:, 3:] + self.model.opt.gravity, accelerations[:, :3]
 
     def _contacts(self) -> FloatArray:
         rows = []
@@ -173,14 +173,14 @@ def compare(history: History, frame: int, seen: Seen) -> None:
     assert history.lin_acc is not None
     assert history.ang_acc is not None
     assert history.penetration_m is not None
-    for found, expected, most in (
+    for recorded, expected, most in (
         (history.pos, seen.pose[:, :3], SAME_PLACE_M),
         (history.quat, seen.pose[:, 3:], SAME_PLACE_M),
         (history.lin_acc, seen.lin_acc, SAME_ACCELERATION),
         (history.ang_acc, seen.ang_acc, SAME_ACCELERATION),
         (history.top_force_n, seen.top_force_n, SAME_FORCE_N),
     ):
-        np.testing.assert_allclose(found[frame, :k], expected, rtol=0, atol=most)
+        np.testing.assert_allclose(recorded[frame, :k], expected, rtol=0, atol=most)
     contacts = history.contacts
     assert contacts is not None
     of = contacts.frame == frame

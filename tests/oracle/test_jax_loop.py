@@ -22,46 +22,48 @@ STEPS = np.array([[[0, 0, 0], [100, 100, 0]], [[0, 0, 200], [110, 100, 250]], [[
 MASS = np.array([6.0, 3.0], np.float32)
 
 
-def assert_told(found: Told, expected: petmjx.Told, exactly: bool) -> None:
+def assert_told(report: Told, expected: petmjx.Told, exactly: bool) -> None:
     close = {"rtol": 1e-6} if exactly else {"rtol": 2e-3, "atol": 2e-2}
-    np.testing.assert_array_equal(found.stable, expected.stable)
-    assert [REASONS[number] for number in found.reason] == expected.reason.tolist()
-    np.testing.assert_array_equal(found.culprit, expected.culprit)
-    np.testing.assert_array_equal(found.n_boxes, expected.n_boxes)
-    stands, k = np.asarray(found.stable), expected.top_force_n.shape[1]
-    np.testing.assert_allclose(found.margin[stands], expected.margin[stands], **close)
+    np.testing.assert_array_equal(report.stable, expected.stable)
+    assert [REASONS[number] for number in report.reason] == expected.reason.tolist()
+    np.testing.assert_array_equal(report.culprit, expected.culprit)
+    np.testing.assert_array_equal(report.n_boxes, expected.n_boxes)
+    stands, k = np.asarray(report.stable), expected.top_force_n.shape[1]
+    np.testing.assert_allclose(report.margin[stands], expected.margin[stands], **close)
     forces = np.nan_to_num(expected.top_force_n)[stands]
-    np.testing.assert_allclose(found.top_force_n[stands, :k], forces, **close)
-    np.testing.assert_allclose(found.middle_mm[stands, :k], np.nan_to_num(expected.middle_mm)[stands], **close)
+    np.testing.assert_allclose(report.top_force_n[stands, :k], forces, **close)
+    np.testing.assert_allclose(report.middle_mm[stands, :k], np.nan_to_num(expected.middle_mm)[stands], **close)
 
 
-def check_program(engine: Any, steps: np.ndarray, asked: tuple[np.ndarray, ...], most_boxes: int) -> tuple[Told, Told]:
+def check_program(
+    engine: Any, steps: np.ndarray, candidates: tuple[np.ndarray, ...], most_boxes: int
+) -> tuple[Told, Told]:
     """A program that places box after box, and then asks about candidates, tells what pallets tell."""
     state = petmjx.jax.empty(2, engine=engine, most_boxes=most_boxes)
 
     @jax.jit
     def program(state: Any) -> Any:
         step = jax.lax.scan(lambda state, corner: petmjx.jax.place(state, SIZE, corner, MASS), state, jnp.array(steps))
-        return step, petmjx.jax.try_all(step[0], *asked)
+        return step, petmjx.jax.try_all(step[0], *candidates)
 
-    (after, told), tried = program(state)
+    (after, report), tried = program(state)
     pallets, exactly = petmjx.Pallets(2, engine=engine, most_boxes=most_boxes), engine == "mujoco"
     for number, corners in enumerate(steps):
         expected = pallets.place(size_mm=SIZE, corner_mm=corners, mass_kg=MASS)
-        assert_told(jax.tree.map(lambda values, number=number: values[number], told), expected, exactly)
-    size, corner, mass, which = asked
+        assert_told(jax.tree.map(lambda values, number=number: values[number], report), expected, exactly)
+    size, corner, mass, which = candidates
     expected = pallets.try_all(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=which)
     assert_told(tried, expected, exactly)
     (again, _), _ = program(state)
     for one, other in zip(jax.tree.leaves(after), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, other)
-    return told, tried
+    return report, tried
 
 
 def test_a_jitted_scan_places_as_pallets_do() -> None:
     corners, which = np.array([[100, 100, 750], [250, 100, 750], [600, 400, 0]], np.float32), np.array([1, 1, 1])
-    told, tried = check_program("mujoco", STEPS, (SIZE[[1, 1, 0]], corners, MASS[[1, 1, 0]], which), 4)
-    assert told.stable.tolist() == [[True, True], [True, True], [False, True]]
+    report, tried = check_program("mujoco", STEPS, (SIZE[[1, 1, 0]], corners, MASS[[1, 1, 0]], which), 4)
+    assert report.stable.tolist() == [[True, True], [True, True], [False, True]]
     assert tried.stable.tolist() == [True, False, True]
 
 
@@ -71,27 +73,27 @@ def test_on_mjx_warp_the_kernel_runs_inside_the_program() -> None:
     from support.tiny_worlds import engine
 
     corners = np.array([[0, 0, 200], [1100, 100, 0]], np.float32)
-    told, tried = check_program(engine(), STEPS[:1], (SIZE, corners, MASS, np.array([0, 1])), 4)
-    assert told.stable.tolist() == [[True, True]]
+    report, tried = check_program(engine(), STEPS[:1], (SIZE, corners, MASS, np.array([0, 1])), 4)
+    assert report.stable.tolist() == [[True, True]]
     assert tried.stable.tolist() == [True, False]
     one = petmjx.jax.empty(1, engine=engine(), most_boxes=4)
     place = jax.jit(jax.vmap(lambda *box: petmjx.jax.place(one, *box)[1]))
     vmapped = place(SIZE[:, None], STEPS[0][:, None].astype(np.float32), MASS[:, None])
-    for ours, theirs in zip(jax.tree.leaves(vmapped), jax.tree.leaves(told), strict=True):
+    for ours, theirs in zip(jax.tree.leaves(vmapped), jax.tree.leaves(report), strict=True):
         np.testing.assert_array_equal(ours[:, 0], theirs[0])
 
 
 def test_what_cannot_get_a_box_stays_as_it_is() -> None:
     state = petmjx.jax.empty(2, engine="mujoco", most_boxes=1)
     place = jax.jit(petmjx.jax.place)
-    one, told = place(state, SIZE, STEPS[0], MASS, jnp.array([True, False]))
-    assert (told.stable.tolist(), told.ended.tolist(), told.n_boxes.tolist()) == ([True] * 2, [False] * 2, [1, 0])
-    two, told = place(one, SIZE, STEPS[1], MASS)  # the first one is full
-    assert (told.stable[0], told.n_boxes.tolist()) == (True, [1, 1])
-    gone, told = place(state, SIZE, np.array([[1100, 0, 0], [0, 0, 0]]), MASS)  # the first one falls
-    assert (told.ended.tolist(), REASONS[told.reason[0]]) == ([True, False], "drop")
-    _, told = place(gone, SIZE, STEPS[0], MASS)
-    assert (told.ended.tolist(), REASONS[told.reason[0]]) == ([True, False], "ended")
+    one, report = place(state, SIZE, STEPS[0], MASS, jnp.array([True, False]))
+    assert (report.stable.tolist(), report.ended.tolist(), report.n_boxes.tolist()) == ([True] * 2, [False] * 2, [1, 0])
+    two, report = place(one, SIZE, STEPS[1], MASS)  # the first one is full
+    assert (report.stable[0], report.n_boxes.tolist()) == (True, [1, 1])
+    gone, report = place(state, SIZE, np.array([[1100, 0, 0], [0, 0, 0]]), MASS)  # the first one falls
+    assert (report.ended.tolist(), REASONS[report.reason[0]]) == ([True, False], "drop")
+    _, report = place(gone, SIZE, STEPS[0], MASS)
+    assert (report.ended.tolist(), REASONS[report.reason[0]]) == ([True, False], "ended")
     tried = petmjx.jax.try_all(two, SIZE, STEPS[1], MASS, np.array([0, 7]))
     assert not tried.stable.any()
     assert state.n == 2
@@ -102,15 +104,15 @@ def test_settled_worlds_are_built_again_when_they_are_gone(monkeypatch: pytest.M
     monkeypatch.setattr("petmjx.jax.host.MOST_ASKED", 1)
     state = petmjx.jax.empty(2, engine="mujoco", most_boxes=4)
     place = jax.jit(petmjx.jax.place)
-    first, told = place(state, SIZE, STEPS[0], MASS)
+    first, report = place(state, SIZE, STEPS[0], MASS)
     second, expected = place(first, SIZE, STEPS[1], MASS)
     for shift in range(4):  # others, which take all room
         place(state, SIZE, STEPS[0] + 10 * shift + 10, MASS)
-    _, found = place(first, SIZE, STEPS[1], MASS)
-    for one, other in zip(found, expected, strict=True):
+    _, second_report = place(first, SIZE, STEPS[1], MASS)
+    for one, other in zip(second_report, expected, strict=True):
         np.testing.assert_array_equal(one, other)
     assert second.count.tolist() == [2, 2]
-    assert told.stable.all()
+    assert report.stable.all()
 
 
 def test_what_was_refused_leaves_nothing_behind() -> None:
@@ -119,10 +121,10 @@ def test_what_was_refused_leaves_nothing_behind() -> None:
     for _ in range(2):
         with pytest.raises(Exception, match="mass_kg must be from"):
             jax.block_until_ready(jax.jit(petmjx.jax.place)(state, SIZE, STEPS[0], np.array([5.0, 0.0])))
-    first, told = petmjx.jax.place(state, SIZE, STEPS[0], MASS)
-    assert told.n_boxes.tolist() == [1, 1]
-    _, told = petmjx.jax.place(first, SIZE, STEPS[1], MASS)
-    assert (told.stable.tolist(), told.n_boxes.tolist()) == ([True, True], [2, 2])
+    first, report = petmjx.jax.place(state, SIZE, STEPS[0], MASS)
+    assert report.n_boxes.tolist() == [1, 1]
+    _, report = petmjx.jax.place(first, SIZE, STEPS[1], MASS)
+    assert (report.stable.tolist(), report.n_boxes.tolist()) == ([True, True], [2, 2])
 
 
 def test_wrong_shapes_and_numbers_are_one_line() -> None:

@@ -77,10 +77,10 @@ def test_vmapped_and_scanned_it_is_as_one_by_one(env: petmjx.jax.Palletizing) ->
     keys = jax.random.split(jax.random.key(1), 4)
 
     def rolled(key: jax.Array) -> Any:
-        def step(carry: Any, own: jax.Array) -> Any:
+        def step(carry: Any, step_key: jax.Array) -> Any:
             state, timestep = carry
             mask = timestep.observation.action_mask
-            action = jax.random.categorical(own, jnp.where(mask, 0.0, -jnp.inf))
+            action = jax.random.categorical(step_key, jnp.where(mask, 0.0, -jnp.inf))
             state, timestep = env.step(state, jnp.where(mask.any(), action, 0))
             return (state, timestep), (timestep, action)
 
@@ -89,8 +89,8 @@ def test_vmapped_and_scanned_it_is_as_one_by_one(env: petmjx.jax.Palletizing) ->
     alone = jax.jit(rolled)
     many, actions = jax.jit(jax.vmap(rolled))(keys)
     for row, key in enumerate(keys):
-        one, own = alone(key)
-        np.testing.assert_array_equal(actions[row], own)
+        one, own_actions = alone(key)
+        np.testing.assert_array_equal(actions[row], own_actions)
         for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(many), strict=True):
             np.testing.assert_allclose(ours, theirs[row], rtol=1e-6)
     assert (many.step_type == StepType.LAST).any()
@@ -127,8 +127,8 @@ def test_candidates_of_many_states_are_asked_in_one_call() -> None:
     before = len(state.host._pallets)
     corners = jnp.stack([jnp.array([[10.0 * row, 0.0, 0.0]]) for row in range(20)])
     size, mass = jnp.array([[400.0, 300.0, 200.0]]), jnp.array([6.0])
-    states, told = jax.vmap(lambda corner: petmjx.jax.place(state, size, corner, mass))(corners)
-    assert told.stable.all()
+    states, report = jax.vmap(lambda corner: petmjx.jax.place(state, size, corner, mass))(corners)
+    assert report.stable.all()
     assert len(state.host._pallets) > before
     tried = jax.vmap(
         lambda one, corner: petmjx.jax.try_all(one, size, corner + jnp.array([[0, 0, 200.0]]), mass, jnp.array([0]))

@@ -19,26 +19,32 @@ from petmjx.world.scene import Scene
 def test_a_collapse_ends_early_unless_told_to_go_on() -> None:
     scene = falling()
     early = run_one(Job(scene), Simulation())
-    whole = run_one(Job(scene), Simulation(early_stop=False))
-    assert early.verdict is whole.verdict is Verdict.UNSTABLE
-    assert early.culprit == whole.culprit == 1
+    full_run = run_one(Job(scene), Simulation(early_stop=False))
+    assert early.verdict is full_run.verdict is Verdict.UNSTABLE
+    assert early.culprit == full_run.culprit == 1
     assert early.flags & Flag.EARLY_STOP
-    assert not whole.flags & Flag.EARLY_STOP
-    assert early.sim_time_s < whole.sim_time_s
+    assert not full_run.flags & Flag.EARLY_STOP
+    assert early.sim_time_s < full_run.sim_time_s
     assert np.isnan(early.boxes.rest_top_force_n).all()
-    assert np.isfinite(whole.boxes.rest_top_force_n).all()
+    assert np.isfinite(full_run.boxes.rest_top_force_n).all()
 
 
 def test_a_world_that_is_asked_whether_it_stands_ends_when_a_box_is_lost() -> None:
     """With the verdict, the culprit and the first sign that it would have had, and without what follows."""
-    asked, whole = (run_one(Job(falling(), has_errors=asked), Simulation()) for asked in (True, False))
-    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
-    assert asked.first_sign_s <= asked.sim_time_s < whole.sim_time_s
-    assert asked.flags & Flag.EARLY_STOP
-    assert asked.boxes.max_tilt_deg.max() > Simulation().thresholds.tilt_deg
-    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
+    with_errors, full_run = (
+        run_one(Job(falling(), has_errors=has_errors), Simulation()) for has_errors in (True, False)
+    )
+    assert (with_errors.verdict, with_errors.culprit, with_errors.first_sign_s) == (
+        full_run.verdict,
+        full_run.culprit,
+        full_run.first_sign_s,
+    )
+    assert with_errors.first_sign_s <= with_errors.sim_time_s < full_run.sim_time_s
+    assert with_errors.flags & Flag.EARLY_STOP
+    assert with_errors.boxes.max_tilt_deg.max() > Simulation().thresholds.tilt_deg
+    assert (with_errors.reason, full_run.reason) == (Reason.TILT, Reason.DROP)
     on = run_one(Job(falling(), has_errors=True), Simulation(early_stop=False))
-    assert on.sim_time_s > whole.sim_time_s
+    assert on.sim_time_s > full_run.sim_time_s
 
 
 PUSH = Excitation("push", "acceleration", np.tile([4.0, 0, 0], (300, 1)))
@@ -55,14 +61,18 @@ def tower() -> Scene:
 def test_a_drive_ends_when_its_culprit_is_lost(kind: str) -> None:
     """With the verdict, the culprit and the first sign that it would have had: how the first box failed is known."""
     shaken = Drive(Excitation("push", kind, np.tile([4.0 if kind == "acceleration" else 2.0, 0, 0], (300, 1))))
-    asked, whole = (run_one(Job(tower(), shaken), Simulation(early_stop=stop)) for stop in (True, False))
-    assert (asked.verdict, asked.culprit, asked.first_sign_s) == (whole.verdict, whole.culprit, whole.first_sign_s)
-    assert asked.flags & Flag.EARLY_STOP
-    assert (asked.reason, whole.reason) == (Reason.TILT, Reason.DROP)
-    assert asked.first_sign_s < asked.sim_time_s < whole.boxes.drop_s[whole.boxes.dropped].min()
+    early, full_run = (run_one(Job(tower(), shaken), Simulation(early_stop=stop)) for stop in (True, False))
+    assert (early.verdict, early.culprit, early.first_sign_s) == (
+        full_run.verdict,
+        full_run.culprit,
+        full_run.first_sign_s,
+    )
+    assert early.flags & Flag.EARLY_STOP
+    assert (early.reason, full_run.reason) == (Reason.TILT, Reason.DROP)
+    assert early.first_sign_s < early.sim_time_s < full_run.boxes.drop_s[full_run.boxes.dropped].min()
     limit = Simulation().thresholds.tilt_deg
-    assert asked.boxes.max_tilt_deg[asked.culprit] > limit
-    assert round(asked.sim_time_s / Simulation().physics.timestep_s) % Simulation().quiet.poll_steps == 0
+    assert early.boxes.max_tilt_deg[early.culprit] > limit
+    assert round(early.sim_time_s / Simulation().physics.timestep_s) % Simulation().quiet.poll_steps == 0
 
 
 def test_a_drive_that_may_be_passed_goes_on_until_the_culprit_has_swayed_too_far() -> None:
@@ -97,7 +107,9 @@ def test_what_is_seen_of_a_drive_does_not_depend_on_how_often_samples_are_taken(
     """A box on its small side rocks in a pulse of a tenth of a second, between two samples."""
     scene = make_scene([((200, 400, 400), (0, 0, 0), 10.0)], Simulation(carrier=Carrier.EURO_PALLET))
     pulse = Drive(Excitation("pulse", "acceleration", np.tile([9.0, 0, 0], (40, 1))), rest_s=1.0)
-    often, seldom = (run_one(Job(scene, pulse), Simulation(sample_interval_s=each)).boxes for each in (0.02, 1.0))
+    often, seldom = (
+        run_one(Job(scene, pulse), Simulation(sample_interval_s=interval)).boxes for interval in (0.02, 1.0)
+    )
     assert often.max_tilt_deg[0] > 1.0
     np.testing.assert_allclose(seldom.max_tilt_deg, often.max_tilt_deg, rtol=0.1)
     np.testing.assert_allclose(seldom.max_sway_m, often.max_sway_m, rtol=0.1)

@@ -58,12 +58,12 @@ def healthy() -> list[Outcome]:
 
 def test_no_number_is_invalid_and_harms_no_other_world(healthy: list[Outcome]) -> None:
     outcomes = run_all(PoisonedEngine(16), JOBS, SHORT)
-    for job, found, expected in zip(JOBS, outcomes, healthy, strict=True):
+    for job, outcome, expected in zip(JOBS, outcomes, healthy, strict=True):
         if job is MARKED:
-            assert (found.verdict, found.reason) == (Verdict.INVALID, Reason.NONFINITE)
-            assert found.n_steps < expected.n_steps
+            assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.NONFINITE)
+            assert outcome.n_steps < expected.n_steps
         else:
-            assert_same(found, expected)  # bit for bit: tolerances are 0
+            assert_same(outcome, expected)  # bit for bit: tolerances are 0
 
 
 # ---------------------------------------------------------------------- memory
@@ -97,8 +97,8 @@ def test_too_large_batches_are_halved_until_they_fit(healthy: list[Outcome]) -> 
     engine, progress = SmallDevice(16, 64), Progress()
     outcomes = run_all(engine, JOBS, SHORT, progress)
     assert engine.tried == [64, 32, 16, 16, 16]
-    for found, expected in zip(outcomes, healthy, strict=True):
-        assert_same(found, expected)
+    for outcome, expected in zip(outcomes, healthy, strict=True):
+        assert_same(outcome, expected)
 
 
 def test_a_run_that_found_little_memory_does_not_bind_the_next(healthy: list[Outcome]) -> None:
@@ -108,17 +108,17 @@ def test_a_run_that_found_little_memory_does_not_bind_the_next(healthy: list[Out
     engine.tried.clear()
     outcomes = run_all(engine, JOBS, SHORT)
     assert engine.tried == [64]
-    for found, expected in zip(outcomes, healthy, strict=True):
-        assert_same(found, expected)
+    for outcome, expected in zip(outcomes, healthy, strict=True):
+        assert_same(outcome, expected)
 
 
 def test_memory_that_runs_out_midway_leaves_no_frames() -> None:
     jobs = [replace(job, record=Record(0.02)) for job in JOBS[:12]]
     roomy, small = (run_all(SmallDevice(holds, 16), jobs, SHORT) for holds in (16, 8))
-    for found, expected in zip(small, roomy, strict=True):
-        assert found.history is not None
+    for outcome, expected in zip(small, roomy, strict=True):
+        assert outcome.history is not None
         assert expected.history is not None
-        assert_equal(found.history, expected.history)
+        assert_equal(outcome.history, expected.history)
 
 
 def test_a_device_without_any_room_gives_invalid_worlds() -> None:

@@ -145,8 +145,8 @@ def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine) -> None:
     expected = run_all(engine, jobs, SHORT)
     for jobs_there, lanes in ((jobs, 64), (jobs[:7], 3), (jobs[4:5], 1)):
         first = jobs.index(jobs_there[0])
-        for k, found in enumerate(run_all(FakeEngine(lanes), jobs_there, SHORT)):
-            assert_same(found, expected[first + k])
+        for k, outcome in enumerate(run_all(FakeEngine(lanes), jobs_there, SHORT)):
+            assert_same(outcome, expected[first + k])
 
 
 def test_a_batch_has_worlds_that_are_alike() -> None:
@@ -172,10 +172,10 @@ def test_a_fall_is_seen_at_the_next_sample_and_ends_the_world(engine: FakeEngine
     assert np.isnan(fallen.boxes.rest_top_force_n).all()
     assert standing.verdict is Verdict.STABLE
     on = SHORT.changed(early_stop=False)
-    (whole,) = run_all(engine, jobs[:1], on)
-    assert whole.n_placed == 3
-    assert (whole.reason, whole.culprit) == (Reason.DROP, 1)
-    assert np.isfinite(whole.boxes.rest_top_force_n).all()
+    (full_run,) = run_all(engine, jobs[:1], on)
+    assert full_run.n_placed == 3
+    assert (full_run.reason, full_run.culprit) == (Reason.DROP, 1)
+    assert np.isfinite(full_run.boxes.rest_top_force_n).all()
 
 
 # ---------------------------------------------------------------------- drives and forks
@@ -241,9 +241,9 @@ def test_forks_share_one_settled_state_and_equal_whole_runs(engine: FakeEngine, 
     (kept,) = run_all(engine, [Job(scene, keep_state=True)], SHORT)
     assert kept.state is not None
     drives = [pushes(kind, 20 + steps, level) for steps in range(20)]
-    whole = run_all(engine, [Job(scene, drive) for drive in drives], SHORT)
+    full_runs = run_all(engine, [Job(scene, drive) for drive in drives], SHORT)
     forks = run_all(engine, [Job(scene, drive, start=kept.state) for drive in drives], SHORT)
-    for drive, fork, one_run in zip(drives, forks, whole, strict=True):
+    for drive, fork, one_run in zip(drives, forks, full_runs, strict=True):
         assert fork.flags & Flag.FORKED
         assert fork.n_steps == len(drive.excitation.samples) + 100
         assert fork.sim_time_s == one_run.sim_time_s

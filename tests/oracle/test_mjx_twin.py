@@ -44,21 +44,21 @@ def test_the_plans_show_every_kind_of_end() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANS)
 def test_verdicts_agree(name: str) -> None:
-    found, exact = jax_outcomes()[name], exact_outcomes()[name]
-    assert (found.verdict, found.reason, found.culprit) == (exact.verdict, exact.reason, exact.culprit)
+    outcome, exact = jax_outcomes()[name], exact_outcomes()[name]
+    assert (outcome.verdict, outcome.reason, outcome.culprit) == (exact.verdict, exact.reason, exact.culprit)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PLANS)
 def test_standing_plans_agree_in_place_tilt_and_load(name: str) -> None:
-    found, exact = jax_outcomes()[name], exact_outcomes()[name]
+    outcome, exact = jax_outcomes()[name], exact_outcomes()[name]
     if exact.verdict is not Verdict.STABLE:
-        assert found.verdict is not Verdict.STABLE
+        assert outcome.verdict is not Verdict.STABLE
         return
-    np.testing.assert_allclose(found.boxes.pos, exact.boxes.pos, atol=SAME_PLACE_M)
-    np.testing.assert_allclose(found.boxes.max_tilt_deg, exact.boxes.max_tilt_deg, atol=SAME_TILT_DEG)
+    np.testing.assert_allclose(outcome.boxes.pos, exact.boxes.pos, atol=SAME_PLACE_M)
+    np.testing.assert_allclose(outcome.boxes.max_tilt_deg, exact.boxes.max_tilt_deg, atol=SAME_TILT_DEG)
     np.testing.assert_allclose(
-        found.boxes.rest_top_force_n, exact.boxes.rest_top_force_n, rtol=SAME_FORCE, atol=SMALL_FORCE_N
+        outcome.boxes.rest_top_force_n, exact.boxes.rest_top_force_n, rtol=SAME_FORCE, atol=SMALL_FORCE_N
     )
 
 
@@ -83,17 +83,17 @@ LANDED_M = 0.01
 NAMES = ("hand-overhang-45", "brickwork", "uneven pile", "hand-falls-off")
 
 
-def assert_alike(found: Outcome, expected: Outcome) -> None:
+def assert_alike(outcome: Outcome, expected: Outcome) -> None:
     for name in ("verdict", "reason", "culprit", "n_placed"):
-        assert getattr(found, name) == getattr(expected, name)
-    np.testing.assert_equal(found.first_sign_s, expected.first_sign_s)
-    if found.verdict is not Verdict.STABLE:
-        np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=LANDED_M)
+        assert getattr(outcome, name) == getattr(expected, name)
+    np.testing.assert_equal(outcome.first_sign_s, expected.first_sign_s)
+    if outcome.verdict is not Verdict.STABLE:
+        np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=LANDED_M)
         return
-    np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=SAME_WORLD_M)
-    np.testing.assert_allclose(found.boxes.max_tilt_deg, expected.boxes.max_tilt_deg, atol=SAME_WORLD_DEG)
+    np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=SAME_WORLD_M)
+    np.testing.assert_allclose(outcome.boxes.max_tilt_deg, expected.boxes.max_tilt_deg, atol=SAME_WORLD_DEG)
     np.testing.assert_allclose(
-        found.boxes.rest_top_force_n, expected.boxes.rest_top_force_n, rtol=SAME_WORLD_FORCE, atol=0.1
+        outcome.boxes.rest_top_force_n, expected.boxes.rest_top_force_n, rtol=SAME_WORLD_FORCE, atol=0.1
     )
 
 
@@ -109,10 +109,10 @@ def test_in_any_place_of_any_batch() -> None:
     names = ["hand-overhang-45", "hand-one-box", "hand-falls-off"]
     crowd = {f"{name} {k}": scenes()[name] for k in range(LANES // 2) for name in reversed(names)}
     assert len(crowd) > LANES
-    found = simulate(jax_engine(), crowd, Simulation())
+    outcomes = simulate(jax_engine(), crowd, Simulation())
     for name in names:
         for k in (0, LANES // 2 - 1):
-            assert_alike(found[f"{name} {k}"], jax_outcomes()[name])
+            assert_alike(outcomes[f"{name} {k}"], jax_outcomes()[name])
 
 
 @pytest.mark.slow

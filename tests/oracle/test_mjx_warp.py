@@ -61,12 +61,12 @@ def exact() -> dict[str, Outcome]:
     return simulate(MujocoEngine(2), tiny_scenes(), Simulation())
 
 
-def assert_twin(found: Outcome, twin: Outcome, name: str = "") -> None:
-    assert (found.verdict, found.reason, found.culprit) == (twin.verdict, twin.reason, twin.culprit), name
+def assert_twin(outcome: Outcome, twin: Outcome, name: str = "") -> None:
+    assert (outcome.verdict, outcome.reason, outcome.culprit) == (twin.verdict, twin.reason, twin.culprit), name
     if twin.verdict is Verdict.STABLE:
-        np.testing.assert_allclose(found.boxes.pos, twin.boxes.pos, atol=SAME_PLACE_M, err_msg=name)
+        np.testing.assert_allclose(outcome.boxes.pos, twin.boxes.pos, atol=SAME_PLACE_M, err_msg=name)
         np.testing.assert_allclose(
-            found.boxes.rest_top_force_n,
+            outcome.boxes.rest_top_force_n,
             twin.boxes.rest_top_force_n,
             rtol=SAME_FORCE,
             atol=SMALL_FORCE_N,
@@ -74,9 +74,9 @@ def assert_twin(found: Outcome, twin: Outcome, name: str = "") -> None:
         )
 
 
-def assert_twins(found: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
+def assert_twins(outcomes: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
     for name, twin in expected.items():
-        assert_twin(found[name], twin, name)
+        assert_twin(outcomes[name], twin, name)
 
 
 @pytest.mark.slow
@@ -92,20 +92,20 @@ def test_the_fixed_schedule_to_the_step_of_c(check: Check) -> None:
         check=check, schedule=Schedule.FIXED, interval_s=0.2, duration_s=0.4, rest_window_s=0.1, early_stop=False
     )
     jobs = [Job(scene) for scene in tiny_scenes().values()]
-    for found, twin in zip(run_all(shared_engine(), jobs, sim), run_all(MujocoEngine(2), jobs, sim), strict=True):
-        assert (found.n_steps, found.sim_time_s) == (twin.n_steps, twin.sim_time_s)
-        assert found.n_placed == twin.n_placed
-        assert_twin(found, twin)
+    for outcome, twin in zip(run_all(shared_engine(), jobs, sim), run_all(MujocoEngine(2), jobs, sim), strict=True):
+        assert (outcome.n_steps, outcome.sim_time_s) == (twin.n_steps, twin.sim_time_s)
+        assert outcome.n_placed == twin.n_placed
+        assert_twin(outcome, twin)
 
 
 @pytest.mark.slow
 def test_a_static_check_as_in_c() -> None:
     sim = Simulation(check=Check.STATIC, duration_s=0.5, rest_window_s=0.1)
     jobs = [Job(scene) for scene in tiny_scenes().values()]
-    for found, twin in zip(run_all(shared_engine(), jobs, sim), run_all(MujocoEngine(2), jobs, sim), strict=True):
-        assert_twin(found, twin)
+    for outcome, twin in zip(run_all(shared_engine(), jobs, sim), run_all(MujocoEngine(2), jobs, sim), strict=True):
+        assert_twin(outcome, twin)
         if twin.verdict is not Verdict.STABLE:
-            assert found.n_steps == twin.n_steps, "a drop is seen in the same sample"
+            assert outcome.n_steps == twin.n_steps, "a drop is seen in the same sample"
 
 
 def pushes(kind: str, level: float, steps: int = 60) -> Drive:
@@ -127,15 +127,15 @@ def test_drives_as_in_c_and_forks_as_whole_runs(kind: str) -> None:
     jobs = [Job(scene, drive) for drive in drives]
     forks = run_all(shared_engine(), [Job(scene, drive, start=kept.state) for drive in drives], SHORT)
     twins = run_all(MujocoEngine(2), jobs, SHORT)
-    for drive, whole, fork, twin in zip(drives, run_all(shared_engine(), jobs, SHORT), forks, twins, strict=True):
-        assert fork.flags == whole.flags | Flag.FORKED
-        assert fork.n_steps == whole.n_steps - kept.n_steps >= len(drive.excitation.samples) + 50
-        assert fork.sim_time_s == whole.sim_time_s
-        for name, values in vars(whole.boxes).items():
+    for drive, full_run, fork, twin in zip(drives, run_all(shared_engine(), jobs, SHORT), forks, twins, strict=True):
+        assert fork.flags == full_run.flags | Flag.FORKED
+        assert fork.n_steps == full_run.n_steps - kept.n_steps >= len(drive.excitation.samples) + 50
+        assert fork.sim_time_s == full_run.sim_time_s
+        for name, values in vars(full_run.boxes).items():
             np.testing.assert_array_equal(getattr(fork.boxes, name), values, err_msg=name)
-        assert_twin(whole, twin)
-        assert (whole.n_steps, whole.sim_time_s) == (twin.n_steps, twin.sim_time_s)
-        np.testing.assert_allclose(whole.boxes.max_sway_m, twin.boxes.max_sway_m, rtol=0.01, atol=SAME_SWAY_M)
+        assert_twin(full_run, twin)
+        assert (full_run.n_steps, full_run.sim_time_s) == (twin.n_steps, twin.sim_time_s)
+        np.testing.assert_allclose(full_run.boxes.max_sway_m, twin.boxes.max_sway_m, rtol=0.01, atol=SAME_SWAY_M)
     assert twins[0].boxes.max_sway_m.max() > 2e-3
 
 
@@ -150,10 +150,10 @@ def test_a_drive_has_an_iteration_limit_of_its_own(monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr(programs, "DRIVEN_ITERATIONS", driven)
         return run_all(engine(), jobs, SHORT.changed(**options))
 
-    few, many, wanted = found(1), found(MAX_ITERATIONS), found(1, solver_iterations=MAX_ITERATIONS)
+    few, many, custom = found(1), found(MAX_ITERATIONS), found(1, solver_iterations=MAX_ITERATIONS)
     assert not np.array_equal(few[0].boxes.max_sway_m, many[0].boxes.max_sway_m)
     assert_same(few[1], many[1])
-    for one, other in zip(wanted, many, strict=True):
+    for one, other in zip(custom, many, strict=True):
         assert_same(one, other)
 
 
@@ -190,15 +190,15 @@ def test_a_world_that_fell_skips_its_drive_and_so_do_its_forks() -> None:
     scene = tiny("hand-falls-off")
     sim = SHORT.changed(settle_s=1.0)
     drive = pushes("force", 1.0)
-    whole, kept = run_all(shared_engine(), [Job(scene, drive), Job(scene, keep_state=True)], sim)
+    full_run, kept = run_all(shared_engine(), [Job(scene, drive), Job(scene, keep_state=True)], sim)
     (fork,) = run_all(shared_engine(), [Job(scene, drive, start=kept.state)], sim)
     (twin,) = run_all(MujocoEngine(1), [Job(scene, drive)], sim)
-    for outcome in (whole, kept, fork):
+    for outcome in (full_run, kept, fork):
         assert (outcome.verdict, outcome.reason, outcome.culprit) == (twin.verdict, twin.reason, twin.culprit)
         assert np.isnan(outcome.boxes.max_sway_m).all()
     assert fork.flags & Flag.FORKED
     assert fork.n_steps == 0
-    assert whole.n_steps == kept.n_steps
+    assert full_run.n_steps == kept.n_steps
 
 
 @pytest.mark.slow
@@ -220,10 +220,10 @@ def test_a_held_carrier_carries() -> None:
     jobs = [Job(tiny("hand-bridge"), drive=Drive(excitation, rest_s=0.3))]
     sim = Simulation(settle_s=0.4)
     (expected,) = MujocoEngine(1).run(jobs, sim)
-    (found,) = shared_engine().run(jobs, sim)
-    assert (found.verdict, found.n_steps) == (expected.verdict, expected.n_steps)
-    assert found.verdict is Verdict.STABLE
-    np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=SAME_PLACE_M)
+    (outcome,) = shared_engine().run(jobs, sim)
+    assert (outcome.verdict, outcome.n_steps) == (expected.verdict, expected.n_steps)
+    assert outcome.verdict is Verdict.STABLE
+    np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=SAME_PLACE_M)
 
 
 @pytest.mark.slow
@@ -234,22 +234,22 @@ def test_the_floor_presses_on_no_box_that_lies_on_it(kind: str) -> None:
     sim = SHORT.changed(early_stop=False, carrier=Carrier.EURO_PALLET, settle_s=0.6)
     job = Job(make_scene(boxes, sim), Drive(Excitation("still", kind, np.zeros((20, 3))), rest_s=0.2))
     (expected,) = run_all(MujocoEngine(1), [job], sim)
-    (found,) = run_all(shared_engine(), [job], sim)
+    (outcome,) = run_all(shared_engine(), [job], sim)
     assert expected.boxes.dropped[1]
-    assert found.boxes.dropped[1]
-    np.testing.assert_allclose(found.boxes.rest_top_force_n, expected.boxes.rest_top_force_n, atol=SMALL_FORCE_N)
+    assert outcome.boxes.dropped[1]
+    np.testing.assert_allclose(outcome.boxes.rest_top_force_n, expected.boxes.rest_top_force_n, atol=SMALL_FORCE_N)
 
 
 @pytest.mark.slow
 def test_a_search_finds_the_levels_that_c_finds() -> None:
     """To the step of 0.01 g, with the box that fails first and how."""
     plans = [plan for plan in load_plans(bundled_path()).plans if plan.plan_id == "hand-bridge"]
-    found, expected = (
+    summary, expected = (
         petmjx.sweep("eumos-search", plans, engine=which).summary for which in (engine(), MujocoEngine(2))
     )
     columns = ["plan_id", "direction_deg", "largest_level_g", "first_failed_level_g", "box", "mode"]
     assert len(expected) == 4
-    pd.testing.assert_frame_equal(found[columns], expected[columns])
+    pd.testing.assert_frame_equal(summary[columns], expected[columns])
 
 
 @pytest.mark.slow
@@ -262,7 +262,7 @@ def test_one_program_a_shape() -> None:
         run_all(fresh, [Job(scene) for scene in scenes], SHORT)
     ((_, rollout),) = fresh._kept.values()
     run_all(fresh, [Job(scene, pushes("force", 1.0)) for scene in some[1:3]], SHORT)
-    assert [each for _, each in fresh._kept.values()] == [rollout]
+    assert [kept_rollout for _, kept_rollout in fresh._kept.values()] == [rollout]
     assert len(rollout.programs._compiled) == 2, "of up to four worlds, and of two with a profile"
     run_all(engine(slice_ns=apart), [Job(scene) for scene in some[:4]], SHORT, progress)
     assert progress.compile_s == 0, "another engine of the same process"
@@ -278,10 +278,10 @@ def test_bundled_and_generated_plans_as_in_c(tmp_path: Path) -> None:
     sim = Simulation()
     jobs = [Job(build_scene(plan, sim)) for plan in plans]
     expected = {o.job: o for o in MujocoEngine().run(jobs, sim)}
-    found = {o.job: o for o in MjxWarpEngine().run(jobs, sim)}
-    assert found.keys() == expected.keys()
-    differ = [plans[job].plan_id for job, o in found.items() if o.verdict is not expected[job].verdict]
+    outcome_by_job = {o.job: o for o in MjxWarpEngine().run(jobs, sim)}
+    assert outcome_by_job.keys() == expected.keys()
+    differ = [plans[job].plan_id for job, o in outcome_by_job.items() if o.verdict is not expected[job].verdict]
     # The goal is 98 % of 2,000; one of 64 is as near as a small sample can say.
     assert len(differ) <= 1, differ
-    for job, outcome in found.items():
+    for job, outcome in outcome_by_job.items():
         assert not (outcome.verdict is Verdict.STABLE and expected[job].reason is Reason.DROP)

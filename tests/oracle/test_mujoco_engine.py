@@ -121,16 +121,16 @@ def test_verdicts_come_in_their_order() -> None:
     metrics = OracleMetrics(scene, Thresholds())
     metrics.add_sample(*sample_of(scene))
     boxes = metrics.finish(scene.target + np.array([0.03, 0, 0]), scene.start_quat, 2, came_to_end=True)
-    found = [judge(Flag.NONE, boxes, 2, Thresholds())]
+    verdicts = [judge(Flag.NONE, boxes, 2, Thresholds())]
     boxes.max_tilt_deg[1] = 21.0
-    found.append(judge(Flag.NONE, boxes, 2, Thresholds()))
+    verdicts.append(judge(Flag.NONE, boxes, 2, Thresholds()))
     boxes.dropped[0] = True
-    found.append(judge(Flag.NONE, boxes, 2, Thresholds()))
+    verdicts.append(judge(Flag.NONE, boxes, 2, Thresholds()))
     flags = Flag.NONE
     for flag in (Flag.EXPLOSION, Flag.CONTACT_OVERFLOW, Flag.NONFINITE):
         flags |= flag
-        found.append(judge(flags, boxes, 2, Thresholds()))
-    assert [reason for _, reason in found] == [
+        verdicts.append(judge(flags, boxes, 2, Thresholds()))
+    assert [reason for _, reason in verdicts] == [
         Reason.SHIFT,
         Reason.TILT,
         Reason.DROP,
@@ -151,11 +151,11 @@ def test_the_clock_is_mujocos_running_sum() -> None:
             placed_s = time_s
             steps.append(step)
         assert clock.time_s(step) == time_s
-    step, found = 0, list[int]()
-    while len(found) < len(steps):
+    step, counted_steps = 0, list[int]()
+    while len(counted_steps) < len(steps):
         step = clock.first_after(step, 0.5)
-        found.append(step)
-    assert found == steps
+        counted_steps.append(step)
+    assert counted_steps == steps
     assert set(np.diff([0, *steps])) <= {250, 251}
 
 
@@ -196,15 +196,15 @@ def test_a_fork_equals_the_world_it_was_forked_from(schedule: Schedule, kind: st
     sim = Simulation(schedule=schedule, settle_s=0.5, interval_s=0.3)
     scene = leaning(4)
     drive = push(level=0.3 if kind == "force" else 3.0, kind=kind)
-    whole = run_one(Job(scene, drive), sim)
+    full_run = run_one(Job(scene, drive), sim)
     kept = run_one(Job(scene, keep_state=True), sim)
     fork = run_one(Job(scene, drive, start=kept.state), sim)
     assert fork.n_steps == 50 + 150
-    assert kept.state.step + fork.n_steps == whole.n_steps
+    assert kept.state.step + fork.n_steps == full_run.n_steps
     assert fork.flags & Flag.FORKED
-    assert fork.verdict is whole.verdict
+    assert fork.verdict is full_run.verdict
     for name in ("pos", "max_tilt_deg", "max_sway_m", "max_top_force_n", "rest_top_force_n"):
-        np.testing.assert_allclose(getattr(fork.boxes, name), getattr(whole.boxes, name), rtol=1e-6, atol=SAME_M)
+        np.testing.assert_allclose(getattr(fork.boxes, name), getattr(full_run.boxes, name), rtol=1e-6, atol=SAME_M)
 
 
 def test_64_forks_cost_one_placement() -> None:
@@ -293,11 +293,11 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("threads", [1, 3])
 def test_jobs_that_are_appended_while_it_runs_are_simulated_too(threads: int) -> None:
     job, sim = Job(make_scene(1)), Simulation(check="static", duration_s=0.2)
-    jobs, found = GrowingJobs([job]), []
+    jobs, numbers = GrowingJobs([job]), []
     for outcome in MujocoEngine(threads).run(jobs, sim):
-        found.append(outcome.job)
+        numbers.append(outcome.job)
         jobs += [job] * (len(jobs) if len(jobs) < 6 else 0)
-    assert sorted(found) == list(range(len(jobs))) == list(range(8))
+    assert sorted(numbers) == list(range(len(jobs))) == list(range(8))
 
 
 def test_ctrl_c_ends_long_worlds_at_once(repository: Path) -> None:

@@ -58,15 +58,15 @@ def engine(request: pytest.FixtureRequest) -> MujocoEngine | MjxWarpEngine:
 
 
 def run(engine: MujocoEngine | MjxWarpEngine, drive: Drive | None = None) -> list[Outcome]:
-    found = engine.run([Job(scene, drive) for scene in scenes().values()], SIM)
-    return sorted(found, key=lambda outcome: outcome.job)
+    outcomes = engine.run([Job(scene, drive) for scene in scenes().values()], SIM)
+    return sorted(outcomes, key=lambda outcome: outcome.job)
 
 
-def assert_same_but_for_a_digit_of_tilts(found: Outcome, expected: Outcome) -> None:
+def assert_same_but_for_a_digit_of_tilts(outcome: Outcome, expected: Outcome) -> None:
     """The last digit alone, of tilts alone: all else is the same to the last bit."""
     tilt = expected.boxes.max_tilt_deg
-    np.testing.assert_allclose(found.boxes.max_tilt_deg, tilt, rtol=LAST_DIGIT, atol=0.0)
-    assert_same(replace(found, boxes=replace(found.boxes, max_tilt_deg=tilt)), expected)
+    np.testing.assert_allclose(outcome.boxes.max_tilt_deg, tilt, rtol=LAST_DIGIT, atol=0.0)
+    assert_same(replace(outcome, boxes=replace(outcome.boxes, max_tilt_deg=tilt)), expected)
 
 
 def everything(worlds: OpenWorlds, drive: Drive | None = None) -> list[Outcome]:
@@ -77,9 +77,9 @@ def test_a_world_that_pauses_ends_as_one_that_does_not_to_the_last_bit(engine: M
     worlds = engine.open(list(scenes().values()), SIM)
     worlds.go_on()
     for drive in (None, push(), None):  # what is asked changes nothing
-        for found, expected in zip(everything(worlds, drive), run(engine, drive), strict=True):
-            assert_same_but_for_a_digit_of_tilts(found, expected)
-            assert (found.flags, found.n_at_sign) == (expected.flags, expected.n_at_sign)
+        for outcome, expected in zip(everything(worlds, drive), run(engine, drive), strict=True):
+            assert_same_but_for_a_digit_of_tilts(outcome, expected)
+            assert (outcome.flags, outcome.n_at_sign) == (expected.flags, expected.n_at_sign)
 
 
 def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) -> None:
@@ -91,13 +91,17 @@ def test_boxes_can_be_put_in_one_by_one(engine: MujocoEngine | MjxWarpEngine) ->
         open_ones = [k for k, scene in enumerate(plans) if scene.n_boxes >= count and not readings[k].ended]
         worlds.put(open_ones, [plans[k].first(count) for k in open_ones])
     worlds.go_on()
-    for reading, found, expected in zip(worlds.read(range(len(plans))), everything(worlds), run(engine), strict=True):
-        assert (found.verdict, found.reason, found.culprit) == (expected.verdict, expected.reason, expected.culprit)
+    for reading, outcome, expected in zip(worlds.read(range(len(plans))), everything(worlds), run(engine), strict=True):
+        assert (outcome.verdict, outcome.reason, outcome.culprit) == (
+            expected.verdict,
+            expected.reason,
+            expected.culprit,
+        )
         if not reading.ended:
             if isinstance(engine, MjxWarpEngine):
-                assert_same_but_for_a_digit_of_tilts(found, expected)
-            np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=FLOAT64)
-        assert reading.ended == (found.verdict is Verdict.UNSTABLE and found.sim_time_s == reading.time_s)
+                assert_same_but_for_a_digit_of_tilts(outcome, expected)
+            np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=FLOAT64)
+        assert reading.ended == (outcome.verdict is Verdict.UNSTABLE and outcome.sim_time_s == reading.time_s)
 
 
 def test_pallets_that_tremble_end_as_a_run_of_all_their_boxes_does(engine: MujocoEngine | MjxWarpEngine) -> None:
@@ -112,10 +116,10 @@ def test_pallets_that_tremble_end_as_a_run_of_all_their_boxes_does(engine: Mujoc
         worlds.go_on()
         times.append(worlds.read([0])[0].time_s)
     np.testing.assert_allclose(np.diff(times, prepend=0.03), [0.5, 0.1, 0.1], atol=0.003)
-    found, (expected,) = worlds.finish([0])[0], engine.run([Job(scene)], sim)
-    assert found.n_steps == expected.n_steps
-    assert found.flags == expected.flags == Flag.MOVING
-    assert found.n_steps * sim.physics.timestep_s > times[-1] + 0.4
+    outcome, (expected,) = worlds.finish([0])[0], engine.run([Job(scene)], sim)
+    assert outcome.n_steps == expected.n_steps
+    assert outcome.flags == expected.flags == Flag.MOVING
+    assert outcome.n_steps * sim.physics.timestep_s > times[-1] + 0.4
 
 
 def test_forks_go_their_own_ways(engine: MujocoEngine | MjxWarpEngine) -> None:
@@ -188,11 +192,11 @@ def test_a_jitted_program_goes_on_with_them() -> None:
         settled = fork(simulator.go_on(open_, still), jnp.array([0]), jnp.array([1]))
         return simulator.go_on(simulator.put(settled, jnp.array([1]), more), still)
 
-    found = program(worlds.open)
+    next_worlds = program(worlds.open)
     twin.go_on()
     twin.fork([0], [1])
     twin.put([1], [scene.first(3)])
     twin.go_on()
-    assert found.state.placed.tolist() == [1, 3]
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(twin.open), strict=True):
+    assert next_worlds.state.placed.tolist() == [1, 3]
+    for one, other in zip(jax.tree.leaves(next_worlds), jax.tree.leaves(twin.open), strict=True):
         np.testing.assert_array_equal(one, other)

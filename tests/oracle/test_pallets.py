@@ -56,14 +56,14 @@ def placed_box_by_box(engine: Engine, names: Sequence[str], most_boxes: int) -> 
     """A pallet for each plan, and what was told last of each."""
     plans = [make_plan(name, boxes_by_plan()[name]) for name in names]
     pallets = Pallets(len(plans), engine=engine, most_boxes=most_boxes)
-    told: dict[int, Told] = {}
+    report_by_row: dict[int, Told] = {}
     for number in range(max(plan.n_boxes for plan in plans)):
         rows = [k for k, plan in enumerate(plans) if plan.n_boxes > number and not pallets.ended[k]]
         boxes = [(plans[k].size_mm[number], plans[k].corner_mm[number], plans[k].mass_kg[number]) for k in rows]
         size, corner, mass = (np.array(values) for values in zip(*boxes, strict=True))
-        found = pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows)
-        told |= {row: found[k] for k, row in enumerate(rows)}
-    return pallets, told
+        report = pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows)
+        report_by_row |= {row: report[k] for k, row in enumerate(rows)}
+    return pallets, report_by_row
 
 
 def assert_scored(pallets: Pallets, engine: Engine) -> RunResults:
@@ -77,16 +77,18 @@ def assert_scored(pallets: Pallets, engine: Engine) -> RunResults:
 
 
 def test_a_plan_that_is_placed_has_the_verdict_and_the_numbers_of_a_score(engine: Engine) -> None:
-    pallets, told = placed_box_by_box(engine, NAMES, 8)
+    pallets, report_by_row = placed_box_by_box(engine, NAMES, 8)
     scored = assert_scored(pallets, engine)
     for row, of_world in enumerate(scored.worlds.itertuples()):
-        assert told[row].verdict[0] == of_world.verdict == pallets.verdict(row)
-        assert told[row].culprit[0] == (-1 if pd.isna(of_world.culprit) else of_world.culprit)
+        assert report_by_row[row].verdict[0] == of_world.verdict == pallets.verdict(row)
+        assert report_by_row[row].culprit[0] == (-1 if pd.isna(of_world.culprit) else of_world.culprit)
         if of_world.verdict == "stable":
-            np.testing.assert_allclose(told[row].margin, of_world.margin, atol=1e-3)
+            np.testing.assert_allclose(report_by_row[row].margin, of_world.margin, atol=1e-3)
             boxes_of = scored.boxes[scored.boxes.plan_id == of_world.plan_id]
-            np.testing.assert_allclose(told[row].middle_mm[0, :, 2], boxes_of.pos_z_m * 1000, atol=SLOW * 1000)
-            np.testing.assert_allclose(told[row].top_force_n[0], boxes_of.rest_top_force_n, rtol=0.01, atol=0.05)
+            np.testing.assert_allclose(report_by_row[row].middle_mm[0, :, 2], boxes_of.pos_z_m * 1000, atol=SLOW * 1000)
+            np.testing.assert_allclose(
+                report_by_row[row].top_force_n[0], boxes_of.rest_top_force_n, rtol=0.01, atol=0.05
+            )
 
 
 @pytest.mark.slow
@@ -154,17 +156,17 @@ def test_boxes_are_taken_back_pallets_forked_and_reset(pallets: Pallets) -> None
 def test_while_pallets_come_to_rest_others_ask_where_boxes_are_and_of_nothing_else(pallets: Pallets) -> None:
     alone = pallets.place(**carton((0, 0, 0), (0, 0, 0), (1000, 0, 0)))
     pallets.reset()
-    found = []
+    answers = []
 
     def meanwhile() -> None:
-        found.append((pallets.boxes()[1], pallets.places(size_mm=(400, 300, 200), pallet=0), pallets.height_map(400)))
+        answers.append((pallets.boxes()[1], pallets.places(size_mm=(400, 300, 200), pallet=0), pallets.height_map(400)))
         for ask in (pallets.told, pallets.reset, pallets.close, lambda: pallets.place(**carton((0, 0, 0)), pallet=0)):
             with pytest.raises(InputError, match="meanwhile: "):
                 ask()
 
-    told = pallets.place(**carton((0, 0, 0), (0, 0, 0), (1000, 0, 0)), meanwhile=meanwhile)
-    assert_same(told, alone)
-    ((corners, places, heights),) = found
+    report = pallets.place(**carton((0, 0, 0), (0, 0, 0), (1000, 0, 0)), meanwhile=meanwhile)
+    assert_same(report, alone)
+    ((corners, places, heights),) = answers
     np.testing.assert_array_equal(corners[:, 0, 0], [0, 0, 1000])
     assert [400, 0, 0] in places.corner_mm.tolist()
     assert [0, 0, 0] not in places.corner_mm.tolist()
@@ -177,10 +179,10 @@ def test_while_pallets_come_to_rest_others_ask_where_boxes_are_and_of_nothing_el
 def test_errors_and_drives(pallets: Pallets) -> None:
     pallets.place(**carton((0, 0, 0)), pallet=0)
     corners = [(0, 0, 200), (198, 0, 200), (260, 0, 200)]
-    told = pallets.try_all(**carton(*corners), pallet=0, errors=4)
-    assert told.stable.tolist() == [True, True, False]
-    assert (told.share[0], told.share[2]) == (1.0, 0.0)
-    assert 0 <= told.share[1] < 1, "half of the errors go over the edge"
+    report = pallets.try_all(**carton(*corners), pallet=0, errors=4)
+    assert report.stable.tolist() == [True, True, False]
+    assert (report.share[0], report.share[2]) == (1.0, 0.0)
+    assert 0 <= report.share[1] < 1, "half of the errors go over the edge"
     slender = {"size_mm": (100, 100, 400), "corner_mm": [(0, 0, 200), (600, 300, 0)], "mass_kg": 2, "pallet": 0}
     low, high = (pallets.try_all(**slender, drive="eumos-40509", level=level) for level in (0.1, 0.45))
     assert low.stable.all()
@@ -191,9 +193,9 @@ def test_errors_and_drives(pallets: Pallets) -> None:
 
 def test_a_pallet_that_falls_ends_and_no_other_does(pallets: Pallets) -> None:
     boxes = {"size_mm": (400, 300, 200), "corner_mm": [(0, 0, 0), (1100, 0, 0), (0, 0, 0)], "mass_kg": 5}
-    told = pallets.place(**boxes)
-    assert told.ended.tolist() == pallets.ended.tolist() == [False, True, False]
-    assert (told.verdict[1], told.reason[1], told.culprit[1]) == ("unstable", "drop", 0)
+    report = pallets.place(**boxes)
+    assert report.ended.tolist() == pallets.ended.tolist() == [False, True, False]
+    assert (report.verdict[1], report.reason[1], report.culprit[1]) == ("unstable", "drop", 0)
     with pytest.raises(InputError, match="pallet: 1 has fallen; reset it"):
         pallets.try_all(**carton((0, 0, 0)), pallet=1)
     pallets.place(**carton((0, 0, 200)), pallet=2)
@@ -264,21 +266,21 @@ def test_height_maps_and_places_are_those_of_the_packers() -> None:
     piles = [_Pile(8, (1200, 800), PackRules(min_support=0.0, centre_supported=False)) for _ in range(3)]
     for _ in range(4):
         sizes = rng.integers(2, 5, (3, 3)) * 100.0
-        found = pallets.places(size_mm=sizes)
+        places = pallets.places(size_mm=sizes)
         corners = []
         for row, pile in enumerate(piles):
-            own = found.corner_mm[found.row == row]
+            row_corners = places.corner_mm[places.row == row]
             points = np.array(list(pile._points))
             inside = points[(points + sizes[row, :2] <= (1200, 800)).all(axis=1)]
             z, share = pile._rest(inside, np.tile(sizes[row, :2], (len(inside), 1)))
-            assert {tuple(corner) for corner in own} == {tuple(map(float, row)) for row in np.c_[inside, z]}
-            assert sorted(found.support[found.row == row]) == pytest.approx(sorted(share))
-            centred = [pile._centre_supported(c[:2], sizes[row, :2], c[2]) for c in own]
-            np.testing.assert_array_equal(found.centred[found.row == row], centred)
-            order = np.lexsort((own[:, 1], own[:, 0], own[:, 2]))
-            np.testing.assert_array_equal(own[order], own)
-            corners.append(own[0])
-            pile.add(tuple(sizes[row, :2]), sizes[row, 2], tuple(own[0]))
+            assert {tuple(corner) for corner in row_corners} == {tuple(map(float, row)) for row in np.c_[inside, z]}
+            assert sorted(places.support[places.row == row]) == pytest.approx(sorted(share))
+            centred = [pile._centre_supported(c[:2], sizes[row, :2], c[2]) for c in row_corners]
+            np.testing.assert_array_equal(places.centred[places.row == row], centred)
+            order = np.lexsort((row_corners[:, 1], row_corners[:, 0], row_corners[:, 2]))
+            np.testing.assert_array_equal(row_corners[order], row_corners)
+            corners.append(row_corners[0])
+            pile.add(tuple(sizes[row, :2]), sizes[row, 2], tuple(row_corners[0]))
         assert pallets.place(size_mm=sizes, corner_mm=corners, mass_kg=5).stable.all()
     heights = pallets.height_map(50)
     assert heights.shape == (3, 24, 16)
@@ -294,9 +296,9 @@ def test_after_close_all_methods_say_so() -> None:
     good = carton((0, 0, 0))
     pallets.place(**good)
     plan = pallets.plan()
-    for each in (pallets, scorer):
-        each.close()
-        each.close()
+    for resource in (pallets, scorer):
+        resource.close()
+        resource.close()
     for call in (
         lambda: pallets.place(**good),
         lambda: pallets.try_all(**good, drive="unknown"),

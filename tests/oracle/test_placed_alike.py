@@ -62,13 +62,17 @@ def on_mujoco(way: str) -> dict[int, Outcome]:
 
 @pytest.mark.parametrize("way", WAYS)
 def test_mjx_warp_places_as_mujoco_does(way: str) -> None:
-    for found in shared_engine().run([Job(scene) for scene in scenes(way)], simulation(way)):
-        expected = on_mujoco(way)[found.job]
-        assert (found.verdict, found.reason, found.culprit) == (expected.verdict, expected.reason, expected.culprit)
-        assert (found.n_placed, found.flags) == (expected.n_placed, expected.flags)
-        assert abs(found.n_steps - expected.n_steps) <= SAME_LOOK
+    for outcome in shared_engine().run([Job(scene) for scene in scenes(way)], simulation(way)):
+        expected = on_mujoco(way)[outcome.job]
+        assert (outcome.verdict, outcome.reason, outcome.culprit) == (
+            expected.verdict,
+            expected.reason,
+            expected.culprit,
+        )
+        assert (outcome.n_placed, outcome.flags) == (expected.n_placed, expected.flags)
+        assert abs(outcome.n_steps - expected.n_steps) <= SAME_LOOK
         if way != "drop":  # what falls onto an edge goes its own way in the last digits
-            np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
+            np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=AGREES_M)
 
 
 def test_only_a_box_that_finds_no_room_could_not_be_placed() -> None:
@@ -82,12 +86,12 @@ def test_only_a_box_that_finds_no_room_could_not_be_placed() -> None:
 def test_a_world_with_a_hand_does_not_join_kernels_without_one() -> None:
     """As in a score with confidence: the exact world comes first, and worlds with errors follow."""
     scene, sim = scenes("hand")[2], simulation("auto")
-    growing, found = GrowingJobs([Job(replace(scene, placing=EXACT))]), {}
+    growing, outcome_by_job = GrowingJobs([Job(replace(scene, placing=EXACT))]), {}
     for outcome in shared_engine().run(growing, sim):
-        found[outcome.job] = outcome
+        outcome_by_job[outcome.job] = outcome
         if outcome.job == 0:
             growing.append(Job(scene))
-    assert found[0].n_steps < found[1].n_steps == on_mujoco("hand")[2].n_steps
+    assert outcome_by_job[0].n_steps < outcome_by_job[1].n_steps == on_mujoco("hand")[2].n_steps
 
 
 @pytest.mark.slow
@@ -96,12 +100,16 @@ def test_mjx_jax_places_as_mujoco_does() -> None:
     from petmjx.engines.batch.mjx_jax import MjxJaxEngine
 
     sim = simulation("hand")
-    for found in MjxJaxEngine().run([Job(scene) for scene in scenes("hand")], sim):
-        expected = on_mujoco("hand")[found.job]
-        assert (found.verdict, found.reason, found.culprit) == (expected.verdict, expected.reason, expected.culprit)
-        assert found.flags & Flag.NOT_PLACED == expected.flags & Flag.NOT_PLACED
-        assert abs(found.n_steps - expected.n_steps) <= sim.quiet.poll_steps  # a look earlier or later
-        np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_JAX_M)
+    for outcome in MjxJaxEngine().run([Job(scene) for scene in scenes("hand")], sim):
+        expected = on_mujoco("hand")[outcome.job]
+        assert (outcome.verdict, outcome.reason, outcome.culprit) == (
+            expected.verdict,
+            expected.reason,
+            expected.culprit,
+        )
+        assert outcome.flags & Flag.NOT_PLACED == expected.flags & Flag.NOT_PLACED
+        assert abs(outcome.n_steps - expected.n_steps) <= sim.quiet.poll_steps  # a look earlier or later
+        np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=AGREES_JAX_M)
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp"])
@@ -112,7 +120,7 @@ def test_boxes_put_into_an_open_world_are_carried_too(engine: str) -> None:
     worlds.go_on()
     worlds.put([0], [scene])
     worlds.go_on()
-    (found,) = worlds.finish([0])
+    (outcome,) = worlds.finish([0])
     expected = on_mujoco("hand")[1]
-    assert (found.verdict, found.n_placed, found.n_steps) == (expected.verdict, 3, expected.n_steps)
-    np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
+    assert (outcome.verdict, outcome.n_placed, outcome.n_steps) == (expected.verdict, 3, expected.n_steps)
+    np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=AGREES_M)

@@ -101,14 +101,14 @@ def test_a_fork_goes_on_from_the_frames_of_its_placement() -> None:
     """The drive moves boxes along by as much as it pushes."""
     scene = SCENES[3]
     (placed,) = run_all(fake(), [Job(scene, keep_state=True, record=RECORD)], SIM)
-    fork, whole = (
+    fork, full_run = (
         run_all(fake(), [Job(scene, start=start, drive=SHAKE, record=RECORD)], SIM)[0] for start in (placed.state, None)
     )
     began = history_of(fork)
     assert np.isnan(began.top_force_n[0]).all()
     assert began.time_s[0] == history_of(placed).time_s[-1]
     joined = history_of(placed).then(began)
-    assert_equal(joined, history_of(whole))
+    assert_equal(joined, history_of(full_run))
     pushed = joined.drive.any(axis=1)
     expected = 2.0 * 0.5 * SHAKE.unit(scene.total_mass) * np.array([np.cos(0.5), np.sin(0.5), 0.0])
     np.testing.assert_allclose(joined.drive[pushed], np.tile(expected, (pushed.sum(), 1)))
@@ -165,7 +165,7 @@ def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
 def compare(outcome: Outcome, twin: Outcome) -> None:
     """Frames as on C MuJoCo, until boxes slide or fall, which cannot be compared in detail."""
     ours, theirs = history_of(outcome), history_of(twin)
-    begins_s = [each.time_s[each.drive.any(axis=1)].min(initial=np.inf) for each in (ours, theirs)]
+    begins_s = [history.time_s[history.drive.any(axis=1)].min(initial=np.inf) for history in (ours, theirs)]
     until_s = np.nanmin([outcome.first_sign_s, *begins_s])
     k = int((ours.time_s < until_s - 0.1).sum())
     assert k > 1

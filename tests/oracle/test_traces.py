@@ -153,12 +153,12 @@ CASES = [(name, kind) for name in ON for kind in (("pushed",) if name == "mjx-ja
 @pytest.mark.parametrize(("engine", "kind"), [(name, kind) for name, kind in CASES if name != "mujoco"])
 def test_events_come_at_the_same_steps_as_on_c(engine: str, kind: str) -> None:
     for name, seen in ON[engine](kind).items():
-        found, exact = seen.trace, on_c(kind)[name].trace
+        trace, exact = seen.trace, on_c(kind)[name].trace
         looks = NEAR.get((engine, kind), {}).get(name, 0)
         if looks:
-            assert found.near(exact, steps=looks * seen.sim.quiet.poll_steps), name
+            assert trace.near(exact, steps=looks * seen.sim.quiet.poll_steps), name
         else:
-            assert found == exact, name
+            assert trace == exact, name
 
 
 @pytest.mark.parametrize(("engine", "kind"), CASES)
@@ -207,13 +207,13 @@ def test_shift_is_judged_at_rest(engine: str) -> None:
 
 
 def test_the_worlds_show_what_the_rules_are_about() -> None:
-    seen = [each for kind in KINDS for each in on_c(kind).values()]
+    seen = [world for kind in KINDS for world in on_c(kind).values()]
     assert len(seen) >= 50
-    assert {each.outcome.n_boxes for each in seen} >= {2, 3, 4, 5, 6}
-    assert {each.outcome.reason for each in seen} >= {Reason.NONE, Reason.DROP, Reason.TILT, Reason.SHIFT}
-    flags = [each.outcome.flags for each in seen]
-    assert all(any(flag & each for each in flags) for flag in (Flag.EARLY_STOP, Flag.MOVING))
-    assert sum(each.trace.driven[0] > 0 for each in seen) >= 20
-    rests = [each.trace.end - each.trace.driven[1] for each in on_c("braked").values() if each.trace.driven[0] > 0]
+    assert {world.outcome.n_boxes for world in seen} >= {2, 3, 4, 5, 6}
+    assert {world.outcome.reason for world in seen} >= {Reason.NONE, Reason.DROP, Reason.TILT, Reason.SHIFT}
+    flags = [world.outcome.flags for world in seen]
+    assert all(any(flag & world_flags for world_flags in flags) for flag in (Flag.EARLY_STOP, Flag.MOVING))
+    assert sum(world.trace.driven[0] > 0 for world in seen) >= 20
+    rests = [world.trace.end - world.trace.driven[1] for world in on_c("braked").values() if world.trace.driven[0] > 0]
     assert min(rest for rest in rests if rest >= 65) == 65  # as soon as they may rest
     assert max(rests) > 250  # and after their time, since a box moves

@@ -17,10 +17,10 @@ from petmjx.engines.warp.records import FrameBuffer, filled
 set_up_warp()
 
 
-def _read(row: wp.array[float], rows: wp.array2d[float], blocks: wp.array3d[float], found: wp.array[float]) -> None:
-    found[0] = row[2]
-    found[1] = rows[1, 2]
-    found[2] = blocks[1, 2, 3]
+def _read(row: wp.array[float], rows: wp.array2d[float], blocks: wp.array3d[float], elements: wp.array[float]) -> None:
+    elements[0] = row[2]
+    elements[1] = rows[1, 2]
+    elements[2] = blocks[1, 2, 3]
     rows[0, 1] = 7.0
     blocks[0, 1, 2] = 8.0
 
@@ -31,12 +31,12 @@ def test_numbers_are_found_by_rows() -> None:
     numbers = np.arange(60, dtype=np.float32)
     row = wp.array(numbers, dtype=float)
     rows, blocks = (wp.array(numbers.reshape(shape), dtype=float) for shape in ((12, 5), (3, 4, 5)))
-    found = wp.zeros(3, dtype=float)
-    wp.launch(kernel, dim=1, inputs=[row, rows, blocks, found])
-    assert found.numpy().tolist() == [2, 7, 33]
+    elements = wp.zeros(3, dtype=float)
+    wp.launch(kernel, dim=1, inputs=[row, rows, blocks, elements])
+    assert elements.numpy().tolist() == [2, 7, 33]
     assert (rows.numpy()[0, 1], blocks.numpy()[0, 1, 2]) == (7, 8)
-    wp.launch(kernel, dim=1, inputs=[row[4:12:2], rows, blocks, found])
-    assert found.numpy()[0] == 6, "Warp's own functions would find 8"
+    wp.launch(kernel, dim=1, inputs=[row[4:12:2], rows, blocks, elements])
+    assert elements.numpy()[0] == 6, "Warp's own functions would find 8"
 
 
 def test_arrays_with_gaps_are_refused() -> None:

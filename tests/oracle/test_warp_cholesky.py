@@ -83,8 +83,8 @@ def solved(H: FloatArray, top: list[int], g: FloatArray, device: str, size: int)
         arrays = [wp.array(packed, dtype=float), strip, wp.array(top, dtype=int), wp.array(base, dtype=int), rhs]
         kernel = solver(most_panels(SIZES[size].most_boxes if as_block else MAX_BOXES), as_block)
         wp.launch(kernel, dim=threads, inputs=[*arrays, threads], block_dim=threads)
-        found: FloatArray = rhs.numpy()
-    return found
+        solution: FloatArray = rhs.numpy()
+    return solution
 
 
 def single(values: FloatArray) -> FloatArray:
@@ -135,8 +135,8 @@ def test_solves_as_numpy(name: str, size: int, device: str) -> None:
     H = random_system(top, rng)
     g = single(rng.normal(size=len(H)))
     x = np.linalg.solve(H, g)
-    found = assert_solves(H, top, g, device, size)
-    np.testing.assert_allclose(found, x, rtol=0, atol=1e-5 * np.abs(x).max())
+    solution = assert_solves(H, top, g, device, size)
+    np.testing.assert_allclose(solution, x, rtol=0, atol=1e-5 * np.abs(x).max())
 
 
 @pytest.mark.parametrize("device", BOTH)

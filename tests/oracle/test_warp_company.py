@@ -84,8 +84,8 @@ def test_the_next_slice_is_under_way_where_nothing_can_come_between(
     monkeypatch.setattr(Rollout, "wait", watched)
     record = Record(0.05) if kind == "a recorded world" else None
     jobs = [Job(scene, record=record) for scene in tiny_scenes(TINY[:2]).values()]
-    found = run_all(engine(slice_ns=STEP_NS), GrowingJobs(jobs) if "more" in kind else jobs, SHORT)
-    assert_equal_worlds(dict(zip(TINY[:2], found, strict=True)), crowd)
+    outcomes = run_all(engine(slice_ns=STEP_NS), GrowingJobs(jobs) if "more" in kind else jobs, SHORT)
+    assert_equal_worlds(dict(zip(TINY[:2], outcomes, strict=True)), crowd)
     assert len(under_way) > 3
     assert set(under_way[:-1]) == ({2} if kind == "a list" else {1})
 
@@ -95,9 +95,9 @@ def test_alone_and_in_any_order_as_in_company(crowd: dict[str, Outcome]) -> None
     assert_equal_worlds(simulate(shared_engine(), tiny_scenes(TINY[::-1]), SHORT), crowd)
     wide = make_scene(9)
     mixed = {"nine boxes": wide, **tiny_scenes(("hand-bridge", "hand-falls-off"))}
-    found = simulate(shared_engine(), mixed, SHORT)
-    assert found.pop("nine boxes").n_boxes == 9
-    assert_equal_worlds(found, crowd)
+    outcomes = simulate(shared_engine(), mixed, SHORT)
+    assert outcomes.pop("nine boxes").n_boxes == 9
+    assert_equal_worlds(outcomes, crowd)
     for name in ("hand-one-box", "hand-bridge"):
         assert_equal_worlds(simulate(shared_engine(), tiny_scenes((name,)), SHORT), crowd)
 
@@ -136,15 +136,15 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     put_into, take, leave = Left.put_into, Ahead.take, Left.leave
 
     def watched(self: Left, table: Any, first_row: int) -> Any:
-        found = put_into(self, table, first_row)
-        assert found is not table
+        next_table = put_into(self, table, first_row)
+        assert next_table is not table
         assert self.ready is not None
         rows.append(len(table.step))
         going_on.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if not emitted)
         ended.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if emitted)
-        steps = np.asarray(found.step)
+        steps = np.asarray(next_table.step)
         assert steps[first_row] > steps[0]  # which has not begun
-        return found
+        return next_table
 
     def leaves(self: Left, *args: Any) -> None:
         assert all(left() is None for left in before)  # with their tables
@@ -163,10 +163,10 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     scenes = tiny_scenes(TINY[:3])
     jobs = [Job(scene) for scene in scenes.values()]
     run = engine(group_size=16, slice_ns=STEP_NS).run(in_parts(jobs * 8, jobs), SHORT)
-    found = {outcome.job: outcome for outcome in run}
+    outcome_by_job = {outcome.job: outcome for outcome in run}
     for first in range(0, 27, 3):
-        assert_equal_worlds({name: found.pop(first + k) for k, name in enumerate(scenes)}, crowd)
-    assert not found
+        assert_equal_worlds({name: outcome_by_job.pop(first + k) for k, name in enumerate(scenes)}, crowd)
+    assert not outcome_by_job
     assert min(going_on) < 12 <= max(going_on)
     assert ended
     assert ready == [0, 12, 3]
@@ -183,11 +183,11 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
     put_into = Left.put_into
 
     def watched(self: Left, table: State, first_row: int) -> State:
-        found = put_into(self, table, first_row)
+        next_table = put_into(self, table, first_row)
         widths.append((self.table.qpos.shape[1], table.qpos.shape[1]))
-        assert (np.asarray(found.step)[first_row:] > SOFT_START_BEGIN).any()
+        assert (np.asarray(next_table.step)[first_row:] > SOFT_START_BEGIN).any()
         some.slice_ns = SOME_NS
-        return found
+        return next_table
 
     monkeypatch.setattr(Left, "put_into", watched)
     monkeypatch.setattr(Ahead, "made", True)  # what is not is waited for
@@ -198,15 +198,15 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
     alone = simulate(shared_engine(), {"nine": wide}, SHORT)
     jobs = [Job(scene) for scene in scenes.values()]
     run = some.run(in_parts(jobs, [Job(wide), *jobs], jobs[:1], polls=polls), SHORT)
-    found = dict(sorted((outcome.job, outcome) for outcome in run))
+    outcome_by_job = dict(sorted((outcome.job, outcome) for outcome in run))
     if polls == 10_000:
-        assert list(found) == list(range(len(jobs)))
+        assert list(outcome_by_job) == list(range(len(jobs)))
         return
-    assert list(found) == list(range(2 * len(jobs) + 2))
+    assert list(outcome_by_job) == list(range(2 * len(jobs) + 2))
     assert widths[0] == (4, 12)
-    assert_equal_worlds({"nine": found[len(jobs)]}, alone)
+    assert_equal_worlds({"nine": outcome_by_job[len(jobs)]}, alone)
     for first in (0, len(jobs) + 1):
-        assert_equal_worlds({name: found[first + k] for k, name in enumerate(scenes)}, crowd)
+        assert_equal_worlds({name: outcome_by_job[first + k] for k, name in enumerate(scenes)}, crowd)
 
 
 @pytest.mark.slow
@@ -231,9 +231,9 @@ def test_memory_that_runs_out_for_outcomes_loses_no_world(
     monkeypatch.setattr(Left, "leave", watched)
     monkeypatch.setattr(rounds, "outcomes", fails_once)
     scenes = tiny_scenes()
-    found = run_all(engine(group_size=8, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
+    outcomes = run_all(engine(group_size=8, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
     for first in (0, len(scenes)):
-        assert_equal_worlds(dict(zip(scenes, found[first : first + len(scenes)], strict=True)), crowd)
+        assert_equal_worlds(dict(zip(scenes, outcomes[first : first + len(scenes)], strict=True)), crowd)
 
 
 @pytest.mark.slow
@@ -305,24 +305,24 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         return load(run, group, *args)
 
     monkeypatch.setattr(some, "_load_group", watched)
-    growing, found = GrowingJobs([Job(jobs[names[0]])]), []
+    growing, numbers = GrowingJobs([Job(jobs[names[0]])]), []
     for outcome in some.run(growing, SHORT):
-        found.append(outcome.job)
+        numbers.append(outcome.job)
         if names[outcome.job] in crowd:
             assert_equal_worlds({names[outcome.job]: outcome}, crowd)
         if len(growing) == 1:
             growing += [Job(jobs[name]) for name in names[1:]]
-    assert sorted(found) == list(range(len(names)))
+    assert sorted(numbers) == list(range(len(names)))
     assert [len(group) for group in groups] == [3, 3]
     groups.clear()
     some.least_rows = some.granule = 16
     growing = GrowingJobs([Job(jobs[names[0]])])
-    found = []
+    numbers = []
     for outcome in some.run(growing, SHORT):
-        found.append(outcome.job)
+        numbers.append(outcome.job)
         if len(growing) == 1:
             growing += [Job(jobs[name]) for name in names[1:]]
-    assert sorted(found) == list(range(len(names)))
+    assert sorted(numbers) == list(range(len(names)))
     assert [len(group) for group in groups] == [len(names)]
 
 
@@ -337,12 +337,12 @@ def test_drives_that_come_later_are_as_those_that_were_there() -> None:
         for profile, scale in ((push, 1.0), (push, 0.2), (pull, 1.0))
     ]
     together = {outcome.job: outcome for outcome in shared_engine().run(jobs, SHORT)}
-    growing, found = GrowingJobs(jobs[:1]), {}
+    growing, outcome_by_job = GrowingJobs(jobs[:1]), {}
     for outcome in shared_engine().run(growing, SHORT):
-        found[outcome.job] = outcome
+        outcome_by_job[outcome.job] = outcome
         growing += jobs[len(growing) :]
-    assert together.keys() == found.keys()
-    for job, outcome in found.items():
+    assert together.keys() == outcome_by_job.keys()
+    for job, outcome in outcome_by_job.items():
         assert_same(outcome, together[job])
 
 
@@ -355,10 +355,10 @@ def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, mon
     scenes = {n: make_scene(n) for n in (5, 7, 9)}
     sim = SHORT.changed(schedule=schedule)
     alone = simulate(engine(), {str(n): scene for n, scene in scenes.items()}, sim)
-    growing, found = GrowingJobs([Job(scenes[5])]), []
+    growing, numbers = GrowingJobs([Job(scenes[5])]), []
     for outcome in engine().run(growing, sim):
-        found.append(outcome.job)
+        numbers.append(outcome.job)
         assert_equal_worlds({str((5, 7, 9)[outcome.job]): outcome}, alone)
         if len(growing) == 1:
             growing += [Job(scenes[7]), Job(scenes[9])]
-    assert sorted(found) == [0, 1, 2]
+    assert sorted(numbers) == [0, 1, 2]

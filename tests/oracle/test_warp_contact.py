@@ -198,9 +198,9 @@ def test_a_drag_follows_the_linear_model_and_stays_within_the_cone() -> None:
     kernel = compiled(one_follow)
 
     def after(v: list[float], drag: list[float]) -> np.ndarray:
-        found = wp.array(drag, dtype=float, device="cpu")
-        wp.launch(kernel, dim=1, inputs=[doubles([-0.1, 3.0, 4.0]), doubles(v), found], device="cpu")
-        return found.numpy()
+        drag_after = wp.array(drag, dtype=float, device="cpu")
+        wp.launch(kernel, dim=1, inputs=[doubles([-0.1, 3.0, 4.0]), doubles(v), drag_after], device="cpu")
+        return drag_after.numpy()
 
     np.testing.assert_allclose(after([0.0, 0.0, 0.0], [0.1, -0.2]), [0.6, 0.8], rtol=1e-6)
     np.testing.assert_allclose(after([5.0, -3.0, -4.0], [0.1, -0.2]), [0.1, -0.2], rtol=1e-6)

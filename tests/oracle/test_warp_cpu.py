@@ -47,8 +47,8 @@ def crowd() -> dict[str, Outcome]:
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_worlds_are_the_same_to_the_last_bit_on_any_number_of_threads(threads: int) -> None:
     scenes = {f"{name} {k}": scene for k in range(MANY // len(TINY)) for name, scene in tiny_scenes().items()}
-    found = simulate(MjxWarpCpuEngine(threads), scenes, SHORT)
-    assert_equal_worlds(found, {name: crowd()[name.rpartition(" ")[0]] for name in scenes})
+    outcomes = simulate(MjxWarpCpuEngine(threads), scenes, SHORT)
+    assert_equal_worlds(outcomes, {name: crowd()[name.rpartition(" ")[0]] for name in scenes})
 
 
 def test_recorded_worlds_of_several_threads_keep_their_own_frames() -> None:
@@ -66,14 +66,14 @@ def test_recorded_worlds_of_several_threads_keep_their_own_frames() -> None:
 
 def test_open_worlds_go_on_in_several_threads() -> None:
     scenes = list(tiny_scenes().values())
-    found = []
+    outcome_lists = []
     for threads in (1, 3):
         worlds = MjxWarpCpuEngine(threads).open(scenes, SHORT)
         worlds.go_on()
-        found.append(worlds.finish(range(len(scenes))))
-    for one, other in zip(*found, strict=True):
+        outcome_lists.append(worlds.finish(range(len(scenes))))
+    for one, other in zip(*outcome_lists, strict=True):
         assert_same(one, other)
-    assert [one.verdict for one in found[0]] == [crowd()[name].verdict for name in TINY]
+    assert [one.verdict for one in outcome_lists[0]] == [crowd()[name].verdict for name in TINY]
 
 
 def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,8 +91,8 @@ def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.Mo
     scenes = tiny_scenes()
     with ThreadPoolExecutor(2) as pool:
         both = [pool.submit(simulate, MjxWarpCpuEngine(1), scenes, SHORT) for _ in range(2)]
-        for each in both:
-            assert_equal_worlds(each.result(), crowd())
+        for future in both:
+            assert_equal_worlds(future.result(), crowd())
 
 
 class Blocks:

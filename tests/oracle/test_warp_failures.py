@@ -57,9 +57,9 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(
     expected = simulate(shared_engine(), some, SHORT)
     monkeypatch.setattr(fleets, buffer, 1)
     monkeypatch.setattr(fleets, "MORE_BOXES", 0)
-    found = simulate(engine(), some, SHORT)
-    assert found["brickwork"].flags & Flag.RERUN_AFTER_OVERFLOW
-    for name, outcome in found.items():
+    outcomes = simulate(engine(), some, SHORT)
+    assert outcomes["brickwork"].flags & Flag.RERUN_AFTER_OVERFLOW
+    for name, outcome in outcomes.items():
         assert not outcome.flags & Flag.CONTACT_OVERFLOW
         assert_same(outcome, expected[name])
 
@@ -84,8 +84,8 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
 def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleets, "CONTACTS_PER_BOX", 0)
     small = engine()
-    found = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
-    assert (found.verdict, found.reason) == (Verdict.INVALID, Reason.OVERFLOW)
+    outcome = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
+    assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OVERFLOW)
     (growth,) = small._fleets._growth.values()
     room, most = GRANULE + MORE_BOXES, most_room(SIZES[0].most_boxes)
     assert growth // 2 * room < most <= growth * room
@@ -140,10 +140,10 @@ def test_a_world_that_turns_into_no_number_harms_no_other(
     names = ("hand-one-box", MARKED, "hand-overhang-45")
     healthy = simulate(shared_engine(), tiny_scenes(names), SHORT)
     poisoned(monkeypatch, poison)
-    found = simulate(shared_engine(), tiny_scenes(names), SHORT)
-    ill = found.pop(MARKED)
+    outcomes = simulate(shared_engine(), tiny_scenes(names), SHORT)
+    ill = outcomes.pop(MARKED)
     assert (ill.verdict, ill.reason) == (Verdict.INVALID, Reason.NONFINITE)
-    assert_equal_worlds(found, healthy)
+    assert_equal_worlds(outcomes, healthy)
 
 
 TOO_MANY = [((10.0, 10.0, 10.0), (20.0 * (k % 32), 20.0 * (k // 32), 0.0), 1.0) for k in range(MAX_BOXES + 1)]
@@ -160,10 +160,10 @@ def test_a_plan_that_is_refused_in_a_next_part_takes_no_outcome_from_the_part_be
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
-    jobs, found = [Job(scene) for scene in tiny_scenes().values()], list[Outcome]()
+    jobs, outcomes = [Job(scene) for scene in tiny_scenes().values()], list[Outcome]()
     parts = [[jobs[0], Job(make_scene(TOO_MANY))]]
     run = engine(group_size=8, slice_ns=STEP_NS).run(JobsInParts(jobs, lambda: parts.pop() if parts else []), SHORT)
     with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
-        found.extend(run)
-    assert_equal_worlds({TINY[outcome.job]: outcome for outcome in found}, crowd)
-    assert len(found) == len(TINY)
+        outcomes.extend(run)
+    assert_equal_worlds({TINY[outcome.job]: outcome for outcome in outcomes}, crowd)
+    assert len(outcomes) == len(TINY)

@@ -69,10 +69,10 @@ def test_worlds_of_few_boxes_have_a_queue_of_their_own_while_they_are_enough() -
     running, placed = jnp.array([1, 1, 0, 1, 1, 1], bool), jnp.array([2, 9, 2, 3, 1, 1])
     order = jnp.array([[5, -1, -1, -1, -1, -1], [3, 1, 2, 0, 4, -1]], jnp.int32)
     few = replace(ONE, n_boxes=2, least=2)
-    found = with_few_first(few, order, placed, running)
-    assert found.tolist() == [[0, 4, -1, -1, -1, -1], [5, -1, -1, -1, -1, -1], [3, 1, 2, -1, -1, -1]]
-    found = with_few_first(replace(few, least=3), order, placed, running)
-    assert found.tolist() == [[-1] * 6, *order.tolist()]
+    queues = with_few_first(few, order, placed, running)
+    assert queues.tolist() == [[0, 4, -1, -1, -1, -1], [5, -1, -1, -1, -1, -1], [3, 1, 2, -1, -1, -1]]
+    queues = with_few_first(replace(few, least=3), order, placed, running)
+    assert queues.tolist() == [[-1] * 6, *order.tolist()]
 
 
 @pytest.mark.parametrize(
@@ -178,15 +178,17 @@ inline CUDA_CALLABLE void sum_numbers(
 def test_however_many_threads_a_world_has_they_sum_in_the_same_order(count: int) -> None:
     """Also the next world's sums are its own."""
     numbers = wp.array(np.random.default_rng(0).normal(size=count + 1), dtype=wp.float64)
-    found = []
+    totals = []
     for threads, worlds in BLOCKS:
         size = threads * worlds
         kernel = with_cpp(_sums, newton.text_for(6, worlds, threads) + _SUM, threads=size)
         sums = wp.zeros((2 * worlds, threads), dtype=wp.float64)
         wp.launch(kernel, dim=(1, size), inputs=[numbers, count, sums], block_dim=size)
-        found.append(np.unique(sums.numpy().reshape(worlds, 2, threads).swapaxes(0, 1).reshape(2, -1), axis=1).tolist())
-        assert np.shape(found[-1]) == (2, 1), "all threads have the same"
-    assert all(each == found[0] for each in found)
+        totals.append(
+            np.unique(sums.numpy().reshape(worlds, 2, threads).swapaxes(0, 1).reshape(2, -1), axis=1).tolist()
+        )
+        assert np.shape(totals[-1]) == (2, 1), "all threads have the same"
+    assert all(total == totals[0] for total in totals)
 
 
 @pytest.mark.gpu

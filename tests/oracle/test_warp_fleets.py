@@ -34,33 +34,33 @@ def group(sim: Simulation = USUAL, widths: dict[int, int] | None = None, boards:
 @pytest.fixture
 def few_worlds(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Worlds for which blocks for few boxes were asked for; they are on this device."""
-    asked: list[int] = []
+    counts: list[int] = []
 
     def fleet_for_few(fleet: Any, worlds: int, lanes: int | None) -> Any:
-        asked.append(worlds)
+        counts.append(worlds)
         return replace(fleet, least=1)
 
     monkeypatch.setattr(fleets, "fleet_for_few", fleet_for_few)
     monkeypatch.setattr(fleets, "fleet_for_last", lambda fleet, lanes: replace(fleet, last=True))
-    return asked
+    return counts
 
 
-def kinds(found: Any) -> list[str]:
-    return ["last" if fleet.last else "few" if fleet.least else str(fleet.n_boxes) for fleet in found]
+def kinds(chosen_fleets: Any) -> list[str]:
+    return ["last" if fleet.last else "few" if fleet.least else str(fleet.n_boxes) for fleet in chosen_fleets]
 
 
 def test_the_largest_worlds_come_first_behind_the_extra_ones(few_worlds: list[int]) -> None:
-    found = Fleets(None, lambda launch: 3).of(group(widths={SMALL: 40, LARGE: 120}))
-    assert kinds(found) == ["last", "few", "120", "40"]
-    assert [fleet.n_boxes for fleet in found] == [40, 40, 120, 40]
+    chosen_fleets = Fleets(None, lambda launch: 3).of(group(widths={SMALL: 40, LARGE: 120}))
+    assert kinds(chosen_fleets) == ["last", "few", "120", "40"]
+    assert [fleet.n_boxes for fleet in chosen_fleets] == [40, 40, 120, 40]
     assert few_worlds == [2]
-    assert {fleet.blocks for fleet in found} == {3}
+    assert {fleet.blocks for fleet in chosen_fleets} == {3}
 
 
 def test_stiff_contacts_have_no_blocks_for_few_boxes(few_worlds: list[int]) -> None:
-    found = Fleets(None, lambda launch: 3).of(group(STIFF, {SMALL: 40, LARGE: 120}))
-    assert kinds(found) == ["last", "120", "40"]
-    assert found[0].n_boxes == 40
+    chosen_fleets = Fleets(None, lambda launch: 3).of(group(STIFF, {SMALL: 40, LARGE: 120}))
+    assert kinds(chosen_fleets) == ["last", "120", "40"]
+    assert chosen_fleets[0].n_boxes == 40
     assert few_worlds == []
 
 

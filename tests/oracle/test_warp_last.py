@@ -106,10 +106,10 @@ def test_a_world_goes_on_in_blocks_for_the_last_ones(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     """On a CPU all blocks are alike; one has the worlds, and two those that are left when there are two."""
-    taken = watched_queues(monkeypatch)
+    queue_counts = watched_queues(monkeypatch)
     monkeypatch.setattr(fleets, "fleet_for_last", lambda fleet, lanes: replace(fleet, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(), SHORT), crowd)
-    of_last, of_others = np.array(taken).T
+    of_last, of_others = np.array(queue_counts).T
     assert (of_last[0], of_others[0]) == (0, 1)
     assert of_last.max() == 2
 
@@ -117,11 +117,11 @@ def test_a_world_goes_on_in_blocks_for_the_last_ones(
 def test_worlds_go_on_where_there_are_blocks_for_few_boxes_too(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    taken = watched_queues(monkeypatch)
+    queue_counts = watched_queues(monkeypatch)
     monkeypatch.setattr(fleets, "fleet_for_few", lambda fleet, *_: replace(fleet, blocks=2, n_boxes=1, least=1))
     monkeypatch.setattr(fleets, "fleet_for_last", lambda fleet, _: replace(fleet, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(), SHORT), crowd)
-    of_last, of_few, of_others = np.array(taken).max(axis=0)
+    of_last, of_few, of_others = np.array(queue_counts).max(axis=0)
     assert min(of_last, of_few, of_others) > 0
 
 
@@ -130,16 +130,16 @@ def test_blocks_for_the_last_worlds_give_what_others_give(monkeypatch: pytest.Mo
     """Every world changes between both."""
     scenes = {f"heap of {n}, {k}": make_scene(heap(n)) for n in (5, 15, 24, 40, 70, 96) for k in range(60)}
     sim = Simulation(interval_s=0.1, rest_window_s=0.1, settle_s=0.3)
-    taken = watched_queues(monkeypatch)
+    queue_counts = watched_queues(monkeypatch)
     monkeypatch.setattr(last, "LONG", 0.0)
     monkeypatch.setattr(last, "GOES_ON", np.inf)
     monkeypatch.setattr(last, "MOST_EXPECTED", 10**6)
     programs.cache_clear()
-    found = simulate(MjxWarpEngine(slice_ns=3_000_000), scenes, sim)
-    most = np.array(taken).max(0)
+    outcomes = simulate(MjxWarpEngine(slice_ns=3_000_000), scenes, sim)
+    most = np.array(queue_counts).max(0)
     assert len(most) == 2
     assert min(most) > 50
     monkeypatch.undo()
     programs.cache_clear()
     monkeypatch.setattr(fleets, "fleet_for_last", lambda *_: None)
-    assert_equal_worlds(simulate(MjxWarpEngine(), scenes, sim), found)
+    assert_equal_worlds(simulate(MjxWarpEngine(), scenes, sim), outcomes)

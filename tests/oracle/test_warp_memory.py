@@ -57,9 +57,9 @@ def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: d
     sizes_apart(monkeypatch, 4)
     tried = room_for_one_fleet(monkeypatch)
     scenes = {**tiny_scenes(("hand-one-box", "hand-bridge")), "five": make_scene(5)}
-    found = simulate(engine(), scenes, SHORT)
-    assert found.pop("five").reason is not Reason.OUT_OF_MEMORY
-    assert_equal_worlds(found, crowd)
+    outcomes = simulate(engine(), scenes, SHORT)
+    assert outcomes.pop("five").reason is not Reason.OUT_OF_MEMORY
+    assert_equal_worlds(outcomes, crowd)
     assert tried[0] == 2
     assert tried.count(1) == 2
 
@@ -94,8 +94,8 @@ def test_fewer_blocks_than_are_usually_worth_while_are_as_the_user_wants(
 ) -> None:
     tried = small_device(monkeypatch, lambda *_: True)
     few = mjx_warp.MIN_BLOCKS // 4
-    found = simulate(MjxWarpEngine(few, allow_cpu=True), tiny_scenes(("hand-one-box",)), SHORT)
-    assert_equal_worlds(found, crowd)
+    outcomes = simulate(MjxWarpEngine(few, allow_cpu=True), tiny_scenes(("hand-one-box",)), SHORT)
+    assert_equal_worlds(outcomes, crowd)
     assert tried == [few]
 
 
@@ -140,8 +140,8 @@ class FailingRollout(Rollout):
 @pytest.mark.slow
 def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
     monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
-    found = run_all(engine(slice_ns=SOME_NS), [Job(scene) for scene in tiny_scenes().values()], SHORT)
-    assert_equal_worlds(dict(zip(TINY, found, strict=True)), crowd)
+    outcomes = run_all(engine(slice_ns=SOME_NS), [Job(scene) for scene in tiny_scenes().values()], SHORT)
+    assert_equal_worlds(dict(zip(TINY, outcomes, strict=True)), crowd)
 
 
 @pytest.mark.slow
@@ -237,8 +237,8 @@ def test_blocks_of_the_other_size_make_room(monkeypatch: pytest.MonkeyPatch, cro
     made = watched_rollouts(monkeypatch, look)
     some = engine()
     assert simulate(some, {"five": make_scene(5)}, SHORT)["five"].reason is not Reason.OUT_OF_MEMORY
-    found = simulate(some, tiny_scenes(("hand-one-box",)), SHORT)
-    assert_same(found["hand-one-box"], crowd["hand-one-box"])
+    outcomes = simulate(some, tiny_scenes(("hand-one-box",)), SHORT)
+    assert_same(outcomes["hand-one-box"], crowd["hand-one-box"])
     assert [n_boxes for n_boxes, _ in tried] == [8, 4, 4]
     assert len({blocks for _, blocks in tried}) == 1
 
@@ -252,10 +252,10 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
     crowded = MjxWarpEngine()
     blocks, room = Launch.here(120).blocks, 120 + march.MORE_BOXES
     sizes = axes(blocks, 120, 1, march.PAIRS_PER_BOX * room, march.CONTACTS_PER_BOX * room)
-    whole = 4 * BUFFER_WORDS * buffer_rows(sizes)
+    buffer_bytes = 4 * BUFFER_WORDS * buffer_rows(sizes)
     # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
     # a piece that is up to 128 MB larger.
-    left = TABLES_BYTES + whole // 2
+    left = TABLES_BYTES + buffer_bytes // 2
     rest = block(left)
     ballast = []
     for piece in PIECES:
@@ -267,17 +267,17 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
         ballast.append(block(PIECES[-1]))
     tried = []
 
-    def look(n_boxes: int, nconmax: int, wanted: int) -> None:
+    def look(n_boxes: int, nconmax: int, n_blocks: int) -> None:
         if n_boxes == 120:
-            tried.append(wanted)
+            tried.append(n_blocks)
 
     watched_rollouts(monkeypatch, look)
-    found = simulate(crowded, some, SHORT)
-    for each in ballast:
-        each.delete()
+    outcomes = simulate(crowded, some, SHORT)
+    for buffer in ballast:
+        buffer.delete()
     assert tried[0] == blocks
     assert tried[-1] < blocks
-    assert_equal_worlds(found, alone)
+    assert_equal_worlds(outcomes, alone)
 
 
 PIECES = 1 << 30, 1 << 26, 1 << 22

@@ -202,45 +202,45 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
         inputs = [model, device_record(records.Worlds, flat_worlds), state, work]
-        inputs += [wp.array(each, dtype=wp.bool) for each in (presses, astray)]
+        inputs += [wp.array(mask, dtype=wp.bool) for mask in (presses, astray)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)
-        found = {name: getattr(state, name).numpy() for name in flat}
+        fields = {name: getattr(state, name).numpy() for name in flat}
 
-    wanted = expected.flat()
+    expected_fields = expected.flat()
     # what is kept of worlds that have ended is never read
-    ended = (found["status"] != Status.RUNNING)[:, None, None]
-    found["still_qpos"], wanted["still_qpos"] = (
-        np.where(ended, 0.0, poses) for poses in (found["still_qpos"], wanted["still_qpos"])
+    ended = (fields["status"] != Status.RUNNING)[:, None, None]
+    fields["still_qpos"], expected_fields["still_qpos"] = (
+        np.where(ended, 0.0, poses) for poses in (fields["still_qpos"], expected_fields["still_qpos"])
     )
-    stood = np.arange(BOXES) < np.asarray(after.placed)[:, None]
-    for name, values in wanted.items():
+    is_placed = np.arange(BOXES) < np.asarray(after.placed)[:, None]
+    for name, values in expected_fields.items():
         if name in PER_BOX:  # that of boxes which do not stand yet means nothing
-            these = stood.reshape(*stood.shape, *[1] * (values.ndim - 2))
-            found[name], values = np.where(these, found[name], 0.0), np.where(these, values, 0.0)
+            these = is_placed.reshape(*is_placed.shape, *[1] * (values.ndim - 2))
+            fields[name], values = np.where(these, fields[name], 0.0), np.where(these, values, 0.0)
         if values.dtype == np.int32:
-            np.testing.assert_array_equal(found[name], values, err_msg=name)
+            np.testing.assert_array_equal(fields[name], values, err_msg=name)
         else:
-            np.testing.assert_allclose(found[name], values, rtol=SAME, atol=SAME, err_msg=name)
+            np.testing.assert_allclose(fields[name], values, rtol=SAME, atol=SAME, err_msg=name)
     # The states show what rules can do.
     adapts = sim.schedule is Schedule.ADAPTIVE and sim.waits_for_rest
-    assert set(np.unique(found["status"]).tolist()) == {Status.RUNNING, Status.SETTLED, Status.FINISHED}
-    assert (found["placed"] > np.asarray(after.placed)).any()
-    assert (found["rest_from"] != np.asarray(after.rest_from)).any()
+    assert set(np.unique(fields["status"]).tolist()) == {Status.RUNNING, Status.SETTLED, Status.FINISHED}
+    assert (fields["placed"] > np.asarray(after.placed)).any()
+    assert (fields["rest_from"] != np.asarray(after.rest_from)).any()
     # Some boxes are found to tremble, and others that did not to do so any more.
     trembled = np.asarray(after.trembles)
-    assert {-1, 1} <= set(np.unique((found["trembles"] - trembled)[stood])) or not adapts
+    assert {-1, 1} <= set(np.unique((fields["trembles"] - trembled)[is_placed])) or not adapts
     # In drives some worlds rest before their time, and some that did are found to move.
-    was, now = np.asarray(after.end), found["end"]
+    was, now = np.asarray(after.end), fields["end"]
     assert ((now < was) & (was != NEVER)).any() == adapts
     assert ((now > was) & (now != NEVER)).any() == sim.waits_for_rest
     # Some that have not moved since do now.
-    last = (np.asarray(after.step) > 0) & (was <= np.asarray(after.step)) & (found["status"] == Status.RUNNING)
+    last = (np.asarray(after.step) > 0) & (was <= np.asarray(after.step)) & (fields["status"] == Status.RUNNING)
     way = np.asarray(motion.moved(after.still_qpos, after.qpos, worlds.half))
-    has_moved = (stood & (way > sim.quiet.still_m_s * timetable.still_steps * sim.physics.timestep_s)).any(axis=1)
+    has_moved = (is_placed & (way > sim.quiet.still_m_s * timetable.still_steps * sim.physics.timestep_s)).any(axis=1)
     assert (last & ~has_moved).any() == sim.waits_for_rest
     for flag in (Flag.EXPLOSION, Flag.NONFINITE, *((Flag.EARLY_STOP,) if sim.early_stop else ())):
-        assert (found["flags"] & int(flag)).any(), flag
-    stopped, dropped = found["flags"] & int(Flag.EARLY_STOP) != 0, (found["drop_step"] >= 0).any(axis=1)
+        assert (fields["flags"] & int(flag)).any(), flag
+    stopped, dropped = fields["flags"] & int(Flag.EARLY_STOP) != 0, (fields["drop_step"] >= 0).any(axis=1)
     lost, driven = stopped & ~dropped, np.asarray(after.driven_from) != NEVER
     by_culprit = driven & (np.asarray(after.metrics.culprit) >= 0)
     with_errors = np.asarray(worlds.ends_when_lost)
@@ -251,7 +251,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     tilted = np.asarray(motion.tilt_deg(after.qpos[..., 3:]))[:, 0] > sim.thresholds.tilt_deg
     step = np.asarray(after.step)
     looked = (step > 0) & (step % sim.quiet.poll_steps == 0) & (step % timetable.sample_every != 0)
-    held = by_culprit & tilted & looked & (found["status"] == Status.RUNNING) & (np.asarray(worlds.allowed_sway) > 0)
+    held = by_culprit & tilted & looked & (fields["status"] == Status.RUNNING) & (np.asarray(worlds.allowed_sway) > 0)
     assert held.any()
 
 

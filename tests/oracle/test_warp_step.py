@@ -116,29 +116,29 @@ def test_a_step_as_in_c(preset: str, name: str) -> None:
     step = OneStep(scene, physics)
     compared, many = 0, np.zeros(2)
     for at in range(max(steps) + 1):
-        found = step(data) if at in steps else None
+        kernel_step = step(data) if at in steps else None
         SlipLaw(physics).step(model, data)
         # A contact that barely touches may be there in double precision and not in single.
-        if found is None or found.contacts != data.ncon:
+        if kernel_step is None or kernel_step.contacts != data.ncon:
             continue
         compared += 1
         where = f"step {at}"
-        assert not found.flags, where
+        assert not kernel_step.flags, where
         acceleration = data.qacc.reshape(-1, 6)
         allowed = SAME_ACCELERATION_M_S2 + SAME_ACCELERATION * np.abs(acceleration)
-        assert (np.abs(found.qacc - acceleration) <= allowed).all(), where
+        assert (np.abs(kernel_step.qacc - acceleration) <= allowed).all(), where
         gained = physics.timestep_s * allowed + SAME_VELOCITY_M_S
-        assert (np.abs(found.qvel - data.qvel.reshape(-1, 6)) <= gained).all(), where
-        np.testing.assert_allclose(found.qpos, data.qpos.reshape(-1, 7), atol=SAME_POSITION, err_msg=where)
+        assert (np.abs(kernel_step.qvel - data.qvel.reshape(-1, 6)) <= gained).all(), where
+        np.testing.assert_allclose(kernel_step.qpos, data.qpos.reshape(-1, 7), atol=SAME_POSITION, err_msg=where)
         bodies = geom_bodies(model, range(scene.n_boxes))
         forces = top_forces(data, bodies, scene.n_boxes, physics.cone is Cone.PYRAMIDAL)
-        np.testing.assert_allclose(found.force, forces, rtol=SAME_FORCE, atol=SAME_FORCE_N, err_msg=where)
+        np.testing.assert_allclose(kernel_step.force, forces, rtol=SAME_FORCE, atol=SAME_FORCE_N, err_msg=where)
         iterations = int(data.solver_niter[0])
         if physics.cone is Cone.ELLIPTIC and iterations > MANY:
-            many += np.array([found.iterations, iterations])
-            assert found.iterations <= 2 * iterations, where
+            many += np.array([kernel_step.iterations, iterations])
+            assert kernel_step.iterations <= 2 * iterations, where
         else:
-            assert found.iterations <= iterations + MORE_ITERATIONS, where
+            assert kernel_step.iterations <= iterations + MORE_ITERATIONS, where
     assert compared >= len(steps) // 2
     assert many[0] <= SLIDING_SHARE * many[1]
     assert (many[1] > 0) == (preset == "pallet" and name in ("heap", "on boards"))
@@ -156,12 +156,12 @@ def test_a_step_in_which_bricks_slide_and_tip_as_in_c() -> None:
     law, step, plain = SlipLaw(physics), OneStep(scene, physics), mujoco.MjData(model)
     errors, corrections = [], []
     for at in range(130):
-        found = step(data) if at >= 100 else None
+        kernel_step = step(data) if at >= 100 else None
         plain.qpos, plain.qvel, plain.qacc_warmstart = data.qpos, data.qvel, data.qacc_warmstart
         law.step(model, data)
-        if found is not None and found.contacts == data.ncon:
+        if kernel_step is not None and kernel_step.contacts == data.ncon:
             mujoco.mj_step(model, plain)
-            errors.append(np.abs(found.qacc - data.qacc.reshape(-1, 6)).max())
+            errors.append(np.abs(kernel_step.qacc - data.qacc.reshape(-1, 6)).max())
             corrections.append(np.abs(plain.qacc - data.qacc).max())
     assert len(errors) > 20
     assert np.median(errors) < SAME_SLIDING_M_S2 < 0.1 * np.median(corrections)
@@ -188,13 +188,13 @@ def test_a_box_on_an_edge_or_a_corner_has_the_contacts_of_c(tilt_deg: tuple[floa
         reach = np.abs(axes.reshape(3, 3)[2]) @ scene.half_size.T
         bodies[1, :3], bodies[1, 3:] = (0.0, 4.0, scene.floor_z + reach[0] + gap_m), turn
         bodies[2, :3], bodies[2, 3:] = (0.0, 0.0, top + reach[1] + gap_m), turn
-        found = step(data)
+        kernel_step = step(data)
         SlipLaw(physics).step(model, data)
-        assert found.contacts == data.ncon
+        assert kernel_step.contacts == data.ncon
         assert data.ncon >= 2 or (gap_m > 0 and tilt_deg == TILTS["edge, 3°"])
         acceleration = data.qacc.reshape(-1, 6)
         allowed = SAME_ACCELERATION_M_S2 + SAME_ACCELERATION * np.abs(acceleration)
-        assert (np.abs(found.qacc - acceleration) <= allowed).all()
+        assert (np.abs(kernel_step.qacc - acceleration) <= allowed).all()
 
 
 @pytest.mark.parametrize(
@@ -235,12 +235,12 @@ def test_compiler_errors_name_the_line_of_the_file() -> None:
             seen.setdefault(name, []).append((number, line))
             number += 1
     folder = resources.files("petmjx.engines.warp")
-    assert set(seen) == {each.name for each in folder.iterdir() if each.name.endswith((".cu", ".cuh"))}
+    assert set(seen) == {file.name for file in folder.iterdir() if file.name.endswith((".cu", ".cuh"))}
     for name, lines in seen.items():
         text = folder.joinpath(name).read_text(encoding="utf-8")
-        whole = [(n, line) for n, line in enumerate(text.splitlines(), 1) if not line.startswith("#include")]
-        assert [pair for pair in lines if pair in whole] == whole, name
-        assert all(line == "" for pair in lines if pair not in whole for line in pair[1:]), name
+        numbered_lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if not line.startswith("#include")]
+        assert [pair for pair in lines if pair in numbered_lines] == numbered_lines, name
+        assert all(line == "" for pair in lines if pair not in numbered_lines for line in pair[1:]), name
 
 
 def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,10 +262,10 @@ def test_shared_memory_of_any_size_gives_the_same_to_the_last_bit(monkeypatch: p
     mujoco.mj_step(model, data, HEAP_STEPS[-1])
     here = Launch.here(scene.n_boxes)
     sizes = [replace(here, shared_words=tiles * PANEL**2) for tiles in (1, 24, 136)]
-    found = []
+    kernel_steps = []
     for one in (*sizes[:2], here if here.shared_words else sizes[2]):
         monkeypatch.setattr(Launch, "here", lambda *_, one=one, **__: one)
-        found.append(OneStep(scene, "pallet")(data))
-    for name, values in vars(found[0]).items():
-        for other in found[1:]:
+        kernel_steps.append(OneStep(scene, "pallet")(data))
+    for name, values in vars(kernel_steps[0]).items():
+        for other in kernel_steps[1:]:
             np.testing.assert_array_equal(getattr(other, name), values, err_msg=name)

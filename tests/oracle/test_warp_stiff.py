@@ -46,8 +46,10 @@ def test_the_kernel_s_further_attempts_end_as_c_mujoco_s() -> None:
         oracle = expected[name].outcome
         assert (result.outcome.verdict, result.outcome.culprit) == (oracle.verdict, oracle.culprit), name
         if oracle.verdict is Verdict.STABLE:
-            found, wanted = result.outcome.boxes.rest_top_force_n, oracle.boxes.rest_top_force_n
-            np.testing.assert_allclose(found, wanted, rtol=FORCE_SHARE, atol=FORCE_SHARE * wanted.max(), err_msg=name)
+            force, exact_force = result.outcome.boxes.rest_top_force_n, oracle.boxes.rest_top_force_n
+            np.testing.assert_allclose(
+                force, exact_force, rtol=FORCE_SHARE, atol=FORCE_SHARE * exact_force.max(), err_msg=name
+            )
     assert {name: result.outcome.verdict for name, result in expected.items()} == {
         "stands": Verdict.STABLE, "tips": Verdict.UNSTABLE, "slender": Verdict.STABLE,
     }  # fmt: skip

@@ -59,7 +59,7 @@ def drawn(count: int, seed: int, turn_rad: float) -> tuple[FloatArray, FloatArra
     pos = np.stack([np.zeros((count, 3)), above], axis=1).reshape(-1, 3) + rng.normal(size=(count, 1, 3)).repeat(
         2, 1
     ).reshape(-1, 3)
-    turn = np.array([turned(each) for each in lean.reshape(-1, 3)])
+    turn = np.array([turned(vector) for vector in lean.reshape(-1, 3)])
     return pos, turn, np.tile(HALF, (count, 1))
 
 
@@ -112,8 +112,8 @@ def test_the_force_goes_to_the_edge_as_one_side_lifts_off(lean: float, lever: fl
     rotation = turn.reshape(3, 3)
     pos = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1 - depth_m] + rotation @ [0.0, 0.0, 0.1]])
     up = np.array([[0.0, 0.0, 1.0]])
-    found = pressed(pos, np.array([np.eye(3).ravel(), turn]), half, np.array([0]), np.array([1]), up)
-    _, _, points, depth, area, least = found
+    bed = pressed(pos, np.array([np.eye(3).ravel(), turn]), half, np.array([0]), np.array([1]), up)
+    _, _, points, depth, area, least = bed
     spring = max(float(area[0]), float(least[0])) / (length * 0.3) / 4
     forces = spring * depth[0]
     assert forces.sum() == pytest.approx(force, rel=1e-3)
@@ -135,16 +135,16 @@ def test_mjx_jax_has_the_same_beds() -> None:
     up = turn[one].reshape(-1, 3, 3)[:, :, 2]
     flat, normal, points, depth, area, least = pressed(pos, turn, half, one, two, up)
     arguments = (pos[one], turn[one].reshape(-1, 3, 3), half[one], pos[two], turn[two].reshape(-1, 3, 3), half[two], up)
-    found = jax.jit(jax.vmap(bed_of))(*(jnp.asarray(each, jnp.float32) for each in arguments))
-    np.testing.assert_array_equal(found.flat, flat)
-    np.testing.assert_allclose(found.normal, normal, atol=1e-6)
-    np.testing.assert_allclose(found.area, area, atol=1e-5)
-    np.testing.assert_allclose(found.least, least, atol=1e-5)
+    bed = jax.jit(jax.vmap(bed_of))(*(jnp.asarray(argument, jnp.float32) for argument in arguments))
+    np.testing.assert_array_equal(bed.flat, flat)
+    np.testing.assert_allclose(bed.normal, normal, atol=1e-6)
+    np.testing.assert_allclose(bed.area, area, atol=1e-5)
+    np.testing.assert_allclose(bed.least, least, atol=1e-5)
     firm = area > 1e-3
     assert firm.sum() > 150
     assert (area < least).sum() > 20
-    np.testing.assert_allclose(found.points[firm], points[firm], atol=SINGLE_M)
-    np.testing.assert_allclose(found.depth[firm], depth[firm], atol=SINGLE_M / 10)
+    np.testing.assert_allclose(bed.points[firm], points[firm], atol=SINGLE_M)
+    np.testing.assert_allclose(bed.depth[firm], depth[firm], atol=SINGLE_M / 10)
 
 
 def test_contacts_in_mjx_jax_and_mujoco_are_alike() -> None:
@@ -170,9 +170,9 @@ def test_contacts_in_mjx_jax_and_mujoco_are_alike() -> None:
         fields = override_fields(worlds, mjx_model, held=False, physics=physics, gives=True)
         faces = jax.tree.map(lambda values: values[0], Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]))
         changed = mjx_model.tree_replace({name: values[0] for name, values in fields.items()})
-        found = mjx.collision(changed, mjx.kinematics(changed, start.replace(qpos=qpos)))
-        found = beds.pressed(found, faces)._impl.contact
-        return found.geom, found.dist, found.pos, found.solref, found.solimp, found.frame
+        collision = mjx.collision(changed, mjx.kinematics(changed, start.replace(qpos=qpos)))
+        collision = beds.pressed(collision, faces)._impl.contact
+        return collision.geom, collision.dist, collision.pos, collision.solref, collision.solimp, collision.frame
 
     geom, distance, place, solref, solimp, frame = map(np.asarray, contacts(jnp.asarray(data.qpos, jnp.float32)))
     of_beds = np.asarray(data.contact.geom)[:, 0] > 0

@@ -24,10 +24,10 @@ POST_MM = (60.0, 60.0, 200.0)
 
 @pytest.mark.parametrize("carrier", PALLETS)
 def test_a_pallet_is_as_large_as_it_says_and_of_one_piece(carrier: Carrier) -> None:
-    found = pallet(carrier)
-    assert found is not None
-    body = body_of(found, PHYSICS["pallet"])
-    np.testing.assert_allclose(body.low, [0, 0, -found.height_mm / MM_PER_M], atol=1e-12)
+    shape = pallet(carrier)
+    assert shape is not None
+    body = body_of(shape, PHYSICS["pallet"])
+    np.testing.assert_allclose(body.low, [0, 0, -shape.height_mm / MM_PER_M], atol=1e-12)
     np.testing.assert_allclose(body.high, [*(CARRIER_EXTENT_M[carrier] or ()), 0.0], atol=1e-12)
     assert body.mass == pytest.approx(
         {"epal-1": 25.0, "gma-48x40": 20.0, "pet-eur": 40.0, "rollcontainer-grid": 25.0}[carrier]

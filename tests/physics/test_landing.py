@@ -107,9 +107,9 @@ def fallen(height_mm: float, restitution: float, material: str = "", **changes: 
 @pytest.mark.parametrize("restitution", [0.0, 0.1, 0.3])
 @pytest.mark.parametrize(("height_mm", "most_mm"), [(10.0, 1.0), (50.0, 3.0), (100.0, 5.0), (300.0, 9.0)])
 def test_boxes_stop_and_bounce_as_asked(height_mm: float, most_mm: float, restitution: float) -> None:
-    depth_mm, found = fallen(height_mm, restitution)
+    depth_mm, bounce = fallen(height_mm, restitution)
     assert depth_mm < most_mm
-    assert found == pytest.approx(restitution, abs=0.03)
+    assert bounce == pytest.approx(restitution, abs=0.03)
 
 
 def test_a_pair_of_materials_lands_as_it_is_said() -> None:
@@ -155,8 +155,10 @@ def test_mjx_changes_contacts_as_c_does() -> None:
         boxes = jnp.asarray(live.geom_bodies)[fresh._impl.contact.geom]
         with jax.numpy_rank_promotion("allow"):
             changed, state = act(fresh, boxes, landing, sim)
-        there = np.flatnonzero(np.asarray(fresh._impl.efc_J).any(axis=1))
-        pulls, stiffness = (np.sort(np.asarray(getattr(changed._impl, name))[there]) for name in ("efc_aref", "efc_D"))
+        active_rows = np.flatnonzero(np.asarray(fresh._impl.efc_J).any(axis=1))
+        pulls, stiffness = (
+            np.sort(np.asarray(getattr(changed._impl, name))[active_rows]) for name in ("efc_aref", "efc_D")
+        )
         np.testing.assert_allclose(pulls, np.sort(data.efc_aref), rtol=SAME_ROW, atol=SAME_ROW)
         np.testing.assert_allclose(stiffness, np.sort(data.efc_D), rtol=SAME_ROW)
         np.testing.assert_array_equal(state.left, landings.left)
@@ -214,8 +216,10 @@ def test_kernels_land_boxes_as_c_does() -> None:
     aside: tuple[Box, ...] = (STACK[0], ((400, 300, 200), (150, 100, 200), 3.0))
     jobs = [Job(scene_of(boxes, "paper", sim)) for boxes in (STACK, aside)]
     with jax.numpy_rank_promotion("allow"):
-        found = sorted(engine(slice_ns=LONG_NS).run(jobs, sim), key=lambda outcome: outcome.job)
-    for exact, outcome in zip(sorted(MujocoEngine(1).run(jobs, sim), key=lambda each: each.job), found, strict=True):
+        outcomes = sorted(engine(slice_ns=LONG_NS).run(jobs, sim), key=lambda outcome: outcome.job)
+    for exact, outcome in zip(
+        sorted(MujocoEngine(1).run(jobs, sim), key=lambda answer: answer.job), outcomes, strict=True
+    ):
         # boxes that slide rest a look or two earlier or later: their excess is known to 0.1 m/s² (petmjx/world/slip.py)
         assert abs(outcome.n_steps - exact.n_steps) <= 2 * sim.quiet.poll_steps
         np.testing.assert_allclose(outcome.boxes.max_top_force_n, exact.boxes.max_top_force_n, rtol=SAME_ROW)

@@ -54,8 +54,8 @@ MOVES: tuple[Callable[[Plan], Plan], ...] = (mirrored_x, mirrored_y, turned_by_1
 
 
 def outcomes(plans: list[Plan]) -> dict[str, Outcome]:
-    found = MujocoEngine().run([Job(build_scene(plan, SIM)) for plan in plans], SIM)
-    return {plans[outcome.job].plan_id: outcome for outcome in found}
+    answers = MujocoEngine().run([Job(build_scene(plan, SIM)) for plan in plans], SIM)
+    return {plans[outcome.job].plan_id: outcome for outcome in answers}
 
 
 @pytest.fixture(scope="module")

@@ -62,9 +62,9 @@ def turn(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
 
 
 def product(one: NDArray[np.float64], two: NDArray[np.float64]) -> NDArray[np.float64]:
-    found = np.zeros(4)
-    mujoco.mju_mulQuat(found, one, two)
-    return found
+    quat = np.zeros(4)
+    mujoco.mju_mulQuat(quat, one, two)
+    return quat
 
 
 def symmetric_top(time_s: float) -> NDArray[np.float64]:
@@ -80,12 +80,14 @@ def symmetric_top(time_s: float) -> NDArray[np.float64]:
 @pytest.mark.parametrize("engine", ENGINES[:2])
 def test_boxes_bounce_as_asked(engine: str) -> None:
     """Dropped flat from 100 mm."""
-    fall_m, asked = 0.1, np.array([0.0, 0.1, 0.3])
-    answer = release(engine, pos_m=[(0, 0, 0.05 + fall_m)] * 3, restitution=asked, times_s=np.arange(0.0, 1.0, DT))
+    fall_m, restitution = 0.1, np.array([0.0, 0.1, 0.3])
+    answer = release(
+        engine, pos_m=[(0, 0, 0.05 + fall_m)] * 3, restitution=restitution, times_s=np.arange(0.0, 1.0, DT)
+    )
     height = answer.pos_m[:, :, 2] - answer.pos_m[:, -1:, 2]
     landed = (height < 0).argmax(axis=1)
     rebound = np.array([row[begin:].max() for row, begin in zip(height, landed, strict=True)])
-    np.testing.assert_allclose(np.sqrt(rebound / fall_m), asked, atol=REBOUND)
+    np.testing.assert_allclose(np.sqrt(rebound / fall_m), restitution, atol=REBOUND)
     assert height.min() > -0.005
 
 
@@ -207,9 +209,9 @@ def test_between_two_steps_places_go_straight_and_orientations_by_the_shortest_t
     moved = release(**{name: [values] for name, values in FLIGHT.items()}, times_s=times)
     pos, quat = moved.pos_m[0], moved.quat_wxyz[0]
     np.testing.assert_allclose(pos[1], 0.75 * pos[0] + 0.25 * pos[3], atol=1e-15)
-    whole = angle(quat[0], quat[3])
-    assert angle(quat[0], quat[1]) == pytest.approx(whole / 4, rel=1e-6)
-    assert angle(quat[2], quat[3]) == pytest.approx(whole / 2, rel=1e-6)
+    full_turn = angle(quat[0], quat[3])
+    assert angle(quat[0], quat[1]) == pytest.approx(full_turn / 4, rel=1e-6)
+    assert angle(quat[2], quat[3]) == pytest.approx(full_turn / 2, rel=1e-6)
 
 
 def test_a_heavier_inertia_turns_more_slowly_when_a_box_tips() -> None:
@@ -263,9 +265,9 @@ def test_what_ran_astray_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_a_bad_argument_is_one_line_that_names_it(changes: dict[str, Any], line: str) -> None:
-    asked = {"engine": "mujoco", **changes}
+    arguments = {"engine": "mujoco", **changes}
     with pytest.raises(InputError, match=line) as caught:
-        release(**asked)
+        release(**arguments)
     assert "\n" not in str(caught.value)
 
 

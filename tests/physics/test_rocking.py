@@ -61,12 +61,14 @@ def test_a_tower_that_rocks_and_comes_back_stands(engine: str) -> None:
     axes = f'[axes]\nprofile = "eumos-40509"\nlevel = {levels}\nfriction_factor = {ROUGH / BOX_FRICTION}\n'
     worlds = swept([block_plan("tower", 300.0, [250.0] * 4)], engine, axes).worlds.sort_values("level_g")
     assert worlds.verdict.tolist() == ["stable"] * len(ROCKS_G) + ["unstable"] * len(FALLS_G)  # so they are monotone
-    stood = worlds[worlds.verdict == "stable"]
-    assert not any(flags & Flag.MOVING for flags in stood["flags"])
-    assert (stood.eumos_elastic_share.iloc[1:] > 0.05).all()  # of 1 m: far beyond the threshold of shift, 0.02 m
-    assert (stood.eumos_permanent_share < 1e-4).all()
-    assert (stood.max_shift_m == 0.0).all()
-    assert (stood["mode"] == "").all()
+    stable_worlds = worlds[worlds.verdict == "stable"]
+    assert not any(flags & Flag.MOVING for flags in stable_worlds["flags"])
+    assert (
+        stable_worlds.eumos_elastic_share.iloc[1:] > 0.05
+    ).all()  # of 1 m: far beyond the threshold of shift, 0.02 m
+    assert (stable_worlds.eumos_permanent_share < 1e-4).all()
+    assert (stable_worlds.max_shift_m == 0.0).all()
+    assert (stable_worlds["mode"] == "").all()
 
 
 def test_the_largest_levels_of_eumos_s_test_are_those_of_a_rigid_block() -> None:
@@ -117,6 +119,6 @@ def test_pallets_say_that_a_box_still_rocks(engine: str) -> None:
     for longest_wait_s, stands in ((0.4, False), (10.0, True)):
         tines = {"name": "tines", "tines_mm": 10}
         pallets = petmjx.Pallets(1, engine=engine, threads=1, placing=tines, longest_wait_s=longest_wait_s)
-        told = pallets.place(size_mm=[[150, 300, 900]], corner_mm=[[500, 250, 0]], mass_kg=[10.0], pallet=[0])
-        assert (told.stable[0], told.moving[0], told.ended[0]) == (stands, not stands, False)
+        report = pallets.place(size_mm=[[150, 300, 900]], corner_mm=[[500, 250, 0]], mass_kg=[10.0], pallet=[0])
+        assert (report.stable[0], report.moving[0], report.ended[0]) == (stands, not stands, False)
         pallets.close()

@@ -96,7 +96,7 @@ def test_with_errors_a_box_leans_on_what_is_beside_a_higher_strip(has_errors: bo
     job = Job(make_scene(boxes), has_errors=has_errors)
     (result,) = score_worlds([World(make_plan(boxes=boxes), 1, job)], Simulation(), MujocoEngine(1))
     assert (result.outcome.verdict, result.outcome.culprit) == (Verdict.UNSTABLE, 6)
-    assert [each.attempt for each in result.attempts] == attempts
+    assert [attempt.attempt for attempt in result.attempts] == attempts
 
 
 def test_what_tips_over_in_any_contacts_is_not_simulated_again() -> None:
@@ -104,7 +104,7 @@ def test_what_tips_over_in_any_contacts_is_not_simulated_again() -> None:
     boxes: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 600), (398, 0, 200), 20.0))
     result = score(boxes, Simulation())
     assert result.outcome.verdict is Verdict.UNSTABLE
-    assert [each.attempt for each in result.attempts] == [1]
+    assert [attempt.attempt for attempt in result.attempts] == [1]
 
 
 def test_contacts_that_still_give_way_leave_no_verdict() -> None:
@@ -167,10 +167,10 @@ def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]
     scene, outcome = make_scene(boxes), simulate(boxes, Simulation())
     shift = np.zeros((2, 3))
     shift[1, [0, 2]] = np.array(shift_mm) * MM
-    there = replace(outcome.boxes, shift_m=shift)
-    shifted = replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, boxes=there)
-    (found,) = note_softness([shifted], [Job(scene)], Simulation())
-    assert (found.reason is Reason.SINKING) == (shift_mm == (0.0, -21.5))
+    moved_boxes = replace(outcome.boxes, shift_m=shift)
+    shifted = replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, boxes=moved_boxes)
+    (noted,) = note_softness([shifted], [Job(scene)], Simulation())
+    assert (noted.reason is Reason.SINKING) == (shift_mm == (0.0, -21.5))
 
 
 def test_an_impact_is_no_sinking() -> None:
@@ -198,8 +198,8 @@ def test_the_look_at_many_worlds_together_misses_none() -> None:
         shift = rng.uniform(-0.03, 0.03, (n, 3))
         reason = Reason.SHIFT if rng.random() < 0.5 else Reason.NONE
         placed = int(rng.integers(1, n + 1))
-        told = {"max_top_force_n": top_n, "shift_m": shift, "n_placed": placed}
-        outcomes.append(make_outcome(n, Verdict.UNSTABLE if reason else Verdict.STABLE, reason, **told))
+        fields = {"max_top_force_n": top_n, "shift_m": shift, "n_placed": placed}
+        outcomes.append(make_outcome(n, Verdict.UNSTABLE if reason else Verdict.STABLE, reason, **fields))
         scenes.append(scene)
     did_not = surely_did_not_sink(outcomes, scenes, sim)
     sinks = [sank(outcome, scene, sim) for outcome, scene in zip(outcomes, scenes, strict=True)]
@@ -225,8 +225,8 @@ def test_looking_for_it_costs_next_to_nothing() -> None:
             max_top_force_n=10 * outcome.boxes.max_top_force_n,
         ),
     )
-    for each in (outcome, shaken):
+    for world_outcome in (outcome, shaken):
         begin = time.process_time()
         for _ in range(100):
-            assert note_softness([each], [Job(scene)], Simulation())[0] is each
+            assert note_softness([world_outcome], [Job(scene)], Simulation())[0] is world_outcome
         assert (time.process_time() - begin) / 100 < simulated / 50

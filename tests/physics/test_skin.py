@@ -50,8 +50,8 @@ def depths(data: mujoco.MjData, geoms: tuple[int, int] = (2, 3)) -> FloatArray:
 @pytest.mark.parametrize("physics", WITH_SKIN.values(), ids=list(WITH_SKIN))
 @pytest.mark.parametrize("depth_m", [-2e-5, 5e-5, 3e-4])
 def test_contacts_begin_where_the_boxes_touch(physics: Physics, depth_m: float) -> None:
-    found = depths(contacts(physics, depth_m))
-    np.testing.assert_allclose(found, [depth_m] * 4 if depth_m > 0 else [], atol=1e-9)
+    depths_m = depths(contacts(physics, depth_m))
+    np.testing.assert_allclose(depths_m, [depth_m] * 4 if depth_m > 0 else [], atol=1e-9)
 
 
 @pytest.mark.parametrize("physics", WITH_SKIN.values(), ids=list(WITH_SKIN))
@@ -97,7 +97,7 @@ def test_a_box_flush_with_the_carriers_edge_stands_on_its_four_corners() -> None
         model = build_spec(scene, physics).compile()
         data = mujoco.MjData(model)
         carrier, box = data.qpos.reshape(-1, 7)
-        found = set()
+        counts = set()
         for shift, turn in places:
             carrier[:] = [*scene.carrier.pos, 1.0, 0.0, 0.0, 0.0]
             box[:3] = scene.carrier.pos
@@ -105,8 +105,8 @@ def test_a_box_flush_with_the_carriers_edge_stands_on_its_four_corners() -> None
             box[2] += scene.carrier.half_size[0][2] + scene.half_size[0, 2] - 5e-5
             mujoco.mju_euler2Quat(box[3:], turn, "xyz")
             mujoco.mj_forward(model, data)
-            found.add(len(depths(data, (1, 2))))
-        return found
+            counts.add(len(depths(data, (1, 2))))
+        return counts
 
     assert numbers(PHYSICS["pallet"]) == {4}
     assert numbers(WITHOUT) > {4}

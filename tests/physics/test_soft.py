@@ -173,10 +173,10 @@ def test_the_last_attempt_has_soft_boxes() -> None:
         (Simulation(attempts="soft"), [1, 2, 3, 4, 5, 9], Verdict.STABLE),
         (Simulation(), [1, 2, 3, 4, 5], Verdict.INVALID),
     ):
-        (found,) = score_worlds([world], sim, Exploding(1))
-        assert [each.attempt for each in found.attempts] == numbers
-        assert found.outcome.verdict is verdict
-    sinks = replace(found.outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, flags=Flag.SINKING)
+        (result,) = score_worlds([world], sim, Exploding(1))
+        assert [attempt.attempt for attempt in result.attempts] == numbers
+        assert result.outcome.verdict is verdict
+    sinks = replace(result.outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, flags=Flag.SINKING)
     assert ATTEMPTS[-1].is_for(sinks, Simulation(attempts="soft"))
     assert not ATTEMPTS[-1].is_for(sinks, Simulation(attempts="soft", physics="reference"))
 
@@ -243,7 +243,7 @@ def test_pallets_have_no_soft_boxes() -> None:
 
 def test_a_stiffness_that_lets_boxes_through_is_named() -> None:
     results = petmjx.score(stack((10, 0.5, 0), (10, 100, 0)), engine="mujoco")
-    assert any("1 box is compressed by more than half of the height" in each for each in results.info["warnings"])
+    assert any("1 box is compressed by more than half of the height" in warning for warning in results.info["warnings"])
     assert petmjx.score(stack((10, 100, 0)), engine="mujoco", soft=True).info["warnings"] == []
 
 

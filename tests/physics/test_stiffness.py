@@ -133,8 +133,8 @@ def simulated(engine: str) -> dict[str, Outcome]:
     wrapped = Job(
         replace(SCENES["alone"], wrap=Wrap(turns=1)), Drive(Excitation("still", "acceleration", np.zeros((1, 3))))
     )
-    found = made.run([*(Job(each) for each in scenes.values()), wrapped], SIM)
-    return {list(scenes)[outcome.job]: outcome for outcome in found if outcome.job < len(scenes)}
+    outcomes = made.run([*(Job(scene) for scene in scenes.values()), wrapped], SIM)
+    return {list(scenes)[outcome.job]: outcome for outcome in outcomes if outcome.job < len(scenes)}
 
 
 def sunk_m(scene: Scene, outcome: Outcome) -> list[float]:
@@ -154,10 +154,10 @@ def test_boxes_sink_as_springs_do(name: str) -> None:
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp"])
 def test_columns_buckle_where_beds_do(engine: str) -> None:
     """Beds at which springs stood at the corners would be three times as stiff, and both columns would stand."""
-    found = simulated(engine)
-    assert found["buckles"].verdict is Verdict.UNSTABLE
-    assert found["stands"].verdict is Verdict.STABLE
-    assert not found["buckles"].flags & Flag.SINKING
+    outcomes = simulated(engine)
+    assert outcomes["buckles"].verdict is Verdict.UNSTABLE
+    assert outcomes["stands"].verdict is Verdict.STABLE
+    assert not outcomes["buckles"].flags & Flag.SINKING
 
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp"])
@@ -172,14 +172,18 @@ def test_a_box_leans_under_a_load_aside_as_a_bed_does(engine: str) -> None:
 
 
 def test_mjx_warp_lets_boxes_sink_alike() -> None:
-    for name, found in simulated("mjx-warp").items():
+    for name, outcome in simulated("mjx-warp").items():
         expected = simulated("mujoco")[name]
         if name in COLUMNS:  # they rock for seconds; the leans are compared with closed forms
-            assert found.verdict is expected.verdict
+            assert outcome.verdict is expected.verdict
             continue
-        assert (found.verdict, found.reason, found.n_steps) == (expected.verdict, expected.reason, expected.n_steps)
+        assert (outcome.verdict, outcome.reason, outcome.n_steps) == (
+            expected.verdict,
+            expected.reason,
+            expected.n_steps,
+        )
         if expected.verdict is Verdict.STABLE:
-            np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
+            np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=AGREES_M)
 
 
 @pytest.mark.parametrize("name", ["soft", "boards"])
@@ -200,30 +204,30 @@ def test_the_laws_of_mjx_jax_are_those_of_mujoco(name: str, held: bool) -> None:
     )
     worlds = upload_worlds([Job(scene)], 1, capacity, {}, SIM)
     inverse = 1 / worlds.mass
-    found = laws(worlds, template, inverse.at[:, 0].set(0.0) if held else inverse, SIM.physics)
+    contact_laws = laws(worlds, template, inverse.at[:, 0].set(0.0) if held else inverse, SIM.physics)
     exact = build_spec(scene, SIM.physics, HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT)) if held else None)
     expected = exact.compile()
     row_of = {pair: row for row, pair in enumerate(zip(template.pair_geom1, template.pair_geom2, strict=True))}
     # the template's boxes that wait come after those of the scene
     rows = np.array([row_of[pair] for pair in zip(expected.pair_geom1, expected.pair_geom2, strict=True)])
     assert len(rows) == expected.npair
-    np.testing.assert_allclose(found["pair_solref"][0, rows], expected.pair_solref, rtol=1e-5)
-    np.testing.assert_allclose(found["pair_solimp"][0, rows], expected.pair_solimp, rtol=1e-5)
+    np.testing.assert_allclose(contact_laws["pair_solref"][0, rows], expected.pair_solref, rtol=1e-5)
+    np.testing.assert_allclose(contact_laws["pair_solimp"][0, rows], expected.pair_solimp, rtol=1e-5)
 
 
 def test_meant_sinking_is_no_shift_but_what_goes_beyond_it_is() -> None:
     """24.5 mm, more than the threshold of 20 mm; a heavier box than planned would be another matter."""
     soft = tower((10.0, 10e3), (40.0, np.inf))
-    (found,) = MujocoEngine(1).run([Job(soft)], Simulation())
-    assert found.verdict is Verdict.STABLE
-    assert (soft.target[0, 2] - found.boxes.pos[0, 2]) > Simulation().thresholds.shift_m
-    np.testing.assert_array_equal(found.boxes.shift_m[:, 2], 0.0)
+    (outcome,) = MujocoEngine(1).run([Job(soft)], Simulation())
+    assert outcome.verdict is Verdict.STABLE
+    assert (soft.target[0, 2] - outcome.boxes.pos[0, 2]) > Simulation().thresholds.shift_m
+    np.testing.assert_array_equal(outcome.boxes.shift_m[:, 2], 0.0)
 
 
 def test_a_box_that_does_not_give_is_as_before() -> None:
     rigid = make_scene([(SIZE, (0.0, 0.0, 0.0), 10.0), (SIZE, (0.0, 0.0, 200.0), 10.0)], Simulation())
-    said = replace(rigid, stiffness=np.full(2, np.inf))
-    first, second = MujocoEngine(1).run([Job(rigid), Job(said)], Simulation())
+    unyielding = replace(rigid, stiffness=np.full(2, np.inf))
+    first, second = MujocoEngine(1).run([Job(rigid), Job(unyielding)], Simulation())
     np.testing.assert_array_equal(first.boxes.pos, second.boxes.pos)
 
 
@@ -237,8 +241,8 @@ def test_a_sheet_bears_where_something_bears_it_and_bridges_nothing() -> None:
     # layers are not level to a millimetre
     lower = make_plan(boxes=[((300, 400, 198), (0, 0, 0), 8), *TOWERS[1:], *ON_TOWERS])
     uneven = build_scene(replace(lower, kinds=("", "", "sheet", "", "")), SIM)
-    (found,) = MujocoEngine(1).run([Job(uneven)], SIM)
-    assert found.verdict is Verdict.STABLE
+    (outcome,) = MujocoEngine(1).run([Job(uneven)], SIM)
+    assert outcome.verdict is Verdict.STABLE
     # what lies on the sheet presses on what is below it
     assert simulated("mujoco")["borne"].boxes.rest_top_force_n[0] == pytest.approx(10.2 * GRAVITY, rel=0.01)
 
@@ -254,12 +258,12 @@ def test_plans_and_tables_say_how_stiff_boxes_are() -> None:
         material=["cardboard"] * 3,
         stiffness_n_mm=[150, None, None],
     )
-    found = with_articles(
+    stiff_plan = with_articles(
         plan,
         Articles({"milk": Article(stiffness_n_mm=300.0)}, {}, {"cardboard": Article(stiffness_n_mm=80.0)}),
     )
-    assert found.stiffness_n_mm is not None
-    assert found.stiffness_n_mm.tolist() == [150.0, 300.0, 80.0]
-    np.testing.assert_array_equal(build_scene(found, SIM).stiffness, [150e3, 300e3, 80e3])
-    assert check_surfaces([found], Simulation(physics="reference"))[0].startswith("stiffness has no effect")
-    assert build_scene(found, Simulation(physics="reference")).stiffness is None
+    assert stiff_plan.stiffness_n_mm is not None
+    assert stiff_plan.stiffness_n_mm.tolist() == [150.0, 300.0, 80.0]
+    np.testing.assert_array_equal(build_scene(stiff_plan, SIM).stiffness, [150e3, 300e3, 80e3])
+    assert check_surfaces([stiff_plan], Simulation(physics="reference"))[0].startswith("stiffness has no effect")
+    assert build_scene(stiff_plan, Simulation(physics="reference")).stiffness is None

@@ -114,6 +114,6 @@ def test_a_pile_that_no_contacts_hold_is_not_asked_about_soft_ones() -> None:
 def test_statics_answer_to_small_stacks() -> None:
     """The first of ``python -m benchmarks small-stacks``."""
     for check in CHECKS:
-        told = summary(judge(list(cases(24, seed=0)), check, engine="mujoco"))
-        assert told["wrong"] == []
-        assert 6 < told["stand"] < 18
+        counts = summary(judge(list(cases(24, seed=0)), check, engine="mujoco"))
+        assert counts["wrong"] == []
+        assert 6 < counts["stand"] < 18

@@ -78,14 +78,14 @@ def jobs() -> dict[str, Job]:
 def simulated(engine: str) -> dict[str, Outcome]:
     made: Engine = MujocoEngine(1) if engine == "mujoco" else shared_engine()
     worlds = jobs()
-    found = made.run(list(worlds.values()), simulation(**WRAP))
-    return {list(worlds)[outcome.job]: outcome for outcome in found}
+    outcomes = made.run(list(worlds.values()), simulation(**WRAP))
+    return {list(worlds)[outcome.job]: outcome for outcome in outcomes}
 
 
 def test_a_wrapped_box_slides_at_friction_and_hold() -> None:
-    found = simulated("mujoco")
+    outcomes = simulated("mujoco")
     assert film_of(boxed(BOX, **WRAP)).hold == pytest.approx([HOLD_N])
-    assert [found[name].verdict for name in ("holds", "slides", "bare")] == [
+    assert [outcomes[name].verdict for name in ("holds", "slides", "bare")] == [
         Verdict.STABLE,
         Verdict.UNSTABLE,
         Verdict.UNSTABLE,
@@ -93,11 +93,11 @@ def test_a_wrapped_box_slides_at_friction_and_hold() -> None:
 
 
 def test_film_holds_alike_on_mjx_warp() -> None:
-    for name, found in simulated("mjx-warp").items():
+    for name, outcome in simulated("mjx-warp").items():
         expected = simulated("mujoco")[name]
-        assert (found.verdict, found.reason) == (expected.verdict, expected.reason)
+        assert (outcome.verdict, outcome.reason) == (expected.verdict, expected.reason)
         if expected.verdict is Verdict.STABLE:
-            np.testing.assert_allclose(found.boxes.pos, expected.boxes.pos, atol=AGREES_M)
+            np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=AGREES_M)
 
 
 def test_film_of_mjx_jax_acts_as_that_of_mujoco() -> None:
@@ -116,8 +116,8 @@ def test_film_of_mjx_jax_acts_as_that_of_mujoco() -> None:
         qpos = state.qpos.at[0, :3, :3].set(path[step])
         qvel = state.qvel.at[0, :3, :3].set(speeds[step])
         state = state._replace(qpos=qpos, qvel=qvel, step=jnp.full(1, step, jnp.int32))
-        found, state = hold(state, on_device, 0.002)
-        np.testing.assert_allclose(found[0, :3], acting.forces(path[step], speeds[step]), rtol=1e-4, atol=1e-2)
+        film_forces, state = hold(state, on_device, 0.002)
+        np.testing.assert_allclose(film_forces[0, :3], acting.forces(path[step], speeds[step]), rtol=1e-4, atol=1e-2)
 
 
 def test_film_presses_on_outer_faces_alike_from_all_sides() -> None:
@@ -139,8 +139,8 @@ def test_film_between_boxes_and_a_carrier_that_moves_adds_no_momentum() -> None:
     smooth = replace(scene.carrier, friction=np.full_like(scene.carrier.friction, 1e-4))
     job = pushed(replace(scene, floor_friction=(1e-4, 1e-6, 1e-6), carrier=smooth))
     sim = simulation(**WRAP).changed(longest_wait_s=0)  # on a carrier that slides on boxes never rest
-    (found,) = MujocoEngine(1).run([replace(job, record=Record(0.01))], sim)
-    history = found.history
+    (outcome,) = MujocoEngine(1).run([replace(job, record=Record(0.01))], sim)
+    history = outcome.history
     assert history is not None
     first, last = np.flatnonzero(history.time_s > history.time_s[-1] - 0.1)[[0, -1]]
     moments = [

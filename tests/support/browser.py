@@ -113,18 +113,20 @@ def open_page(browser: Any, tmp_path: Path) -> Iterator[OpenPage]:
             **more,
         )
         contexts.append(context)
-        found = Opened(context.new_page())
+        view = Opened(context.new_page())
         if not webgl:
-            found.page.add_init_script(NO_WEBGL)
+            view.page.add_init_script(NO_WEBGL)
         file = tmp_path / f"page-{len(contexts)}.html"
         file.write_text(html, encoding="utf-8")
         address = file.as_uri()
-        found.page.on("console", lambda said: said.type in ("error", "warning") and found.errors.append(said.text))
-        found.page.on("pageerror", lambda error: found.errors.append(str(error)))
-        found.page.on("request", lambda asked: asked.url.startswith(address) or found.requests.append(asked.url))
-        found.page.goto(address + (f"#{fragment}" if fragment else ""))
-        found.page.wait_for_load_state("load")
-        return found
+        view.page.on(
+            "console", lambda message: message.type in ("error", "warning") and view.errors.append(message.text)
+        )
+        view.page.on("pageerror", lambda error: view.errors.append(str(error)))
+        view.page.on("request", lambda request: request.url.startswith(address) or view.requests.append(request.url))
+        view.page.goto(address + (f"#{fragment}" if fragment else ""))
+        view.page.wait_for_load_state("load")
+        return view
 
     yield opened
     for context in contexts:

@@ -268,21 +268,21 @@ def _work(task: tuple[str, range]) -> tuple[Counter[str], list[Finding]]:
         for seed in seeds:
             signal.setitimer(signal.ITIMER_REAL, 4 * SLOW_S)
             try:
-                outcome, what = try_one(kind, seed, Path(folder))
+                outcome, complaint = try_one(kind, seed, Path(folder))
             finally:
                 signal.setitimer(signal.ITIMER_REAL, 0)
             count[f"{kind} {outcome}"] += 1
-            if what is not None:
-                findings.append(Finding(kind, seed, what))
+            if complaint is not None:
+                findings.append(Finding(kind, seed, complaint))
     return count, findings
 
 
 def shares(kinds: list[str], first: int, n: int, size: int = 250) -> Iterator[tuple[str, range]]:
     """Seeds of each kind in pieces, all kinds equally."""
-    each = -(-n // len(kinds))
-    for begin in range(first, first + each, size):
+    per_kind = -(-n // len(kinds))
+    for begin in range(first, first + per_kind, size):
         for kind in kinds:
-            yield kind, range(begin, min(begin + size, first + each))
+            yield kind, range(begin, min(begin + size, first + per_kind))
 
 
 def main() -> int:
@@ -297,10 +297,10 @@ def main() -> int:
     begin = time.perf_counter()
     with multiprocessing.get_context("spawn").Pool(options.processes) as pool:
         tasks = list(shares(options.kinds, options.seed, options.count))
-        for done, found in pool.imap_unordered(_work, tasks):
+        for done, new_findings in pool.imap_unordered(_work, tasks):
             count += done
-            findings += found
-            for finding in found:
+            findings += new_findings
+            for finding in new_findings:
                 print(finding, flush=True)
     for name, number in sorted(count.items()):
         print(f"{name:<28}{number:>8,}")

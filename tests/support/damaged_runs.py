@@ -70,12 +70,12 @@ def make_sound(folder: Path) -> None:
         orders = {name: order_for(plan) for name, plan in PLANS.items() if plan}
         (folder / "orders.json").write_text(json.dumps(orders))
         (folder / "articles.csv").write_text("product_group,strength_n\nconfectionery,100\ntest,90\n")
-        asked: dict[str, Any] = {"engine": "mujoco", "threads": 1}
-        petmjx.score("plans.json", out="run", record="all", **asked)
-        petmjx.score("plans.json", out="static", check="static", duration_s=0.5, orders="orders.json", **asked)
+        options: dict[str, Any] = {"engine": "mujoco", "threads": 1}
+        petmjx.score("plans.json", out="run", record="all", **options)
+        petmjx.score("plans.json", out="static", check="static", duration_s=0.5, orders="orders.json", **options)
         for shard in (1, 2):
-            petmjx.score("plans.json", out=f"shard-{shard}", shard=f"{shard}/2", **asked)
-        petmjx.sweep("friction", "plans.json", out="sweep", limit=2, **asked)
+            petmjx.score("plans.json", out=f"shard-{shard}", shard=f"{shard}/2", **options)
+        petmjx.sweep("friction", "plans.json", out="sweep", limit=2, **options)
     finally:
         defaults.update(before)
 
@@ -94,9 +94,9 @@ def damage(run: Path, rng: random.Random) -> str:
         _table_gone, _added, _no_file,
     )  # fmt: skip
     for way in rng.sample(ways, len(ways)):
-        what = way(file, rng)
-        if what is not None:
-            return f"{run.name}/{file.parent.name}/{file.name}: {what}"
+        change = way(file, rng)
+        if change is not None:
+            return f"{run.name}/{file.parent.name}/{file.name}: {change}"
     raise AssertionError("nothing to damage")
 
 
@@ -219,7 +219,7 @@ def _damage_info(run: Path, rng: random.Random) -> str:
     elif how == "gone":
         file.unlink()
     elif how == "other":
-        other = rng.choice([each for each in sorted(run.parent.glob("*/run.json")) if each != file])
+        other = rng.choice([info_file for info_file in sorted(run.parent.glob("*/run.json")) if info_file != file])
         file.write_bytes(other.read_bytes())
     else:
         info = json.loads(file.read_text())
@@ -308,15 +308,15 @@ def fuzz(count: int, seed: int, readings: int, told: Callable[[str], None] = lam
     with tempfile.TemporaryDirectory(prefix="petmjx-runs-") as name, contextlib.chdir(name):
         here, kept = Path(name), Path(name) / "kept"
         make_sound(here)
-        sound = {each: read(each) for each in READINGS}
-        for each, (code, _, err) in sound.items():
-            assert code == 0, (each, err)
+        sound = {reading: read(reading) for reading in READINGS}
+        for label, (code, _, err) in sound.items():
+            assert code == 0, (label, err)
         for run in DAMAGED:
             shutil.copytree(run, kept / run)
         for number in range(seed, seed + count):
             rng = random.Random(number)
             run = rng.choice(("run", *DAMAGED))
-            what = damage(Path(run), rng)
+            change = damage(Path(run), rng)
             of_run = {
                 "shard-1": ("merge",),
                 "shard-2": ("merge",),
@@ -324,18 +324,18 @@ def fuzz(count: int, seed: int, readings: int, told: Callable[[str], None] = lam
                 "static": ("kpis", "compare", "packers"),
             }
             able = of_run.get(run, READINGS)
-            for each in rng.sample(able, min(readings, len(able))):
-                wrong = complaint(each, sound[each][1])
+            for label in rng.sample(able, min(readings, len(able))):
+                wrong = complaint(label, sound[label][1])
                 counts["readings"] += 1
                 counts["wrong" if wrong else "right"] += 1
                 if wrong:
-                    told(f"seed {number}: {what}: {each}: {wrong}")
-                if each in ("resume", "merge") and not wrong:
+                    told(f"seed {number}: {change}: {label}: {wrong}")
+                if label in ("resume", "merge") and not wrong:
                     break  # it may have mended the folder
             counts["folders"] += 1
-            for each in {run, *DAMAGED}:
-                shutil.rmtree(each, ignore_errors=True)
-                shutil.copytree(kept / each, each)
+            for label in {run, *DAMAGED}:
+                shutil.rmtree(label, ignore_errors=True)
+                shutil.copytree(kept / label, label)
     return counts
 
 

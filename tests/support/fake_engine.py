@@ -35,5 +35,5 @@ class LargestFirst:
             self._left = None if self._left is None else self._left - 1
             n = jobs[job].scene.n_boxes
             falls = self.verdict(n) is Verdict.UNSTABLE
-            told = {"reason": Reason.DROP, "culprit": n - 1, "first_sign_s": 0.5} if falls else {}
-            yield replace(make_outcome(n, self.verdict(n), **told), job=job)
+            ending = {"reason": Reason.DROP, "culprit": n - 1, "first_sign_s": 0.5} if falls else {}
+            yield replace(make_outcome(n, self.verdict(n), **ending), job=job)

@@ -124,12 +124,12 @@ def run_all(engine: Engine, jobs: Sequence[Job], sim: Simulation, progress: Prog
     return outcomes
 
 
-def assert_same(found: Outcome, expected: Outcome, relative: float = 0.0, absolute: float = 0.0) -> None:
+def assert_same(outcome: Outcome, expected: Outcome, relative: float = 0.0, absolute: float = 0.0) -> None:
     """Verdict, times and every metric of two worlds are the same."""
     for name in ("verdict", "reason", "culprit", "n_boxes", "n_placed", "n_steps", "sim_time_s"):
-        assert getattr(found, name) == getattr(expected, name), name
-    np.testing.assert_equal(found.first_sign_s, expected.first_sign_s)
+        assert getattr(outcome, name) == getattr(expected, name), name
+    np.testing.assert_equal(outcome.first_sign_s, expected.first_sign_s)
     for name, values in vars(expected.boxes).items():
         np.testing.assert_allclose(
-            getattr(found.boxes, name), values, rtol=relative, atol=absolute, equal_nan=True, err_msg=name
+            getattr(outcome.boxes, name), values, rtol=relative, atol=absolute, equal_nan=True, err_msg=name
         )

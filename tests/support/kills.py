@@ -67,23 +67,23 @@ def run(kind: str, folder: Path, *, resume: bool) -> petmjx.RunResults:
 
 def tables(results: petmjx.RunResults) -> dict[str, pd.DataFrame]:
     """All tables, sorted by their keys."""
-    found = {}
+    table_by_name = {}
     for name, keys in KEYS.items():
         frame = getattr(results, name)
         if frame is not None:
             by = keys or [column for column in ("plan_id", "axis", "value", "direction_deg") if column in frame]
-            found[name] = frame.sort_values(by, ignore_index=True)
-    return found
+            table_by_name[name] = frame.sort_values(by, ignore_index=True)
+    return table_by_name
 
 
-def assert_same(found: petmjx.RunResults, expected: dict[str, pd.DataFrame]) -> None:
+def assert_same(results: petmjx.RunResults, expected: dict[str, pd.DataFrame]) -> None:
     """All tables are equal to the last bit."""
-    ours = tables(found)
+    ours = tables(results)
     assert ours.keys() == expected.keys()
     for name, frame in ours.items():
         pd.testing.assert_frame_equal(frame, expected[name], check_exact=True, obj=name)
-    assert found.info["status"] == "finished"
-    assert found.info["counts"]["worlds"] == len(expected["worlds"])
+    assert results.info["status"] == "finished"
+    assert results.info["counts"]["worlds"] == len(expected["worlds"])
 
 
 def start(kind: str, folder: Path) -> int:

@@ -125,9 +125,9 @@ class Run:
                     writer.adopt(others.parts)
                 self._finish(writer)
         else:
-            self._write(out, order=range(5) if self.kind == "in order" else (3, 0, 4, 1, 2), whole=True)
+            self._write(out, order=range(5) if self.kind == "in order" else (3, 0, 4, 1, 2), complete=True)
 
-    def _write(self, out: Path, order: Any, whole: bool = False) -> None:
+    def _write(self, out: Path, order: Any, complete: bool = False) -> None:
         with self._writer(out) as writer:
             for number in order:
                 plan = PLANS[number]
@@ -137,7 +137,7 @@ class Run:
                 writer.add(plan, 0, "fixed", make_outcome(2, sim_time_s=float(number)))
                 if number == 4:
                     writer.flush()
-            if whole:
+            if complete:
                 self._finish(writer)
 
     def _writer(self, out: Path) -> RunWriter:
@@ -158,8 +158,8 @@ class Run:
 def worlds_said(out: Path) -> int:
     """Worlds that a folder's run.json has; 0 where there is none."""
     try:
-        found: int = json.loads((out / files.RUN_FILE).read_text())["counts"]["worlds"]
-        return found
+        n_worlds: int = json.loads((out / files.RUN_FILE).read_text())["counts"]["worlds"]
+        return n_worlds
     except FileNotFoundError:
         return 0
 
@@ -195,10 +195,10 @@ def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:
     For a moment: no world is lost. From then on: none that run.json had at that moment.
     """
     run.prepare(out)
-    said: list[int] = []
+    sizes: list[int] = []
 
     def full() -> None:
-        said.append(worlds_said(out))
+        sizes.append(worlds_said(out))
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with pytest.MonkeyPatch.context() as monkeypatch:
@@ -212,10 +212,10 @@ def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:
         assert "No space left on device" in trouble
     else:
         assert_complete(out)
-    if not said:
+    if not sizes:
         return False
     if out.exists():
-        assert_sound(out, at_least=said[0], ended=None if run.kind == "resumed" else run.ended)
+        assert_sound(out, at_least=sizes[0], ended=None if run.kind == "resumed" else run.ended)
         if not lasts and run.ended and run.kind != "merged":
             assert set(run.ended) <= set(load_run(out).worlds["plan_id"])
             assert not list(out.rglob("*.tmp"))

@@ -46,12 +46,12 @@ def corners(placed: Sequence[Placed]) -> tuple[np.ndarray, np.ndarray]:
 
 def contacts(low: np.ndarray, high: np.ndarray, box: int) -> list[tuple[int, np.ndarray, np.ndarray]]:
     """(box below, low, high) of each rectangle that a box rests on."""
-    found = []
+    rectangles = []
     for other in range(len(low)):
         start, end = np.maximum(low[box, :2], low[other, :2]), np.minimum(high[box, :2], high[other, :2])
         if other != box and (end - start > EPS).all() and abs(high[other, 2] - low[box, 2]) < EPS:
-            found.append((other, start, end))
-    return found
+            rectangles.append((other, start, end))
+    return rectangles
 
 
 def least_slack_mm(placed: Sequence[Placed]) -> float:

@@ -56,6 +56,6 @@ def order_of(plan: Plan, *more: str, without: int = 0) -> dict[str, Any]:
 
 def order_for(plan: list[dict[str, Any]], more: int = 0, target: str = "euro-pallet") -> dict[str, Any]:
     """An order of the boxes of a plan, and of so many more."""
-    items = [each["item"] for each in plan] + [placement(id="more")["item"]] * more
+    items = [entry["item"] for entry in plan] + [placement(id="more")["item"]] * more
     sequence = {str(number): {**item, "sequence": number} for number, item in enumerate(items, start=1)}
     return {"item_sequence": sequence, "properties": {"target": target}}

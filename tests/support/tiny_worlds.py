@@ -59,9 +59,9 @@ def in_one_slice() -> dict[str, Outcome]:
     return simulate(engine(slice_ns=LONG_NS), tiny_scenes(), SHORT)
 
 
-def assert_equal_worlds(found: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
+def assert_equal_worlds(outcomes: dict[str, Outcome], expected: dict[str, Outcome]) -> None:
     """To the last bit."""
-    for name, outcome in found.items():
+    for name, outcome in outcomes.items():
         assert_same(outcome, expected[name])
         assert outcome.flags == expected[name].flags
 
@@ -111,17 +111,17 @@ def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
 
 def watched_queues(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
     """Worlds that each fleet has taken, slice after slice, with those that have ended."""
-    found: list[list[int]] = []
+    queue_counts: list[list[int]] = []
     wait = Rollout.wait
 
     def watched(self: Rollout, group: Group) -> tuple[NDArray[np.int32], Slice]:
         status, ended = wait(self, group)
-        asked, in_vain = (np.asarray(ended.counts[name]) for name in ("taken", "idle"))
-        found.append((asked - in_vain).tolist())
+        requests, in_vain = (np.asarray(ended.counts[name]) for name in ("taken", "idle"))
+        queue_counts.append((requests - in_vain).tolist())
         return status, ended
 
     monkeypatch.setattr(Rollout, "wait", watched)
-    return found
+    return queue_counts
 
 
 def out_of_memory() -> RuntimeError:

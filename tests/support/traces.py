@@ -69,9 +69,9 @@ class Seen:
 
     @cached_property
     def steps(self) -> list[int]:
-        found: list[int] = np.round(self.history.time_s / self.sim.physics.timestep_s).astype(int).tolist()
-        assert found == list(range(found[0], found[-1] + 1)), "a frame a step"
-        return found
+        numbers: list[int] = np.round(self.history.time_s / self.sim.physics.timestep_s).astype(int).tolist()
+        assert numbers == list(range(numbers[0], numbers[-1] + 1)), "a frame a step"
+        return numbers
 
     def step_of(self, time_s: float) -> int:
         return -1 if np.isnan(time_s) else round(time_s / self.sim.physics.timestep_s)
@@ -99,15 +99,15 @@ class Seen:
         """Look → for how many steps boxes had been quiet then."""
         radius_m = np.linalg.norm(self.job.scene.half_size, axis=1)
         pose = np.concatenate([self.history.pos, self.history.quat], axis=-1)
-        count, found, every = 0, {}, self.sim.quiet.poll_steps
+        count, quiet_by_look, every = 0, {}, self.sim.quiet.poll_steps
         for frame, step in enumerate(self.steps[1:], start=1):
             if step % every == 0:
                 moved_m = motion_np.moved(pose[frame - 1], pose[frame], radius_m)  # NaN: not placed yet
                 fast = (moved_m >= self.sim.quiet.quiet_m_s * self.sim.physics.timestep_s).any()
-                found[step] = count = 0 if fast else count + every
+                quiet_by_look[step] = count = 0 if fast else count + every
             if step in self.placed:
                 count = 0
-        return found
+        return quiet_by_look
 
     @cached_property
     def samples(self) -> list[int]:
@@ -119,14 +119,16 @@ class Seen:
     def poses(self) -> list[tuple[int, int]]:
         """Steps at which poses are looked at, and their frames: of samples, of looks in the drive, at the end of a
         fixed schedule, and the last one."""
-        found, acts, first = {}, self.trace.driven[0], self.steps[0]
+        frame_by_step, acts, first = {}, self.trace.driven[0], self.steps[0]
         if acts > 0 and self.sim.waits_for_rest:
-            found = {step: step - first for step in self.steps if step >= acts and not step % self.sim.quiet.poll_steps}
+            frame_by_step = {
+                step: step - first for step in self.steps if step >= acts and not step % self.sim.quiet.poll_steps
+            }
         fixed_end = seconds_to_steps((self.outcome.n_boxes + 1) * self.sim.interval_s, self.sim.physics.timestep_s)
         if self.sim.schedule is Schedule.FIXED and acts < 0 and fixed_end in self.steps:
-            found[fixed_end] = fixed_end - first  # a world that moves there goes on
-        found |= {self.steps[frame] + 1: frame for frame in self.samples}
-        return [*sorted(found.items()), (self.steps[-1], len(self.steps) - 1)]
+            frame_by_step[fixed_end] = fixed_end - first  # a world that moves there goes on
+        frame_by_step |= {self.steps[frame] + 1: frame for frame in self.samples}
+        return [*sorted(frame_by_step.items()), (self.steps[-1], len(self.steps) - 1)]
 
     def excess(self, frame: int) -> FloatArray:
         """(placed,) of the boxes of a frame."""
@@ -151,7 +153,7 @@ class Seen:
     def tilt_deg(self) -> FloatArray:
         """(n,) the largest in all poses that are looked at."""
         quat = self.history.quat[[frame for _, frame in self.poses]]
-        angles = np.array([motion_np.tilt_deg(each) for each in quat])
+        angles = np.array([motion_np.tilt_deg(orientation) for orientation in quat])
         return np.nan_to_num(np.fmax.reduce(angles, axis=0))
 
     def rest_force_n(self) -> FloatArray:

@@ -55,25 +55,25 @@ def test_a_worker_reports_progress_and_errors() -> None:
     broken: Any = _Broken()
     worker._built = Future()
     worker._built.set_result(broken)
-    told: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
-    assert told[0].progress.message == "compiling"
-    assert isinstance(told[-1].error, KeyboardInterrupt)
+    last_reports: list[Report] = [pickle.loads(report) for report in worker.simulate(chunk)]
+    assert last_reports[0].progress.message == "compiling"
+    assert isinstance(last_reports[-1].error, KeyboardInterrupt)
     broken.error = _Unpicklable(1, 2)
-    told = [pickle.loads(report) for report in worker.simulate(chunk)]
-    assert repr(told[-1].error) == "RuntimeError('_Unpicklable: 1 and 2')"
+    last_reports = [pickle.loads(report) for report in worker.simulate(chunk)]
+    assert repr(last_reports[-1].error) == "RuntimeError('_Unpicklable: 1 and 2')"
 
 
 def test_processes_beside_a_worker_look_at_the_outcomes_of_large_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(actor, "LARGE", 3)
     worker = Worker(MUJOCO, None, 1, lookers=1)
     alone = Worker(MUJOCO, None, 1)
-    for each in (worker, alone):
-        each.hello()
+    for peer in (worker, alone):
+        peer.hello()
     for count in (2, 3, 3):
         chunk = pickle.dumps(([make_world(make_plan(boxes=stack(1 + k))).job for k in range(count)], SHORT))
         beside, here = (
-            {outcome.job: outcome for report in each.simulate(chunk) for outcome in pickle.loads(report).outcomes}
-            for each in (worker, alone)
+            {outcome.job: outcome for report in peer.simulate(chunk) for outcome in pickle.loads(report).outcomes}
+            for peer in (worker, alone)
         )
         assert sorted(beside) == sorted(here) == list(range(count))
         for job, outcome in beside.items():
@@ -126,9 +126,9 @@ def test_an_engine_that_cannot_be_built_on_a_gpu_is_told(
     worker = Worker(Recipe("mjx-warp"), None, 1, thorough=thorough)
     hello: Hello = pickle.loads(worker.hello())
     [report] = worker.simulate(pickle.dumps(([Job(fake_scene(1.0))], SHORT)))
-    for told in [pickle.loads(report).error, *([hello.error] if thorough else [])]:
-        assert isinstance(told, EngineUnavailable)
-        assert str(error) in str(told)
+    for failure in [pickle.loads(report).error, *([hello.error] if thorough else [])]:
+        assert isinstance(failure, EngineUnavailable)
+        assert str(error) in str(failure)
     assert thorough == (hello.error is not None)
 
 

@@ -133,19 +133,19 @@ def test_sources_of_plans() -> None:
 @pytest.mark.parametrize("wrapped", [list, PlanSet])
 def test_plans_with_one_id_are_named_apart(wrapped: type) -> None:
     plans = [make_plan("twice", 1), make_plan("once", 1), make_plan("twice", 2)]
-    found = gathered(wrapped(plans), strict=True)
-    assert [(plan.plan_id, plan.n_boxes) for plan in found] == [("twice", 1), ("once", 1), ("twice#2", 2)]
-    assert found.notes == ["1 plan repeats an id and is called twice#2"]
+    plan_set = gathered(wrapped(plans), strict=True)
+    assert [(plan.plan_id, plan.n_boxes) for plan in plan_set] == [("twice", 1), ("once", 1), ("twice#2", 2)]
+    assert plan_set.notes == ["1 plan repeats an id and is called twice#2"]
     assert len(gathered(wrapped(plans), limit=2)) == 2
 
 
 def test_a_plan_is_found_by_its_id_or_why_not_is_said() -> None:
-    found = PlanSet(PLANS, [Skipped("p.json", "bad", "p.json: plan bad: has no placement")])
-    assert find_plan(found, "falls") is FALLS
+    plan_set = PlanSet(PLANS, [Skipped("p.json", "bad", "p.json: plan bad: has no placement")])
+    assert find_plan(plan_set, "falls") is FALLS
     with pytest.raises(InputError, match=r"^p\.json: plan bad: has no placement$"):
-        find_plan(found, "bad")
+        find_plan(plan_set, "bad")
     with pytest.raises(InputError, match=r"^plan none is not among the 2 plans read$"):
-        find_plan(found, "none")
+        find_plan(plan_set, "none")
 
 
 def test_a_box_that_the_size_reduction_eats_is_named() -> None:
@@ -164,9 +164,9 @@ def test_a_box_that_the_size_reduction_eats_is_named() -> None:
 
 def test_plans_of_up_to_512_boxes_are_taken(tmp_path: Path) -> None:
     piles = {f"of {n}": [placement(sequence=k) for k in range(1, n + 1)] for n in (512, 513)}
-    found = gather_plans(write(tmp_path / "plans.json", piles), Simulation(), RunOptions())
-    assert [plan.plan_id for plan in found] == ["of 512"]
-    assert "has 513 boxes" in found.skipped[0].message
+    plan_set = gather_plans(write(tmp_path / "plans.json", piles), Simulation(), RunOptions())
+    assert [plan.plan_id for plan in plan_set] == ["of 512"]
+    assert "has 513 boxes" in plan_set.skipped[0].message
 
 
 @pytest.mark.parametrize("function", [petmjx.score, petmjx.sweep])

@@ -43,11 +43,11 @@ def plan(turned: int = 0) -> Plan:
 def test_fields_of_an_article_come_before_those_of_its_group() -> None:
     articles = read_articles(write(Path("articles.csv"), TABLE))
     assert articles.find("crate", "") == Article(None, "plastic", (50, 10, -20))
-    found = articles.find("roll", "bottles")
-    assert found.material == "film"
-    assert found.com_mm == (0, 0, 30)
-    assert found.strength is not None
-    assert found.strength.strength_n == 900
+    article = articles.find("roll", "bottles")
+    assert article.material == "film"
+    assert article.com_mm == (0, 0, 30)
+    assert article.strength is not None
+    assert article.strength.strength_n == 900
 
 
 @pytest.mark.parametrize(("turned", "first"), [(0, (50, 10, -20)), (1, (-10, 50, -20))])
@@ -89,14 +89,14 @@ def test_a_centre_of_mass_outside_its_box_costs_the_plan(capsys: pytest.CaptureF
 
 def test_plans_say_it_themselves() -> None:
     """In all forms; what a box has itself comes before what a table says of its article."""
-    said = with_articles(plan(1), read_articles(write(Path("articles.csv"), TABLE)))
+    stated_plan = with_articles(plan(1), read_articles(write(Path("articles.csv"), TABLE)))
     table = write(Path("others.csv"), "article,material,com_length_mm\ncrate,steel,-9\nbread,wood,7\n")
     for name in ("a.json", "a.csv", "a.parquet"):
-        petmjx.save_plans(said, name)
-        (found,) = petmjx.load_plans(name).plans
-        assert found.materials == said.materials
-        np.testing.assert_array_equal(found.mass_center_mm, said.mass_center_mm)
-        more = with_articles(found, read_articles(table))
+        petmjx.save_plans(stated_plan, name)
+        (loaded_plan,) = petmjx.load_plans(name).plans
+        assert loaded_plan.materials == stated_plan.materials
+        np.testing.assert_array_equal(loaded_plan.mass_center_mm, stated_plan.mass_center_mm)
+        more = with_articles(loaded_plan, read_articles(table))
         assert more.materials == ("plastic", "film", "film", "wood")
         np.testing.assert_array_equal(more.mass_center_mm, [(-10, 50, -20), (0, 0, 0), (0, 0, 30), (7, 0, 0)])
     text = Path("a.csv").read_text().replace("-20", "-100")

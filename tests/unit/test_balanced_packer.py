@@ -166,8 +166,8 @@ def test_no_weight_is_lost_on_its_way_down(items: list[Item]) -> None:
 def test_planes_are_those_of_the_convex_hull(
     rectangles: list[tuple[float, float, float, float]], point: tuple[float, float]
 ) -> None:
-    low = np.array([each[:2] for each in rectangles])
-    high = low + np.array([each[2:] for each in rectangles])
+    low = np.array([rectangle[:2] for rectangle in rectangles])
+    high = low + np.array([rectangle[2:] for rectangle in rectangles])
     margin = 0.01
     beyond = float((hull_planes(low, high, margin) @ [1.0, *point]).max())
     hull = MultiPoint([(x, y) for a, b in zip(low, high, strict=True) for x in (a[0], b[0]) for y in (a[1], b[1])])
@@ -186,7 +186,7 @@ def test_both_packers_get_the_same_orders_and_the_baseline_is_what_it_was() -> N
     plan_id, placements = generate_one(0, 7, packer="balanced")
     baseline_id, baseline = generate_one(0, 7, loose_share=0.0)
     assert plan_id == baseline_id == "s7-000000"
-    assert Counter(each["item"]["id"] for each in baseline) <= Counter(each["item"]["id"] for each in placements)
+    assert Counter(entry["item"]["id"] for entry in baseline) <= Counter(entry["item"]["id"] for entry in placements)
     drawn = draw_order(7, 0)
     assert placements == as_placements(pack_balanced(drawn.items, TARGET_EXTENT_MM[drawn.target]))
 
@@ -207,10 +207,12 @@ def test_a_packer_that_is_named_packs_no_plan_loosely(tmp_path: Path, capsys: py
 
 def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel_module, "ALONE", 4)
-    told: dict[int, list[LeftOut]] = {1: [], 2: []}
-    plans = {workers: list(generate(24, 2, workers=workers, on_left_out=told[workers].append)) for workers in told}
+    left_out: dict[int, list[LeftOut]] = {1: [], 2: []}
+    plans = {
+        workers: list(generate(24, 2, workers=workers, on_left_out=left_out[workers].append)) for workers in left_out
+    }
     assert plans[1] == plans[2]
-    assert told[1] == told[2] != []
+    assert left_out[1] == left_out[2] != []
 
 
 def test_few_tasks_are_done_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:

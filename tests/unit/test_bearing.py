@@ -63,11 +63,11 @@ def test_a_corner_hull_is_not_its_bounding_box() -> None:
     top: Box = ((400, 400, 100), (0, 0, 100), 1.0)
     weight: Box = (small, (300, 0, 200), 1000.0)
     scene = scene_of((small, (0, 0, 0), 1.0), (small, (300, 300, 0), 1.0), top, weight)
-    found = edges_mm(scene)[2]
+    edge_mm = edges_mm(scene)[2]
     # the hull's edge from (100, 0) to (400, 300); the load acts near (350, 50)
     point = (1000 * np.array([350.0, 50.0]) + np.array([200.0, 200.0])) / 1001
-    assert found == pytest.approx((point[1] - point[0] + 100) / 2**0.5)
-    assert found < 0
+    assert edge_mm == pytest.approx((point[1] - point[0] + 100) / 2**0.5)
+    assert edge_mm < 0
 
 
 def test_what_hangs_in_the_air_has_no_edge() -> None:
@@ -118,8 +118,8 @@ def test_the_order_of_boxes_does_not_matter() -> None:
     ]
     expected = edges_mm(scene_of(*boxes))
     for order in ([3, 2, 1, 0], [2, 0, 3, 1]):
-        found = edges_mm(scene_of(*(boxes[k] for k in order)))
-        assert [found[order.index(k)] for k in range(4)] == pytest.approx(expected)
+        edges = edges_mm(scene_of(*(boxes[k] for k in order)))
+        assert [edges[order.index(k)] for k in range(4)] == pytest.approx(expected)
 
 
 def test_a_load_acts_at_the_centre_of_mass() -> None:
@@ -151,12 +151,12 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
         sim = Simulation(carrier=carrier)
         scenes = [build_scene(make_plan("p", random_heap(rng, n)), sim) for n in (6, 6, 6, 9, 6, 9)]
         targets = [scene.target + rng.normal(0, 2e-4, scene.target.shape) for scene in scenes]
-        for found, scene, target in zip(find_bearings(scenes, targets), scenes, targets, strict=True):
+        for bearing, scene, target in zip(find_bearings(scenes, targets), scenes, targets, strict=True):
             expected = find_bearing(replace(scene, target=target))
             for name in ("upper", "lower", "low", "high"):
-                np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), strict=True)
+                np.testing.assert_array_equal(getattr(bearing, name), getattr(expected, name), strict=True)
             for name in ("target", "half_size", "mass", "mass_center", "carrier_mass", "first"):
-                np.testing.assert_array_equal(getattr(found.boxes, name), getattr(expected.boxes, name), strict=True)
+                np.testing.assert_array_equal(getattr(bearing.boxes, name), getattr(expected.boxes, name), strict=True)
         again = bearings_of([scenes[0], scenes[3], scenes[0]])
         assert again[0] is again[2]
         np.testing.assert_array_equal(again[1].low, bearing_of(scenes[3]).low)

@@ -129,10 +129,10 @@ def test_flips_are_listed_with_their_margins(plans: Path, tmp_path: Path) -> Non
         )
         for name, options in (("a", {}), ("b", {"thresholds": {"shift_m": 1e-4, "shift_floor_m": 0}}))
     ]
-    found = agreement([results[0].path], [results[1].path])
-    assert (found["common"], found["same"]) == (3, 1)
-    assert {flip["plan_id"] for flip in found["flips"]} == {"tower", "higher"}
-    flip = found["flips"][0]
+    comparison = agreement([results[0].path], [results[1].path])
+    assert (comparison["common"], comparison["same"]) == (3, 1)
+    assert {flip["plan_id"] for flip in comparison["flips"]} == {"tower", "higher"}
+    flip = comparison["flips"][0]
     assert flip["oracle"]["verdict"] == "stable"
     assert (flip["here"]["verdict"], flip["here"]["reason"]) == ("unstable", "shift")
     assert flip["here"]["shift_margin_m"] > 0 > flip["oracle"]["shift_margin_m"]
@@ -145,22 +145,23 @@ def test_pieces_of_a_run_count_as_one(plans: Path, tmp_path: Path) -> None:
     pieces = [result["results_dir"] for result in read_lines([out])]
     against = f"pieces={pieces[0]},{pieces[1]}"
     bench("W-adaptive", "--plans", plans, "--work", work, "--out", out, "--against", against)
-    *parts, whole = read_lines([out])
-    assert [result["plans"] for result in (*parts, whole)] == [2, 1, 3]
+    *parts, full_run = read_lines([out])
+    assert [result["plans"] for result in (*parts, full_run)] == [2, 1, 3]
     joint = tmp_path / "joint.jsonl"
     assert (
-        main(["agreement", whole["results_dir"], "--oracle", against, "--case", "W-adaptive", "--out", str(joint)]) == 0
+        main(["agreement", full_run["results_dir"], "--oracle", against, "--case", "W-adaptive", "--out", str(joint)])
+        == 0
     )
     [result] = read_lines([joint])
-    assert result["agreement"] == whole["agreement"]
+    assert result["agreement"] == full_run["agreement"]
     assert result["agreement"]["pieces"]["same"] == result["agreement"]["pieces"]["common"] == 3
     assert "pieces" in table.tables([result])
 
 
 def test_what_takes_too_long_is_cut_off(plans: Path, tmp_path: Path) -> None:
     out = tmp_path / "results.jsonl"
-    asked = ("W-adaptive", "plain-loop", "--plans", plans, "--threads", "1", "--max-seconds", "1e-9")
-    bench(*asked, "--work", tmp_path, "--out", out)
+    arguments = ("W-adaptive", "plain-loop", "--plans", plans, "--threads", "1", "--max-seconds", "1e-9")
+    bench(*arguments, "--work", tmp_path, "--out", out)
     workload, loop = read_lines([out])
     assert 1 <= workload["plans"] < 3
     assert "cut off after" in workload["note"]

@@ -29,9 +29,9 @@ LONG = make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job
 
 @pytest.fixture
 def beside() -> Iterator[InProcess]:
-    found = InProcess()
-    yield found
-    found.close()
+    helper = InProcess()
+    yield helper
+    helper.close()
 
 
 def pid_of(beside: InProcess) -> int:
@@ -53,15 +53,15 @@ def test_its_answers_are_those_of_the_engine_and_it_is_kept_for_the_next_run(bes
     assert list(beside.ended(wait=True)) == []
     beside.begin(Task(7, "mujoco", TOWER, SIM))
     beside.begin(Task(8, "no-such", TOWER, SIM))
-    found: dict[int, Answer] = {}
-    while len(found) < 2:
-        found |= {answer.number: answer for answer in beside.ended(wait=True)}
-    assert found[7].outcome is not None
-    assert found[7].outcome.n_steps == expected.n_steps
-    np.testing.assert_array_equal(found[7].outcome.boxes.pos, expected.boxes.pos)
-    np.testing.assert_array_equal(found[7].outcome.boxes.max_top_force_n, expected.boxes.max_top_force_n)
-    assert found[8].outcome is None
-    assert "unknown engine 'no-such'" in found[8].message
+    answer_by_number: dict[int, Answer] = {}
+    while len(answer_by_number) < 2:
+        answer_by_number |= {answer.number: answer for answer in beside.ended(wait=True)}
+    assert answer_by_number[7].outcome is not None
+    assert answer_by_number[7].outcome.n_steps == expected.n_steps
+    np.testing.assert_array_equal(answer_by_number[7].outcome.boxes.pos, expected.boxes.pos)
+    np.testing.assert_array_equal(answer_by_number[7].outcome.boxes.max_top_force_n, expected.boxes.max_top_force_n)
+    assert answer_by_number[8].outcome is None
+    assert "unknown engine 'no-such'" in answer_by_number[8].message
     first = pid_of(beside)
     beside.close()
     following = InProcess()

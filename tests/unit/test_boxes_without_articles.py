@@ -40,8 +40,8 @@ def test_texts_and_tables_of_a_story(articles: tuple[str, ...]) -> None:
     culprit = story.outcome.culprit
     assert culprit > 0
     out = StringIO()
-    for each in story_tables(story):
-        Console(file=out, width=120, color_system=None).print(each)
+    for table in story_tables(story):
+        Console(file=out, width=120, color_system=None).print(table)
     texts = [headline(story), first_box_in_words(story), *(event.what for event in events(story))]
     texts += [line.rstrip() for line in out.getvalue().splitlines()]
     texts += re.findall(r"<title>([^<]*)</title>", still_svg(story))
@@ -84,7 +84,7 @@ def test_names_in_scripts_of_pages(tmp_path: Path) -> None:
         pytest.skip("node is not installed")
     (tmp_path / "names.mjs").write_bytes((STATIC / "names.js").read_bytes())
     goods = ("'', ''", "'tea', ''", "'', '7'", "'tea', '7'")
-    calls = f"[labelOf(9, ''), labelOf(9, 'tea'), {', '.join(f'goodsOf({each})' for each in goods)}]"
+    calls = f"[labelOf(9, ''), labelOf(9, 'tea'), {', '.join(f'goodsOf({good})' for good in goods)}]"
     script = f"import {{ labelOf, goodsOf }} from './names.mjs'; console.log(JSON.stringify({calls}))"
     (tmp_path / "run.mjs").write_text(script, encoding="utf-8")
     done = subprocess.run([node, "run.mjs"], cwd=tmp_path, capture_output=True, text=True, check=True)

@@ -79,7 +79,7 @@ def test_a_static_check_ends_with_a_word(monkeypatch: pytest.MonkeyPatch) -> Non
     (world,) = run.worlds.to_dict("records")
     assert (world["verdict"], world["reason"], world["attempt"]) == ("invalid", "timeout", 1)
     assert world["flags"] & int(Flag.TIMEOUT)
-    (warning,) = [each for each in run.info["warnings"] if "no verdict" in each]
+    (warning,) = [warning for warning in run.info["warnings"] if "no verdict" in warning]
     assert warning.startswith("plan heap: no verdict within 1 s of CPU time: 40 of 40 boxes placed, ")
     assert warning.endswith("world_timeout_s allows more")
 
@@ -87,12 +87,12 @@ def test_a_static_check_ends_with_a_word(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_what_has_fallen_by_then_is_unstable(monkeypatch: pytest.MonkeyPatch) -> None:
     """Time is up a while after a box has dropped, in a world that would go on."""
     plan = make_plan("falls", [((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (380, 0, 200), 5.0)])
-    whole = petmjx.score([plan], engine="mujoco", early_stop=False, threads=1).worlds.iloc[0]
+    world = petmjx.score([plan], engine="mujoco", early_stop=False, threads=1).worlds.iloc[0]
     looks = iter(range(10_000))
     monkeypatch.setattr(Budget, "is_spent", lambda self, steps, placed: next(looks) > 180)
     cut = petmjx.score([plan], engine="mujoco", early_stop=False, threads=1).worlds.iloc[0]
-    assert cut.n_steps < whole.n_steps
-    assert (cut.verdict, cut.culprit) == (whole.verdict, whole.culprit) == ("unstable", 1)
+    assert cut.n_steps < world.n_steps
+    assert (cut.verdict, cut.culprit) == (world.verdict, world.culprit) == ("unstable", 1)
     assert cut["flags"] & int(Flag.EARLY_STOP)
     assert not cut["flags"] & int(Flag.TIMEOUT)
 
@@ -105,9 +105,9 @@ def test_it_is_shown_how_far_a_long_world_is(monkeypatch: pytest.MonkeyPatch) ->
     for outcome in MujocoEngine(1).run([Job(make_scene(stack(12, size_mm=(400, 300, 50))))], Simulation(), progress):
         if outcome is None:
             shown.append(progress.message)
-    words = [each for each in shown if each]
+    words = [word for word in shown if word]
     assert words
-    assert all(each.startswith("one world for ") and " of 12 boxes placed, " in each for each in words)
-    placed = [int(each.split(": ")[1].split(" of ")[0]) for each in words]
+    assert all(word.startswith("one world for ") and " of 12 boxes placed, " in word for word in words)
+    placed = [int(word.split(": ")[1].split(" of ")[0]) for word in words]
     assert all(before <= after for before, after in pairwise(placed))
     assert progress.message == ""

@@ -85,15 +85,15 @@ KINDS = ("a file", "a named file", "Warp's own", "read-only", "a folder of a ver
 def test_else_a_temporary_one_takes_its_place_and_doctor_says_why(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    said = unwritable(kind, tmp_path, monkeypatch)
+    reason = unwritable(kind, tmp_path, monkeypatch)
     folder = tmp_path / "temporary" / f"petmjx-cache-{os.getuid()}"
     assert cache_folder("warp") == folder / "warp"
     assert folder.stat().st_mode & 0o777 == 0o700
-    assert said in why_not_written("warp")
+    assert reason in why_not_written("warp")
     assert why_no_folder("warp") is None
     (line,) = (line for name, line in _caches().items() if name == "Warp kernels")
     assert line.startswith(f"{folder / 'warp'} (since ")
-    assert said in line
+    assert reason in line
 
 
 @pytest.mark.parametrize("kind", ["link", "writable by others", "file"])
@@ -108,10 +108,10 @@ def test_a_temporary_folder_of_others_is_not_taken(kind: str, tmp_path: Path) ->
     else:
         folder.mkdir()
         folder.chmod(0o777)
-    taken = temporary_folder()
-    assert taken != folder
-    assert taken.parent == folder.parent
-    assert taken.stat().st_mode & 0o777 == 0o700
+    chosen_folder = temporary_folder()
+    assert chosen_folder != folder
+    assert chosen_folder.parent == folder.parent
+    assert chosen_folder.stat().st_mode & 0o777 == 0o700
 
 
 def test_without_any_folder_auto_takes_mujoco_and_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

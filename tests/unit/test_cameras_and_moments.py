@@ -85,14 +85,14 @@ def test_options_of_python_may_be_numbers_and_lists() -> None:
 
 
 def test_moments_are_the_frames_that_their_names_say() -> None:
-    assert [(each.frame, each.name) for each in moments(STORY, None)] == [
+    assert [(moment.frame, moment.name) for moment in moments(STORY, None)] == [
         (5, "before"),  # the third box is placed at 0.5 s
         (7, "first-sign"),
         (20, "end"),
     ]
-    assert [each.frame for each in moments(STORY, "start,0.34,0.36,2.004,0")] == [0, 3, 4, 20, 0]
+    assert [moment.frame for moment in moments(STORY, "start,0.34,0.36,2.004,0")] == [0, 3, 4, 20, 0]
     calm = standing_story(STORY)
-    assert [each.name for each in moments(calm, None)] == ["end"]
+    assert [moment.name for moment in moments(calm, None)] == ["end"]
     with pytest.raises(InputError, match="there is no moment first-sign: nothing failed in plan tower"):
         moments(calm, "first-sign")
 
@@ -150,9 +150,9 @@ def test_colours_mean_what_the_legend_says() -> None:
 def test_forces_between_two_bodies_are_on_the_lower_one() -> None:
     contacts = STORY.history.contacts
     assert contacts is not None
-    found = sorted(forces_of_pairs(contacts, poses_of_frame(STORY.history, 3)), key=lambda pair: pair[0][0])
-    assert [place.tolist() for place, _ in found] == [[0.1, 0.1, 0.0], [0.3, 0.1, 0.0]]
-    assert [force.tolist() for _, force in found] == [[0.0, 0.0, -20.0], [0.0, 0.0, -20.0]]
+    forces = sorted(forces_of_pairs(contacts, poses_of_frame(STORY.history, 3)), key=lambda pair: pair[0][0])
+    assert [place.tolist() for place, _ in forces] == [[0.1, 0.1, 0.0], [0.3, 0.1, 0.0]]
+    assert [force.tolist() for _, force in forces] == [[0.0, 0.0, -20.0], [0.0, 0.0, -20.0]]
     turned = replace(contacts, body=contacts.body.copy(), force=contacts.force.copy())
     both = turned.frame == 3
     turned.body[both], turned.force[both] = [[-1, 0], [0, -1]], [[0, 0, 20.0], [0, 0, -20.0]]

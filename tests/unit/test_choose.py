@@ -119,13 +119,13 @@ CHECKED, CHECKED_FIXED = Simulation(check="static"), Simulation(check="static", 
     ("sim", "boxes", "measured_s"),
     [
         # third-party plans that stand
-        *((ADAPTIVE, *each) for each in [(16, 0.044), (45, 0.33), (66, 0.37), (83, 1.12), (103, 1.29), (121, 2.20)]),
-        *((ADAPTIVE, *each) for each in [(146, 4.27), (150, 2.93), (175, 9.09), (217, 7.23), (241, 8.83)]),
+        *((ADAPTIVE, *case) for case in [(16, 0.044), (45, 0.33), (66, 0.37), (83, 1.12), (103, 1.29), (121, 2.20)]),
+        *((ADAPTIVE, *case) for case in [(146, 4.27), (150, 2.93), (175, 9.09), (217, 7.23), (241, 8.83)]),
         # generated plans, means of twelve of 20 to 29, 30 to 39, 40 to 49 and 50 boxes or more
-        *((ADAPTIVE, *each) for each in [(24, 0.057), (34, 0.091), (45, 0.155), (64, 0.286)]),
-        *((FIXED, *each) for each in [(16, 0.24), (66, 3.6), (83, 6.8), (121, 18.6)]),
-        *((CHECKED, *each) for each in [(45, 0.33), (83, 0.78), (121, 1.83), (150, 2.3), (201, 6.3), (241, 5.9)]),
-        *((CHECKED_FIXED, *each) for each in [(16, 0.28), (45, 1.26), (83, 3.8), (150, 5.9)]),
+        *((ADAPTIVE, *case) for case in [(24, 0.057), (34, 0.091), (45, 0.155), (64, 0.286)]),
+        *((FIXED, *case) for case in [(16, 0.24), (66, 3.6), (83, 6.8), (121, 18.6)]),
+        *((CHECKED, *case) for case in [(45, 0.33), (83, 0.78), (121, 1.83), (150, 2.3), (201, 6.3), (241, 5.9)]),
+        *((CHECKED_FIXED, *case) for case in [(16, 0.28), (45, 1.26), (83, 3.8), (150, 5.9)]),
     ],
 )
 def test_expected_times_are_those_measured_on_a_cpu_thread(sim: Simulation, boxes: int, measured_s: float) -> None:
@@ -198,8 +198,8 @@ def test_auto_takes_kernels_on_cpu_threads_where_there_is_no_gpu(monkeypatch: py
 @pytest.mark.usefixtures("gpu")
 def test_the_reason_has_both_times() -> None:
     for cpu, name in ((3.0, "mujoco"), (700.0, "mjx-warp")):
-        found, reason = choose({"mujoco": cpu, "mjx-warp": 80.0, "mjx-warp-cpu": 90.0}, THREADS)
-        assert found == name
+        engine_name, reason = choose({"mujoco": cpu, "mjx-warp": 80.0, "mjx-warp-cpu": 90.0}, THREADS)
+        assert engine_name == name
         assert f"about {cpu:.0f} s" in reason
         assert "about 80 s" in reason
         assert "16 CPU threads" in reason
@@ -236,9 +236,9 @@ def test_a_run_s_engine_and_why_it_was_taken() -> None:
     named, choice = resolve_engine(RunOptions(engine="mujoco", threads=1), work)
     assert named.name == "mujoco"
     assert choice == Choice("mujoco", "as asked for", seconds)
-    found, choice = resolve_engine(RunOptions(engine=MujocoEngine(1)), work)
-    assert (found.name, found.takes_more) == ("mujoco", True)
-    assert found.device.endswith(", 1 thread")
+    given_engine, choice = resolve_engine(RunOptions(engine=MujocoEngine(1)), work)
+    assert (given_engine.name, given_engine.takes_more) == ("mujoco", True)
+    assert given_engine.device.endswith(", 1 thread")
     assert choice == Choice("mujoco", "given", None)
 
 
@@ -257,8 +257,8 @@ def test_an_engine_of_the_user_s_own_needs_a_name_and_a_method_and_stays_open() 
         def close(self) -> None:
             closed.append(self.name)
 
-    for own, takes_more, device in ((Least(), False, ", 3 threads"), (More(), True, "a tin can")):
-        with engine_for(RunOptions(engine=own, threads=3), Work(SIM, [1])) as (engine, _):
+    for user_engine, takes_more, device in ((Least(), False, ", 3 threads"), (More(), True, "a tin can")):
+        with engine_for(RunOptions(engine=user_engine, threads=3), Work(SIM, [1])) as (engine, _):
             assert (engine.name, engine.takes_more) == ("least", takes_more)
             assert engine.device.endswith(device)
             (outcome,) = engine.run([Job(make_scene(1))], SIM)

@@ -52,7 +52,7 @@ class InParts(FailingEngine):
         self.calls.append((sim, list(jobs)))
         self.parts.append(len(jobs))
         left = dict(enumerate(jobs))
-        asked = len(left)
+        n_jobs = len(left)
         while left:
             number = next(iter(left))
             attempt = sum(left[number] in batch for _, batch in self.calls)
@@ -63,8 +63,8 @@ class InParts(FailingEngine):
                     time.sleep(0.001)
                 if part and self.fails:
                     raise ValueError("out of order")
-                left.update(enumerate(part, asked))
-                asked += len(part)
+                left.update(enumerate(part, n_jobs))
+                n_jobs += len(part)
                 self.calls[-1][1].extend(part)
                 self.parts.extend([len(part)] if part else [])
 
@@ -127,9 +127,9 @@ def test_chunks_of_larger_worlds_have_fewer() -> None:
     """A chunk is full with the world that has its last box."""
     worlds = [make_world(make_plan("p", stack(n))) for n in (1, 2, 1, 3, 4, 2, 5, 1, 1, 1, 1)]
     source = retry_module.Chunks(iter(worlds), 4, 4, 6)
-    taken = [[world.job.scene.n_boxes for world in source.take()] for _ in range(6)]
+    chunks = [[world.job.scene.n_boxes for world in source.take()] for _ in range(6)]
     source.close()
-    assert taken == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]
+    assert chunks == [[1, 2, 1, 3], [4, 2], [5, 1], [1, 1, 1], [], []]
 
 
 def test_a_last_chunk_that_is_made_before_it_is_asked_for_is_yet_to_come() -> None:

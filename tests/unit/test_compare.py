@@ -161,8 +161,8 @@ def test_nothing_in_common(tmp_path: Path, outcomes: dict[str, Outcome]) -> None
     assert result.to_dict()["agreement"] is None
     assert (result.worlds.n == 0).all()
     assert "no world is in both runs" in result.notes
-    lines = [str(each) for each in comparison_tables(result)]
-    assert not any("max(a" in each for each in lines)  # what % means is told below tables only
+    lines = [str(table) for table in comparison_tables(result)]
+    assert not any("max(a" in line for line in lines)  # what % means is told below tables only
 
 
 def test_notes_on_what_does_not_fit(tmp_path: Path) -> None:

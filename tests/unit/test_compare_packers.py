@@ -65,63 +65,63 @@ def only(frame: pd.DataFrame, **where: Any) -> dict[str, Any]:
     return {str(name): value for name, value in row.items()}
 
 
-def printed(found: Any, columns: int, **options: Any) -> str:
+def printed(comparison: Any, columns: int, **options: Any) -> str:
     out = StringIO()
     console = Console(file=out, width=columns, color_system=None)
-    for each in packer_tables(found, **options):
-        console.print(each)
+    for table in packer_tables(comparison, **options):
+        console.print(table)
     return out.getvalue()
 
 
 def test_shares_pairs_and_decided_orders(two: tuple[Path, Path]) -> None:
-    found = petmjx.compare_packers(two)
-    assert repr(found) == "PackerComparison(a 60.0 %, b 80.0 % of 10 orders)"
-    row = only(found.packers, size=ALL_SIZES, packer="b")
+    comparison = petmjx.compare_packers(two)
+    assert repr(comparison) == "PackerComparison(a 60.0 %, b 80.0 % of 10 orders)"
+    row = only(comparison.packers, size=ALL_SIZES, packer="b")
     assert (row["n"], row["n_stable"], row["share"]) == (10, 8, 0.8)
     assert (row["low"], row["high"]) == pytest.approx((0.4902, 0.9433), abs=1e-4)
-    pair = only(found.pairs, size=ALL_SIZES)
+    pair = only(comparison.pairs, size=ALL_SIZES)
     assert [pair[name] for name in ("both", "only_a", "only_b", "neither")] == [5, 1, 3, 1]
     assert pair["difference"] == pytest.approx(0.2)
     assert pair["low"] < 0.2 < pair["high"]
     assert pair["p"] == pair["p_holm"] == pytest.approx(2 * (1 + 4) / 16)
-    assert found.decided[["plan_id", "won_by", "reason"]].values.tolist() == [
+    assert comparison.decided[["plan_id", "won_by", "reason"]].values.tolist() == [
         ["o6", "b", "shift"],
         ["o7", "b", "shift"],
         ["o8", "b", "shift"],
         ["o5", "a", "drop"],
     ]
-    assert only(found.reasons, lost_by="b") == {"a": "a", "b": "b", "lost_by": "b", "reason": "drop", "n": 1}
-    assert found.notes == ("10 plans of 10 are the same in all runs",)
+    assert only(comparison.reasons, lost_by="b") == {"a": "a", "b": "b", "lost_by": "b", "reason": "drop", "n": 1}
+    assert comparison.notes == ("10 plans of 10 are the same in all runs",)
 
 
 def test_the_order_of_runs_turns_the_sign_and_nothing_else(two: tuple[Path, Path]) -> None:
-    there, back = compare_packers(two), compare_packers(two[::-1])
-    forth, again = only(there.pairs, size=ALL_SIZES), only(back.pairs, size=ALL_SIZES)
+    forward, back = compare_packers(two), compare_packers(two[::-1])
+    forth, again = only(forward.pairs, size=ALL_SIZES), only(back.pairs, size=ALL_SIZES)
     assert (forth["low"], forth["high"]) == pytest.approx((-again["high"], -again["low"]))
     assert forth["p"] == again["p"]
-    assert {*there.decided["plan_id"]} == {*back.decided["plan_id"]}
+    assert {*forward.decided["plan_id"]} == {*back.decided["plan_id"]}
 
 
 def test_missing_and_invalid_orders_are_told_and_not_compared(tmp_path: Path) -> None:
     a = write(tmp_path / "a", {"x": stands(), "y": make_outcome(**INVALID), "z": stands()})
     b = write(tmp_path / "b", {"x": falls(), "y": stands()})
-    found = compare_packers([a, b])
-    of_a, of_b = (only(found.packers, size=ALL_SIZES, packer=name) for name in "ab")
+    comparison = compare_packers([a, b])
+    of_a, of_b = (only(comparison.packers, size=ALL_SIZES, packer=name) for name in "ab")
     assert (of_a["n"], of_a["n_orders"], of_a["n_invalid"], of_a["n_missing"]) == (1, 3, 1, 0)
     assert (of_b["n"], of_b["n_orders"], of_b["n_invalid"], of_b["n_missing"]) == (1, 3, 0, 1)
     assert (of_a["share_at_worst"], of_b["share_at_worst"]) == pytest.approx((2 / 3, 1 / 3))
-    assert found.plans.set_index(["plan_id", "packer"]).loc[("z", "b"), "verdict"] == "missing"
-    text = printed(found, 100)
+    assert comparison.plans.set_index(["plan_id", "packer"]).loc[("z", "b"), "verdict"] == "missing"
+    text = printed(comparison, 100)
     assert "2 of 3 orders are not compared: a 1 invalid, b 1 missing" in text
     assert "share that stands if these plans count as unstable: a 66.7 %, b 33.3 %" in text
 
 
 def test_no_common_order(tmp_path: Path) -> None:
-    found = compare_packers([write(tmp_path / "a", {"x": stands()}), write(tmp_path / "b", {"y": stands()})])
-    assert "no order has a valid verdict from every packer" in found.notes
-    assert only(found.pairs, size=ALL_SIZES)["n"] == 0
-    assert json.dumps(found.to_dict(), allow_nan=False)
-    text = printed(found, 80)
+    comparison = compare_packers([write(tmp_path / "a", {"x": stands()}), write(tmp_path / "b", {"y": stands()})])
+    assert "no order has a valid verdict from every packer" in comparison.notes
+    assert only(comparison.pairs, size=ALL_SIZES)["n"] == 0
+    assert json.dumps(comparison.to_dict(), allow_nan=False)
+    text = printed(comparison, 80)
     assert "2 of 2 orders are not compared: a 1 missing, b 1 missing" in text
     assert "McNemar" not in text
 
@@ -132,11 +132,11 @@ def test_three_packers_are_corrected_by_holm(tmp_path: Path) -> None:
         "b": {f"o{k}": falls() for k in range(8)},
         "c": {f"o{k}": falls() if k < 6 else stands() for k in range(8)},
     }
-    found = compare_packers({name: write(tmp_path / name, each) for name, each in worlds.items()})
-    whole = found.pairs[found.pairs["size"] == ALL_SIZES]
-    assert whole[["a", "b"]].values.tolist() == [["a", "b"], ["a", "c"], ["b", "c"]]
-    assert whole["p"].tolist() == pytest.approx([2 / 2**8, 2 / 2**6, 0.5])
-    assert whole["p_holm"].tolist() == pytest.approx([3 * 2 / 2**8, 2 * 2 / 2**6, 0.5])
+    comparison = compare_packers({name: write(tmp_path / name, orders) for name, orders in worlds.items()})
+    overall = comparison.pairs[comparison.pairs["size"] == ALL_SIZES]
+    assert overall[["a", "b"]].values.tolist() == [["a", "b"], ["a", "c"], ["b", "c"]]
+    assert overall["p"].tolist() == pytest.approx([2 / 2**8, 2 / 2**6, 0.5])
+    assert overall["p_holm"].tolist() == pytest.approx([3 * 2 / 2**8, 2 * 2 / 2**6, 0.5])
 
 
 def test_utilisation_has_one_target_for_all_packers(tmp_path: Path) -> None:
@@ -144,8 +144,8 @@ def test_utilisation_has_one_target_for_all_packers(tmp_path: Path) -> None:
     flat = plans.make_plan("o", [((400.0, 300.0, 200.0), (450.0 * k, 0.0, 0.0), 5.0) for k in range(2)])
     a = write(tmp_path / "a", {"o": make_outcome(n=2)}, {"o": flat})
     b = write(tmp_path / "b", {"o": stands()})
-    found = compare_packers([a, b])
-    of_a, of_b = (only(found.plans, packer=name) for name in "ab")
+    comparison = compare_packers([a, b])
+    of_a, of_b = (only(comparison.plans, packer=name) for name in "ab")
     assert (of_a["height_m"], of_b["height_m"]) == pytest.approx((0.2, 0.6))
     assert (of_a["volume_m3"], of_b["volume_m3"]) == pytest.approx((0.048, 0.072))
     assert of_a["kpi_2"] == pytest.approx(0.048 / (1.2 * 0.8 * 0.2))
@@ -167,9 +167,9 @@ def test_sizes_are_those_of_the_largest_plan(tmp_path: Path) -> None:
     tall = {name: plans.make_plan(name, 25) for name in "xy"}
     a = write(tmp_path / "a", {name: make_outcome(n=25) for name in "xy"}, tall)
     b = write(tmp_path / "b", {"x": make_outcome(n=25), "y": falls()}, {"x": tall["x"]})
-    found = compare_packers([a, b])
-    assert only(found.packers, packer="b", size="21 to 40")["n_stable"] == 1
-    assert set(found.packers["size"]) == {ALL_SIZES, "21 to 40"}
+    comparison = compare_packers([a, b])
+    assert only(comparison.packers, packer="b", size="21 to 40")["n_stable"] == 1
+    assert set(comparison.packers["size"]) == {ALL_SIZES, "21 to 40"}
 
 
 def test_sizes_without_a_compared_order_are_not_shown(tmp_path: Path) -> None:
@@ -183,8 +183,8 @@ def test_sizes_without_a_compared_order_are_not_shown(tmp_path: Path) -> None:
 
 
 def test_one_plan_that_is_the_same(tmp_path: Path) -> None:
-    found = compare_packers([write(tmp_path / name, {"x": stands()}) for name in "ab"])
-    assert found.notes == ("1 plan of 1 is the same in all runs",)
+    comparison = compare_packers([write(tmp_path / name, {"x": stands()}) for name in "ab"])
+    assert comparison.notes == ("1 plan of 1 is the same in all runs",)
 
 
 def test_doubts_are_notes(tmp_path: Path) -> None:
@@ -199,9 +199,9 @@ def test_doubts_are_notes(tmp_path: Path) -> None:
 def test_runs_of_before_say_that_they_have_no_utilisation(tmp_path: Path) -> None:
     with RunWriter(tmp_path / "old", CONFIG) as run:
         run.add(plans.make_plan("x"), 0, "adaptive", stands())
-    found = compare_packers([tmp_path / "old", write(tmp_path / "b", {"x": stands()})])
-    assert any("no utilisation of old" in note for note in found.notes)
-    assert np.isnan(only(found.packers, size=ALL_SIZES, packer="old")["kpi_2"])
+    comparison = compare_packers([tmp_path / "old", write(tmp_path / "b", {"x": stands()})])
+    assert any("no utilisation of old" in note for note in comparison.notes)
+    assert np.isnan(only(comparison.packers, size=ALL_SIZES, packer="old")["kpi_2"])
 
 
 def test_what_cannot_be_compared_is_one_line(tmp_path: Path) -> None:
@@ -236,9 +236,9 @@ def test_tables_fit_into_the_terminal(two: tuple[Path, Path], columns: int) -> N
 
 
 def test_files_hold_all_tables(two: tuple[Path, Path], tmp_path: Path) -> None:
-    found = compare_packers(two)
-    write_comparison(found, tmp_path / "deep" / "out")
-    for name, table in found.tables.items():
+    comparison = compare_packers(two)
+    write_comparison(comparison, tmp_path / "deep" / "out")
+    for name, table in comparison.tables.items():
         read = pd.read_parquet(tmp_path / "deep" / "out" / f"{name}.parquet")
         pd.testing.assert_frame_equal(read, table, check_dtype=False)
         fields = pq.read_schema(tmp_path / "deep" / "out" / f"{name}.parquet")
@@ -246,7 +246,7 @@ def test_files_hold_all_tables(two: tuple[Path, Path], tmp_path: Path) -> None:
         assert len(pd.read_csv(tmp_path / "deep" / "out" / f"{name}.csv")) == len(table)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file: cannot be written"):
-        write_comparison(found, tmp_path / "file")
+        write_comparison(comparison, tmp_path / "file")
 
 
 # -- compare of simulators knows other plans by their digests ----------------------------------------------------------
@@ -256,12 +256,12 @@ def test_metrics_of_other_plans_are_not_compared(tmp_path: Path) -> None:
     heavier = plans.make_plan("y", plans.stack(3, kg=6.0))
     a = write(tmp_path / "a", {"x": stands(), "y": stands()})
     b = write(tmp_path / "b", {"x": stands(), "y": stands()}, {"y": heavier})
-    found = compare_runs(a, b)
-    assert found.other_plans == ("y",)
-    assert any("1 of 2 plans is not the same in b" in note and "--packers" in note for note in found.notes)
-    assert found.n_common == 2
-    assert only(found.worlds, metric="max_shift_m", group="both stable")["n"] == 1
-    assert only(found.boxes, metric="max_tilt_deg", group="both stable")["n"] == 3
+    comparison = compare_runs(a, b)
+    assert comparison.other_plans == ("y",)
+    assert any("1 of 2 plans is not the same in b" in note and "--packers" in note for note in comparison.notes)
+    assert comparison.n_common == 2
+    assert only(comparison.worlds, metric="max_shift_m", group="both stable")["n"] == 1
+    assert only(comparison.boxes, metric="max_tilt_deg", group="both stable")["n"] == 3
 
 
 def test_differences_have_a_sign_where_it_means_something(tmp_path: Path) -> None:
@@ -269,8 +269,10 @@ def test_differences_have_a_sign_where_it_means_something(tmp_path: Path) -> Non
     later.first_sign_s = 1.0
     more = make_outcome(max_tilt_deg=np.array([1.0, 2.0, 2.5]))
     a = write(tmp_path / "a", {"x": dropped_outcome(), "y": make_outcome()})
-    found = compare_runs(a, write(tmp_path / "b", {"x": later, "y": more}))
-    assert only(found.worlds, metric="first_sign_s", group="same verdict")["mean"] == pytest.approx(0.6)
-    assert only(found.boxes, metric="max_tilt_deg", group="both stable")["mean"] == pytest.approx(-0.5 / 3, rel=1e-5)
+    comparison = compare_runs(a, write(tmp_path / "b", {"x": later, "y": more}))
+    assert only(comparison.worlds, metric="first_sign_s", group="same verdict")["mean"] == pytest.approx(0.6)
+    assert only(comparison.boxes, metric="max_tilt_deg", group="both stable")["mean"] == pytest.approx(
+        -0.5 / 3, rel=1e-5
+    )
     for metric in ("shift_x_m", "position_m", "orientation_deg"):
-        assert np.isnan(only(found.boxes, metric=metric, group="both stable")["mean"])
+        assert np.isnan(only(comparison.boxes, metric=metric, group="both stable")["mean"])

@@ -28,8 +28,8 @@ EXTENT = TARGET_EXTENT_MM[DRAWN.target]
 def grown(packing: Packing, boxes: int) -> Packing:
     """With so many boxes more, not always the best candidates, if there are any."""
     for number in range(boxes):
-        if found := packing.next(2 + number % 2):
-            packing.put(found[-1])
+        if candidates := packing.next(2 + number % 2):
+            packing.put(candidates[-1])
     return packing
 
 
@@ -58,40 +58,40 @@ def test_one_that_becomes_too_high_is_given_up() -> None:
 
 
 def test_python_says_whether_a_box_tips_over_whose_weight_acts_on_an_edge(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = []
+    answers = []
     tips = compiled.tips
 
     def noted(*arguments: Any) -> bool:
-        asked.append(tips(*arguments))
-        return asked[-1]
+        answers.append(tips(*arguments))
+        return answers[-1]
 
     monkeypatch.setattr(compiled, "tips", noted)
     order = draw_order(33, 9)
     for taste in TASTES:
         packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste)
         assert compiled.Compiled(packing)(packing) == packing.filled()
-    assert set(asked) == {True, False}
+    assert set(answers) == {True, False}
 
 
 @pytest.mark.parametrize("room", [{"POINTS": 9, "POINTS_PER_BOX": 0}, {"PLANES_PER_BOX": 1}])
 def test_where_there_is_no_room_python_fills_up(monkeypatch: pytest.MonkeyPatch, room: dict[str, int]) -> None:
     for name, number in room.items():
         monkeypatch.setattr(compiled, name, number)
-    packing, asked = Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), []
-    monkeypatch.setattr(packing, "filled", lambda *arguments: asked.append(arguments))
+    packing, calls = Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), []
+    monkeypatch.setattr(packing, "filled", lambda *arguments: calls.append(arguments))
     assert compiled.Compiled(packing)(packing) is None
-    assert asked == [(None, inf)]
+    assert calls == [(None, inf)]
 
 
 def test_areas_without_an_exact_sum_are_left_to_python(monkeypatch: pytest.MonkeyPatch) -> None:
     third = [replace(item, length_mm=item.length_mm + 1 / 3) for item in DRAWN.items]
     assert Packing(third, EXTENT, TASTES[0]).grain_mm < compiled.GRAIN_MM
     assert Packing(DRAWN.items, EXTENT, TASTES[0], 2.25).grain_mm == 0.25
-    asked = []
-    monkeypatch.setattr(Packing, "filled", lambda *arguments: asked.append(arguments[1:]))
+    calls = []
+    monkeypatch.setattr(Packing, "filled", lambda *arguments: calls.append(arguments[1:]))
     packing = Packing(third, EXTENT, TASTES[0])
     assert compiled.Compiled(packing)(packing) is None
-    assert asked == [(None, inf)]
+    assert calls == [(None, inf)]
 
 
 def test_a_search_finds_the_same_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,10 +99,10 @@ def test_a_search_finds_the_same_without_it(monkeypatch: pytest.MonkeyPatch) -> 
     items = DRAWN.items[:18]
     for steps in (80, 6):
         monkeypatch.setattr(beam_module, "MOST_STEPS", steps)
-        found = search(items, EXTENT, 3.0, width=2, branch=3)
+        packings = search(items, EXTENT, 3.0, width=2, branch=3)
         with monkeypatch.context() as without:
             without.setattr(beam_module, "why_no_warp_on_cpu", lambda: "Warp is not installed")
-            assert search(items, EXTENT, 3.0, width=2, branch=3) == found
+            assert search(items, EXTENT, 3.0, width=2, branch=3) == packings
 
 
 @pytest.mark.parametrize("broken", ["module", "compiler"])

@@ -116,9 +116,9 @@ def test_the_ready_made_errors_are_a_sweep_too() -> None:
     assert len(results.worlds) == 16
     assert results.summary is not None
     assert results.summary["low"].notna().all()
-    asked = confidence_sweep(16, None, {})
-    assert asked.file == str(ready_sweeps()[READY_MADE])
-    assert (asked.replicates, asked.nominal) == (16, True)
+    definition = confidence_sweep(16, None, {})
+    assert definition.file == str(ready_sweeps()[READY_MADE])
+    assert (definition.replicates, definition.nominal) == (16, True)
 
 
 GAP = petmjx.Plan.from_boxes(
@@ -226,13 +226,13 @@ def test_sweeps_have_no_confidence(tmp_path: Path) -> None:
 
 
 def test_shards_give_the_same_and_runs_go_on(tmp_path: Path) -> None:
-    whole = score(confidence=4, out=tmp_path / "whole")
-    expected = tables(whole)
+    unsharded = score(confidence=4, out=tmp_path / "whole")
+    expected = tables(unsharded)
     for share in (1, 2, 3):
         score(confidence=4, shard=f"{share}/3", out=tmp_path / str(share))
     merged = petmjx.merge_runs([tmp_path / str(share) for share in (1, 2, 3)], tmp_path / "merged")
     assert_same(merged, expected)
-    assert merged.units("summary") == whole.units("summary")
+    assert merged.units("summary") == unsharded.units("summary")
 
     (tmp_path / "whole/worlds/part-00000.parquet").unlink()
     again = score(confidence=4, out=tmp_path / "whole", resume=True)

@@ -120,8 +120,8 @@ FORMS: dict[str, Callable[[Boxes], Any]] = {"json": as_json, "csv": as_table, "f
 
 def gathered(plans: Any, **options: Any) -> list[str]:
     """What a run says of these plans: lines about conventions, or why there is none."""
-    found = gather_plans(plans, Simulation(carrier=Carrier.EURO_PALLET), RunOptions(**options))
-    return [*found.conventions, *(skipped.message for skipped in found.skipped)]
+    plan_set = gather_plans(plans, Simulation(carrier=Carrier.EURO_PALLET), RunOptions(**options))
+    return [*plan_set.conventions, *(skipped.message for skipped in plan_set.skipped)]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -176,12 +176,12 @@ def test_plans_are_counted_and_told_once() -> None:
     plans = [replace(as_plan(centres), plan_id=f"p{k}") for k in range(300)]
     floating = [((100.0, 100.0, 100.0), (300.0 * k, 0.0, 40.0 * k), 1.0) for k in range(3)]
     odd = [make_plan(f"q{k}", floating) for k in range(140)]
-    found = gather_plans([*odd, SOUND, *plans], Simulation(), RunOptions())
-    (line,) = found.conventions
+    plan_set = gather_plans([*odd, SOUND, *plans], Simulation(), RunOptions())
+    (line,) = plan_set.conventions
     assert "(290 of 441 plans)" in line  # the first ten only bring the next plan that is read in all ways nearer
     lowest = int(SOUND.corner_mm[:, 2].argmin())
     assert f"box {lowest} ({SOUND.articles[lowest]}), floats by half its height" in line
-    assert len(found.warnings) == 440
+    assert len(plan_set.warnings) == 440
 
 
 def test_odd_plans_of_no_convention_are_not_explained() -> None:
@@ -192,23 +192,23 @@ def test_odd_plans_of_no_convention_are_not_explained() -> None:
         plan = Plan.from_boxes(f"p{k}", _columns(placed))
         plan.corner_mm[rng.integers(0, plan.n_boxes, 4), 2] += rng.uniform(5, 80, 4)
         odd.append(plan)
-    found = gather_plans(odd, Simulation(), RunOptions())
-    assert len(found.warnings) > 900
-    assert found.conventions == []
+    plan_set = gather_plans(odd, Simulation(), RunOptions())
+    assert len(plan_set.warnings) > 900
+    assert plan_set.conventions == []
 
 
 def test_python_warns_where_it_was_called_and_once_of_a_set() -> None:
     file = as_json(boxes(MISTAKES["centres"]))
     with pytest.warns(PlanWarning, match="anchor centre") as caught:
-        found = petmjx.load_plans(file)
-    assert [each.filename for each in caught] == [__file__]
+        plan_set = petmjx.load_plans(file)
+    assert [warning.filename for warning in caught] == [__file__]
     quick = {"engine": "mujoco", "check": "static", "duration_s": 0.01}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        results = petmjx.score(found, **quick)  # it was told when the plans were read
-    assert results.info["warnings"][0] == found.conventions[0] == str(caught[0].message)
+        results = petmjx.score(plan_set, **quick)  # it was told when the plans were read
+    assert results.info["warnings"][0] == plan_set.conventions[0] == str(caught[0].message)
     with pytest.warns(PlanWarning, match="anchor centre"):
-        petmjx.score(found.plans, **quick)
+        petmjx.score(plan_set.plans, **quick)
 
 
 def test_a_run_remembers_how_its_plans_were_read() -> None:
@@ -299,6 +299,6 @@ def test_right_plans_whose_rows_are_flush_in_y_are_not_suspected(seed: int) -> N
         upper = rng.choice(np.arange(18, 27), 3, replace=False)
         corner[upper, 2] += rng.choice([-12.0, 8.0, 60.0], 3)
     plan = Plan.from_boxes("A", size_mm=np.tile(size, (27, 1)), corner_mm=corner, mass_kg=np.full(27, 5.0))
-    found = gather_plans([plan], Simulation(carrier=Carrier.EURO_PALLET), RunOptions())
-    assert found.warnings
-    assert found.conventions == []
+    plan_set = gather_plans([plan], Simulation(carrier=Carrier.EURO_PALLET), RunOptions())
+    assert plan_set.warnings
+    assert plan_set.conventions == []

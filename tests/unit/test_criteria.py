@@ -33,13 +33,13 @@ def asked(boxes: Sequence[Box], friction: Friction = MU) -> Answers:
     return answer(make_plan(boxes=boxes), CRITERIA, friction, 0.5)
 
 
-def says(found: Answers, box: int = -1) -> dict[str, bool]:
+def says(answers: Answers, box: int = -1) -> dict[str, bool]:
     """What each criterion says of a box (of the last one)."""
-    return {name: bool(found.stable[box, number] == YES) for number, name in enumerate(NAMES)}
+    return {name: bool(answers.stable[box, number] == YES) for number, name in enumerate(NAMES)}
 
 
-def slack(found: Answers, name: str, box: int = -1) -> float:
-    return float(found.slack[box, NAMES.index(name)])
+def slack(answers: Answers, name: str, box: int = -1) -> float:
+    return float(answers.slack[box, NAMES.index(name)])
 
 
 def box(x: float, y: float, z: float, dx: float, dy: float, dz: float, kg: float = 1.0) -> Box:
@@ -55,73 +55,73 @@ HULL = ("centre", "load_polygon", "stacking_tree", "equilibrium", "force_balance
 
 
 def test_overhang_below_half_stands() -> None:
-    found = asked(stack(overhang_mm=190))
-    answers = says(found)
+    plan_answers = asked(stack(overhang_mm=190))
+    answers = says(plan_answers)
     assert all(answers[name] for name in HULL)
     assert answers["support_50"]
     assert not answers["support_60"]
-    assert found.share[1] == pytest.approx(210 / 400)
+    assert plan_answers.share[1] == pytest.approx(210 / 400)
     for name in HULL[:4]:
-        assert slack(found, name) == pytest.approx(10)
+        assert slack(plan_answers, name) == pytest.approx(10)
     # the centre is 95 mm from the middle of a contact that is 210 mm long
-    assert slack(found, "force_balance") == pytest.approx(1 - 95 / 105)
-    assert found.corners.tolist() == [4, 2]
+    assert slack(plan_answers, "force_balance") == pytest.approx(1 - 95 / 105)
+    assert plan_answers.corners.tolist() == [4, 2]
 
 
 def test_overhang_above_half_falls() -> None:
-    found = asked(stack(overhang_mm=210))
-    assert not any(says(found)[name] for name in HULL)
-    assert all(slack(found, name) == pytest.approx(-10) for name in HULL[:4])
-    assert slack(found, "force_balance") == pytest.approx(1 - 105 / 95)
-    assert all(says(found, 0).values())
+    plan_answers = asked(stack(overhang_mm=210))
+    assert not any(says(plan_answers)[name] for name in HULL)
+    assert all(slack(plan_answers, name) == pytest.approx(-10) for name in HULL[:4])
+    assert slack(plan_answers, "force_balance") == pytest.approx(1 - 105 / 95)
+    assert all(says(plan_answers, 0).values())
 
 
 def test_an_overhang_of_one_half_is_on_the_edge_and_stands() -> None:
-    found = asked(stack(overhang_mm=200))
-    assert all(says(found)[name] for name in HULL)
-    assert all(slack(found, name) == pytest.approx(0, abs=1e-9) for name in HULL)
+    plan_answers = asked(stack(overhang_mm=200))
+    assert all(says(plan_answers)[name] for name in HULL)
+    assert all(slack(plan_answers, name) == pytest.approx(0, abs=1e-9) for name in HULL)
 
 
 def test_bridge() -> None:
-    found = asked([beam(0, 100, 0, 200), beam(300, 400, 0, 200), beam(0, 400, 200, 300)])
-    answers = says(found)
+    plan_answers = asked([beam(0, 100, 0, 200), beam(300, 400, 0, 200), beam(0, 400, 200, 300)])
+    answers = says(plan_answers)
     assert all(answers[name] for name in (*HULL, "three_corners", "support_50"))
     assert not answers["support_60"]
     # 4 corners and exactly half of the base: more than half is asked for
-    assert slack(found, "corner_area_code") == 0
+    assert slack(plan_answers, "corner_area_code") == 0
     assert not answers["corner_area_code"]
-    assert slack(found, "centre") == pytest.approx(150)
-    assert slack(found, "force_balance") == pytest.approx(1)
+    assert slack(plan_answers, "centre") == pytest.approx(150)
+    assert slack(plan_answers, "force_balance") == pytest.approx(1)
 
 
 def test_l_shaped_support_is_the_hull_of_two_rectangles() -> None:
     supports = [box(0, 0, 0, 100, 400, 200), box(100, 0, 0, 300, 100, 200)]
-    found = asked([*supports, box(0, 0, 200, 400, 400, 100)])
-    assert found.share[2] == pytest.approx(0.4375)
-    assert found.corners[2] == 3
-    assert says(found)["three_corners"]
+    plan_answers = asked([*supports, box(0, 0, 200, 400, 400, 100)])
+    assert plan_answers.share[2] == pytest.approx(0.4375)
+    assert plan_answers.corners[2] == 3
+    assert says(plan_answers)["three_corners"]
     # the hull's slanting edge is x + y = 500, the centre (200, 200)
     for name in HULL[:2]:
-        assert slack(found, name) == pytest.approx(100 / np.sqrt(2))
+        assert slack(plan_answers, name) == pytest.approx(100 / np.sqrt(2))
     for name in HULL[2:4]:  # the supports, on 100 mm of the carrier, are asked again
-        assert 0 < slack(found, name) <= 50
+        assert 0 < slack(plan_answers, name) <= 50
 
 
 def test_l_shaped_support_beside_the_centre_falls() -> None:
     supports = [box(0, 0, 0, 50, 400, 200), box(50, 0, 0, 350, 50, 200)]
-    found = asked([*supports, box(0, 0, 200, 400, 400, 100), box(300, 300, 300, 100, 100, 100, kg=3)])
+    answers = asked([*supports, box(0, 0, 200, 400, 400, 100), box(300, 300, 300, 100, 100, 100, kg=3)])
     # hull's edge x + y = 450: the box stands, and tips under the load at (350, 350)
-    assert all(says(found, 2)[name] for name in HULL)
-    assert says(found)["centre"]
-    assert not any(says(found)[name] for name in HULL[1:])
+    assert all(says(answers, 2)[name] for name in HULL)
+    assert says(answers)["centre"]
+    assert not any(says(answers)[name] for name in HULL[1:])
 
 
 def test_tower() -> None:
-    found = asked(stack(5))
-    assert (found.stable == YES).all()
-    assert slack(found, "centre") == pytest.approx(150)
-    assert slack(found, "force_balance") == pytest.approx(1)
-    assert found.share.tolist() == [1] * 5
+    answers = asked(stack(5))
+    assert (answers.stable == YES).all()
+    assert slack(answers, "centre") == pytest.approx(150)
+    assert slack(answers, "force_balance") == pytest.approx(1)
+    assert answers.share.tolist() == [1] * 5
 
 
 SUPPORT = beam(0, 150, 0, 200)
@@ -150,13 +150,13 @@ def test_cantilever_held_down_from_above() -> None:
     column, across = beam(-200, -20, 0, 300), beam(-100, 120, 300, 400, kg=10)
     end = beam(250, 300, 300, 400, kg=20)
     boxes = [beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, end]
-    found = asked(boxes)
+    answers = asked(boxes)
     # about x = 200: the plank's 2·50 and 10·190 hold against 20·75; shared out evenly, 10 holds less
-    assert says(found)["force_balance"]
-    assert says(found)["equilibrium"]
+    assert says(answers)["force_balance"]
+    assert says(answers)["equilibrium"]
     contacts = find_contacts(make_plan(boxes=boxes))
     assert load_slack(contacts, contact_hulls(contacts), even_bedding)[-1] < 0
-    assert not says(found)["stacking_tree"]
+    assert not says(answers)["stacking_tree"]
     heavier = asked([beam(100, 200, 0, 200), column, beam(0, 300, 200, 300, kg=2), across, (*end[:2], 27.0)])
     assert not says(heavier)["force_balance"]  # 27·75 > 100 + 1900
 
@@ -166,9 +166,9 @@ LEANING = [beam(0, 400, 0, 200, kg=5), beam(630, 1030, 0, 400, kg=10), beam(230,
 
 def test_a_box_leans_on_its_neighbour() -> None:
     """Its centre is 30 mm beyond the edge; pressing 200 mm above it, the neighbour needs 0.15 of its weight."""
-    found = asked(LEANING)
-    assert says(found)["force_balance_leaning"]
-    assert not says(found)["force_balance"]
+    answers = asked(LEANING)
+    assert says(answers)["force_balance_leaning"]
+    assert not says(answers)["force_balance"]
     assert not says(asked(LEANING, Friction(0.14)))["force_balance_leaning"]
     assert says(asked(LEANING, Friction(0.16)))["force_balance_leaning"]
     light = [LEANING[0], (*LEANING[1][:2], 1.0), LEANING[2]]
@@ -177,18 +177,18 @@ def test_a_box_leans_on_its_neighbour() -> None:
 
 @pytest.mark.parametrize("friction", [MU, Friction(0.5, 0.5)])
 def test_between_neighbours_nothing_hangs_in_the_air(friction: Friction) -> None:
-    found = asked([beam(0, 200, 0, 400, 20), beam(400, 600, 0, 400, 20), beam(200, 400, 200, 300)], friction)
-    assert not any(says(found).values())
-    assert all(np.isnan(slack(found, name)) for name in HULL)
-    assert found.n_supports[2] == 0
-    assert found.share[2] == 0
+    answers = asked([beam(0, 200, 0, 400, 20), beam(400, 600, 0, 400, 20), beam(200, 400, 200, 300)], friction)
+    assert not any(says(answers).values())
+    assert all(np.isnan(slack(answers, name)) for name in HULL)
+    assert answers.n_supports[2] == 0
+    assert answers.share[2] == 0
 
 
 def test_what_is_placed_later_bears_nothing_that_is_there() -> None:
-    found = asked([beam(0, 400, 200, 400), beam(0, 400, 0, 200)])
-    assert not says(found, 0)["centre"]
-    assert says(found)["centre"]
-    assert found.stable[:, NAMES.index("force_balance")].tolist() == [NO, NOT_ASKED]
+    answers = asked([beam(0, 400, 200, 400), beam(0, 400, 0, 200)])
+    assert not says(answers, 0)["centre"]
+    assert says(answers)["centre"]
+    assert answers.stable[:, NAMES.index("force_balance")].tolist() == [NO, NOT_ASKED]
 
 
 def test_area_of_overlapping_supports_counts_once() -> None:
@@ -213,9 +213,9 @@ def test_what_is_too_much_for_a_box_below_is_refused() -> None:
     """Three boxes of 10 kg on top of each other: the lowest bears 196 N, the one above it 98 N, if it can."""
     plan = make_plan(boxes=[box(0, 0, 200.0 * level, 400, 300, 200, 10.0) for level in range(3)])
     known = replace(plan, strength_n=np.array([150.0, np.nan, np.nan]))
-    found = answer(known, CRITERIA, MU, 0.5)
-    assert found.slack[:, NAMES.index("strength")] == pytest.approx([1.0, 1 - 98.1 / 150, 1 - 196.2 / 150])
-    assert found.stable[:, NAMES.index("strength")].tolist() == [YES, YES, NO]
+    answers = answer(known, CRITERIA, MU, 0.5)
+    assert answers.slack[:, NAMES.index("strength")] == pytest.approx([1.0, 1 - 98.1 / 150, 1 - 196.2 / 150])
+    assert answers.stable[:, NAMES.index("strength")].tolist() == [YES, YES, NO]
     assert answer(plan, CRITERIA, MU, 0.5).slack[:, NAMES.index("strength")].tolist() == [1.0, 1.0, 1.0]
 
 
@@ -284,12 +284,12 @@ def test_force_balance_agrees_with_rays_on_random_stacks(lean: bool) -> None:
     while len(answers) < 250:
         boxes = random_stack(rng)
         contacts = find_contacts(make_plan(boxes=boxes))
-        found = balance_slack(contacts, contact_hulls(contacts), Friction(0.3), lean)[int(lean)]
+        slacks = balance_slack(contacts, contact_hulls(contacts), Friction(0.3), lean)[int(lean)]
         # up to the first failure, or some placement before it; a random box never floats
-        found = found[: rng.integers(1, np.count_nonzero(~np.isnan(found)) + 1)]
-        if abs(found.min()) >= 1e-6:
-            answers.append(bool(found.min() > 0))
-            assert answers[-1] == balanced_by_rays(boxes[: len(found)], 0.3, lean), boxes
+        slacks = slacks[: rng.integers(1, np.count_nonzero(~np.isnan(slacks)) + 1)]
+        if abs(slacks.min()) >= 1e-6:
+            answers.append(bool(slacks.min() > 0))
+            assert answers[-1] == balanced_by_rays(boxes[: len(slacks)], 0.3, lean), boxes
     assert 0.2 < np.mean(answers) < 0.8
 
 
@@ -299,10 +299,10 @@ def test_the_closed_form_of_one_box_is_what_its_linear_programme_finds() -> None
     for _ in range(60):
         contacts = find_contacts(make_plan(boxes=random_stack(rng, 4)))
         system, alone = _VerticalSystem(contacts), _slack_alone(contacts, contact_hulls(contacts))
-        for each in np.flatnonzero(~contacts.grounded):
-            if not contacts.grounded[contacts.lower[contacts.upper == each]].all():
+        for box_number in np.flatnonzero(~contacts.grounded):
+            if not contacts.grounded[contacts.lower[contacts.upper == box_number]].all():
                 continue  # part of a larger structure
-            assert system.slack(np.array([each])) == pytest.approx(min(alone[each], 1), abs=1e-6)
+            assert system.slack(np.array([box_number])) == pytest.approx(min(alone[box_number], 1), abs=1e-6)
             compared += 1
     assert compared > 60
 
@@ -322,32 +322,32 @@ def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
         boxes = random_stack(rng, 5)
         lifted = [*boards, *((size, (x, y, z + 100), kg) for size, (x, y, z), kg in boxes)]
         deck = np.array([((0.0, low), (600.0, high)) for low, high in edges.reshape(4, 2)])
-        found, twin = answer(make_plan(boxes=boxes), CRITERIA, MU, 0.5, deck), asked(lifted)
-        np.testing.assert_array_equal(found.n_supports, twin.n_supports[4:])
-        np.testing.assert_array_equal(found.corners, twin.corners[4:])
-        np.testing.assert_allclose(found.share, twin.share[4:], atol=1e-12)
-        np.testing.assert_allclose(found.slack[:, of_base], twin.slack[4:, of_base], atol=1e-9)
+        answers, twin = answer(make_plan(boxes=boxes), CRITERIA, MU, 0.5, deck), asked(lifted)
+        np.testing.assert_array_equal(answers.n_supports, twin.n_supports[4:])
+        np.testing.assert_array_equal(answers.corners, twin.corners[4:])
+        np.testing.assert_allclose(answers.share, twin.share[4:], atol=1e-12)
+        np.testing.assert_allclose(answers.slack[:, of_base], twin.slack[4:, of_base], atol=1e-9)
         same = [number for number in range(len(NAMES)) if number not in loads]
-        np.testing.assert_array_equal(found.stable[:, same], twin.stable[4:, same])
-        assert (found.stable[:, loads] >= twin.stable[4:, loads]).all()
-        compared, unstable = compared + found.stable.size, unstable + int((found.stable == NO).sum())
+        np.testing.assert_array_equal(answers.stable[:, same], twin.stable[4:, same])
+        assert (answers.stable[:, loads] >= twin.stable[4:, loads]).all()
+        compared, unstable = compared + answers.stable.size, unstable + int((answers.stable == NO).sum())
     assert 0.2 < unstable / compared < 0.8
 
 
 def test_a_box_over_a_gap_is_judged_by_what_bears_it() -> None:
     deck = np.array([((0.0, 0.0), (1000.0, 145.0)), ((0.0, 186.0), (1000.0, 286.0))])
     post = ((60.0, 60.0, 200.0), (100.0, 119.0, 0.0), 1.0)  # its centre 4 mm beyond the edge of the first board
-    found = answer(make_plan(boxes=[post]), CRITERIA, MU, 0.5, deck)
-    assert not any(says(found)[name] for name in HULL)
-    assert slack(found, "centre") == pytest.approx(-4)
-    assert found.share[0] == pytest.approx(26 / 60)
-    assert found.corners.tolist() == [2]
+    answers = answer(make_plan(boxes=[post]), CRITERIA, MU, 0.5, deck)
+    assert not any(says(answers)[name] for name in HULL)
+    assert slack(answers, "centre") == pytest.approx(-4)
+    assert answers.share[0] == pytest.approx(26 / 60)
+    assert answers.corners.tolist() == [2]
     bridge = ((60.0, 100.0, 200.0), (100.0, 115.0, 0.0), 1.0)
-    found = answer(make_plan(boxes=[bridge]), CRITERIA, MU, 0.5, deck)
-    assert all(says(found)[name] for name in HULL)
-    assert found.n_supports.tolist() == [2]
-    assert slack(found, "force_balance") == pytest.approx(1 - 0.5 / 50, abs=0.05)
-    assert found.share[0] == pytest.approx(59 / 100)
+    answers = answer(make_plan(boxes=[bridge]), CRITERIA, MU, 0.5, deck)
+    assert all(says(answers)[name] for name in HULL)
+    assert answers.n_supports.tolist() == [2]
+    assert slack(answers, "force_balance") == pytest.approx(1 - 0.5 / 50, abs=0.05)
+    assert answers.share[0] == pytest.approx(59 / 100)
 
 
 def test_friction_can_hold_what_vertical_forces_cannot() -> None:
@@ -361,9 +361,9 @@ def test_friction_can_hold_what_vertical_forces_cannot() -> None:
 def test_answers_do_not_depend_on_where_the_plan_is() -> None:
     boxes = random_stack(np.random.default_rng(3))
     moved = [(size, (x + 3000, y - 700, z), kg) for size, (x, y, z), kg in boxes]
-    here, there = asked(boxes), asked(moved)
-    assert (here.stable == there.stable).all()
-    assert there.slack == pytest.approx(here.slack, abs=1e-6, nan_ok=True)
+    here, moved_answers = asked(boxes), asked(moved)
+    assert (here.stable == moved_answers.stable).all()
+    assert moved_answers.slack == pytest.approx(here.slack, abs=1e-6, nan_ok=True)
 
 
 def test_equilibrium_has_the_sign_of_vertical_forces_that_balance() -> None:
@@ -384,8 +384,8 @@ def test_equilibrium_has_the_sign_of_vertical_forces_that_balance() -> None:
             if not row:
                 break
             below, z = row, z + height
-        found = asked(boxes, Friction(0.0, 0.0))
-        balance, equilibrium = (found.slack[:, NAMES.index(name)] for name in ("force_balance", "equilibrium"))
+        answers = asked(boxes, Friction(0.0, 0.0))
+        balance, equilibrium = (answers.slack[:, NAMES.index(name)] for name in ("force_balance", "equilibrium"))
         judged = ~np.isnan(balance)
         np.testing.assert_array_equal(equilibrium[judged] >= -1e-6, balance[judged] >= -1e-6)
         accepted.append(bool((balance[judged] >= -1e-6).all()))

@@ -62,9 +62,9 @@ def test_plans_that_all_stand_or_all_fall_tell_nothing_of_a_criterion(cells: lis
 @pytest.mark.parametrize("stands", [[True] * 4, [False] * 4, [True, True, False, False]])
 def test_no_threshold_where_none_tells_anything(stands: list[bool]) -> None:
     """All stand, all fall, or those with the larger numbers fall."""
-    threshold, found = best_threshold(np.arange(4.0), np.array(stands))
+    threshold, score = best_threshold(np.arange(4.0), np.array(stands))
     assert np.isnan(threshold)
-    assert found == 0
+    assert score == 0
 
 
 def test_without_a_threshold_nothing_is_judged() -> None:
@@ -95,16 +95,16 @@ def test_the_best_threshold_is_that_of_trying_all() -> None:
         number = np.round(rng.normal(size=60), 1)
         number[rng.random(60) < 0.1] = np.nan
         stands = number + rng.normal(size=60) > 0
-        threshold, found = best_threshold(number, stands)
+        threshold, score = best_threshold(number, stands)
         tried = [scores(confusion(number >= cut, stands))[2] for cut in np.arange(-4, 4, 0.05)]
-        assert found == pytest.approx(max(tried))
-        assert scores(confusion(number >= threshold, stands))[2] == pytest.approx(found)
+        assert score == pytest.approx(max(tried))
+        assert scores(confusion(number >= threshold, stands))[2] == pytest.approx(score)
 
 
 def test_no_threshold_where_all_numbers_are_equal() -> None:
-    threshold, found = best_threshold(np.ones(5), np.array([True, False, True, True, False]))
+    threshold, score = best_threshold(np.ones(5), np.array([True, False, True, True, False]))
     assert np.isnan(threshold)
-    assert found == 0
+    assert score == 0
 
 
 def test_halves_depend_on_id_and_seed_alone() -> None:
@@ -157,13 +157,13 @@ def test_thresholds_are_judged_on_the_other_half() -> None:
     results = petmjx.criteria(plans, only=("support_100", "centre"))
     # a physics in which boxes fall from an overhang of 120 mm on
     physics = worlds(**{f"p{k}": "stable" if x < 120 else "unstable" for k, x in enumerate(overhangs)})
-    found = best_thresholds(results.plans, physics, results.criteria).set_index("criterion")
-    assert found.loc["support_100", "threshold"] == pytest.approx(1 - 120 / 400, abs=0.03)
-    assert found.loc["centre", "threshold"] == pytest.approx(200 - 120, abs=12)
-    assert (found["n_found_on"] + found["n_plans"]).tolist() == [120, 120]
-    assert (found["mcc_found_on"] == 1).all()
-    assert (found["mcc"] > 0.9).all()
-    assert (found["mcc"] > found["mcc_published"]).all()
+    thresholds = best_thresholds(results.plans, physics, results.criteria).set_index("criterion")
+    assert thresholds.loc["support_100", "threshold"] == pytest.approx(1 - 120 / 400, abs=0.03)
+    assert thresholds.loc["centre", "threshold"] == pytest.approx(200 - 120, abs=12)
+    assert (thresholds["n_found_on"] + thresholds["n_plans"]).tolist() == [120, 120]
+    assert (thresholds["mcc_found_on"] == 1).all()
+    assert (thresholds["mcc"] > 0.9).all()
+    assert (thresholds["mcc"] > thresholds["mcc_published"]).all()
 
 
 def test_plans_summarise_their_boxes() -> None:
@@ -239,14 +239,14 @@ def test_hand_made_plans_fall_where_force_balance_says() -> None:
     plans = [plan for plan in petmjx.load_plans(bundled_path()) if plan.plan_id.startswith("hand-")]
     run = petmjx.score(plans, engine="mujoco")
     stands = run.worlds.set_index("plan_id")["verdict"] == "stable"
-    said = petmjx.criteria(plans, run=run).plans.set_index("plan_id")
+    table = petmjx.criteria(plans, run=run).plans.set_index("plan_id")
     for name, wrong in (("force_balance", []), ("equilibrium", []), ("stacking_tree", ["hand-staircase"])):
-        assert said.index[said[name] != stands[said.index]].tolist() == [*wrong, "hand-drop-of-5-mm"], name
+        assert table.index[table[name] != stands[table.index]].tolist() == [*wrong, "hand-drop-of-5-mm"], name
     text = study(petmjx.criteria(plans, run=run), run)
     assert "**12 plans** with" in text
     assert "| `stacking_tree` | stable | falls | 1 | `hand-staircase` (" in text
     assert "| `force_balance_leaning` | not stable | stands | 1 | `hand-drop-of-5-mm` (none; " in text
-    failed = said["force_balance_first"].dropna()
+    failed = table["force_balance_first"].dropna()
     culprit = run.worlds.set_index("plan_id")["culprit"].dropna()
     assert failed[culprit.index].tolist() == culprit.tolist()
 

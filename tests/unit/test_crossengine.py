@@ -84,9 +84,9 @@ class MadeUp:
 def test_boxes_that_rest_stand_and_are_placed_one_by_one() -> None:
     scene, sim = make_scene(3), Simulation()
     world = MadeUp(scene, lambda box, seconds: (0.0, 0.0, 0.0))
-    stood = stand(world, scene, sim)
-    assert (stood.verdict, stood.margin, stood.moving) == (Verdict.STABLE, 1.0, False)
-    assert stood.boxes.rest_top_force_n.tolist() == [0.0, 1.0, 2.0]
+    outcome = stand(world, scene, sim)
+    assert (outcome.verdict, outcome.margin, outcome.moving) == (Verdict.STABLE, 1.0, False)
+    assert outcome.boxes.rest_top_force_n.tolist() == [0.0, 1.0, 2.0]
     # as petmjx: after three looks, 15 steps of 2 ms
     assert np.diff(world.placed_at).tolist() == [30, 30]
     together = MadeUp(scene, lambda box, seconds: (0.0, 0.0, 0.0))
@@ -111,8 +111,8 @@ def test_boxes_that_move_are_judged_as_petmjx_judges_them(
     path: Callable[[int, float], tuple[float, float, float]], verdict: Verdict, reason: Reason, moving: bool
 ) -> None:
     scene = make_scene(1)
-    stood = stand(MadeUp(scene, path), scene, Simulation())
-    assert (stood.verdict, stood.reason, stood.moving) == (verdict, reason, moving)
+    outcome = stand(MadeUp(scene, path), scene, Simulation())
+    assert (outcome.verdict, outcome.reason, outcome.moving) == (verdict, reason, moving)
 
 
 def test_forces_press_on_the_lower_box_whichever_comes_first() -> None:

@@ -45,8 +45,8 @@ QUICK_S = 2.0
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_a_sample_of_damaged_files_costs_at_most_a_line_each(kind: str, tmp_path: Path) -> None:
     """``PYTHONPATH=.:tests python -m support.damage`` tries 50,000."""
-    found = [(seed, try_one(kind, seed, tmp_path)[1]) for seed in range(N_EACH)]
-    assert [(seed, what) for seed, what in found if what is not None] == []
+    messages = [(seed, try_one(kind, seed, tmp_path)[1]) for seed in range(N_EACH)]
+    assert [(seed, message) for seed, message in messages if message is not None] == []
 
 
 READERS = {
@@ -79,9 +79,9 @@ def test_folders_and_fifos_among_plan_files_do_not_stop_the_others() -> None:
     os.mkfifo(folder / "b.json")
     (folder / "c.json").symlink_to("gone.json")
     write(folder / "d.json", {"A": tower(1)})
-    found = load_plans(folder)
-    assert [plan.plan_id for plan in found] == ["A"]
-    assert [str(skipped).partition("(")[2] for skipped in found.skipped] == [
+    plan_set = load_plans(folder)
+    assert [plan.plan_id for plan in plan_set] == ["A"]
+    assert [str(skipped).partition("(")[2] for skipped in plan_set.skipped] == [
         "it is a FIFO, not a file)",
         "No such file or directory)",
     ]
@@ -191,14 +191,14 @@ def test_values_of_very_different_lengths_are_read_in_linear_time() -> None:
 def test_long_names_are_refused_in_a_short_line() -> None:
     long = "n" * 3_000_000
     plans = {long: tower(1), "item": [placement(id=long)], "article": [placement(article=long)], "good": tower(1)}
-    found = load_plans(write(Path("p.json"), plans))
-    assert [plan.plan_id for plan in found] == ["good"]
-    assert [str(skipped).rpartition(": ")[2] for skipped in found.skipped] == [
+    plan_set = load_plans(write(Path("p.json"), plans))
+    assert [plan.plan_id for plan in plan_set] == ["good"]
+    assert [str(skipped).rpartition(": ")[2] for skipped in plan_set.skipped] == [
         "the plan id must have at most 1,000 characters, got 3,000,000",
         "id must have at most 1,000 characters, got 3,000,000",
         "article must have at most 1,000 characters, got 3,000,000",
     ]
-    assert max(len(str(skipped)) + len(skipped.plan_id or "") for skipped in found.skipped) < 400
+    assert max(len(str(skipped)) + len(skipped.plan_id or "") for skipped in plan_set.skipped) < 400
     with pytest.raises(InputError, match="the order id must have at most 1,000 characters"):
         list(pack_orders(write(Path("o.json"), {long: order()})))
 
@@ -212,8 +212,8 @@ def test_of_very_many_unusable_entries_the_rest_is_counted(monkeypatch: pytest.M
     monkeypatch.setattr(reading, "MOST_LINES", 10)
     write(Path("a.json"), {str(number): 1 for number in range(25)})
     write(Path("b.json"), {"x": 1, "y": tower(1)})
-    found = load_plans(["a.json", "b.json", "b.json"])
-    lines = [str(skipped) for skipped in found.skipped]
+    plan_set = load_plans(["a.json", "b.json", "b.json"])
+    lines = [str(skipped) for skipped in plan_set.skipped]
     assert len(lines) == 14
     assert lines[10] == "a.json: 15 more entries are unusable"
     assert lines[11].startswith("b.json: plan x: ")
@@ -356,6 +356,6 @@ def test_what_costs_more_than_a_line_is_found(tmp_path: Path, monkeypatch: pytes
         return []
 
     monkeypatch.setattr("support.damage.SLOW_S", 0.01)
-    for load, what in ((crash, "traceback: KeyError"), (linger, "slow: "), (lambda path: ["a\x1b[2J"], "line with")):
+    for load, line in ((crash, "traceback: KeyError"), (linger, "slow: "), (lambda path: ["a\x1b[2J"], "line with")):
         monkeypatch.setitem(KINDS, "psd", replace(KINDS["psd"], load=load))
-        assert (try_one("psd", 0, tmp_path)[1] or "").startswith(what)
+        assert (try_one("psd", 0, tmp_path)[1] or "").startswith(line)

@@ -17,9 +17,9 @@ PLANS = [make_plan(name, n) for name, n in (("a", 1), ("b", 2), ("c", 3))]
 
 
 def test_damaged_folders_give_right_numbers_or_a_line() -> None:
-    found: list[str] = []
-    counts = fuzz(40, seed=0, readings=1, told=found.append)
-    assert found == []
+    faults: list[str] = []
+    counts = fuzz(40, seed=0, readings=1, told=faults.append)
+    assert faults == []
     assert counts["folders"] == 40
 
 
@@ -30,25 +30,25 @@ def run(tmp_path: Path) -> Path:
 
 def test_parts_that_the_run_did_not_list_are_not_read(run: Path) -> None:
     """A kill leaves them, or somebody puts them there."""
-    whole = petmjx.load_run(run).worlds
+    worlds = petmjx.load_run(run).worlds
     shutil.copy(run / "worlds/part-00000.parquet", run / "worlds/part-00001.parquet")
-    assert petmjx.load_run(run).worlds.equals(whole)
+    assert petmjx.load_run(run).worlds.equals(worlds)
     petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True)
     assert [file.name for file in (run / "worlds").iterdir()] == ["part-00000.parquet"]
 
 
 def test_worlds_that_were_taken_away_are_simulated_again(run: Path) -> None:
-    whole = petmjx.load_run(run).worlds
+    worlds = petmjx.load_run(run).worlds
     (run / "worlds/part-00000.parquet").unlink()
     with pytest.raises(petmjx.InputError, match=r"worlds/part-00000.parquet: missing, though the run wrote it"):
         _ = petmjx.load_run(run).worlds
-    assert petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True).worlds.equals(whole)
+    assert petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True).worlds.equals(worlds)
 
 
 def test_worlds_without_boxes_are_simulated_again(run: Path) -> None:
     """As a merge of petmjx 0.2 left them that was cut short."""
-    whole = petmjx.load_run(run)
-    worlds, boxes = whole.worlds, whole.boxes
+    complete_run = petmjx.load_run(run)
+    worlds, boxes = complete_run.worlds, complete_run.boxes
     (run / "boxes/part-00000.parquet").unlink()
     edit_info(run, lambda info: info["parts"]["boxes"].pop("part-00000.parquet"))
     again = petmjx.score(PLANS, engine=LargestFirst(), out=run, resume=True)
@@ -61,8 +61,8 @@ def test_worlds_without_boxes_are_simulated_again(run: Path) -> None:
 
 @pytest.mark.parametrize("table", ["worlds", "boxes"])
 def test_a_damaged_part_is_named_with_its_cure(table: str, run: Path) -> None:
-    whole = petmjx.load_run(run)
-    boxes, worlds = whole.boxes, run / "worlds/part-00000.parquet"
+    results = petmjx.load_run(run)
+    boxes, worlds = results.boxes, run / "worlds/part-00000.parquet"
     (run / table / worlds.name).write_bytes(b"PAR1")
     with pytest.raises(petmjx.InputError) as caught:
         getattr(petmjx.load_run(run), table)

@@ -97,8 +97,8 @@ def test_examples_of_criteria_run(tmp_path: Path) -> None:
 
 def program_of_blocks(document: Path) -> str:
     """The Python blocks of a document, in order."""
-    found = CODE_BLOCK.findall(document.read_text(encoding="utf-8"))
-    return "\n".join(body for language, body in found if language == "python")
+    code_blocks = CODE_BLOCK.findall(document.read_text(encoding="utf-8"))
+    return "\n".join(body for language, body in code_blocks if language == "python")
 
 
 def test_examples_of_the_readme_and_of_results_run(tmp_path: Path) -> None:
@@ -141,8 +141,8 @@ def test_lessons_run(document: str, tmp_path: Path) -> None:
     (tmp_path / "plans.csv").write_text(blocks("start.md", "csv")[0], encoding="utf-8")
     (tmp_path / "tilted.toml").write_text(blocks("tutorials/sweep.md", "toml")[0], encoding="utf-8")
     printed = run_in(tmp_path, program_of(document))
-    if found := re.search(r"(\d+)% stood before training, and (\d+)% stand now", printed):
-        assert int(found[1]) + 30 < int(found[2])
+    if match := re.search(r"(\d+)% stood before training, and (\d+)% stand now", printed):
+        assert int(match[1]) + 30 < int(match[2])
     shown = [line for body in blocks(document, "console") for line in body.splitlines() if not line.startswith("$")]
     assert not [line for line in shown if line.split() and " ".join(line.split()) not in " ".join(printed.split())]
 

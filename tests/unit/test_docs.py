@@ -65,15 +65,15 @@ def tree_of(path: Path) -> ast.Module:
 @functools.cache
 def docstrings_and_comments(path: Path) -> tuple[tuple[int, str], ...]:
     """(line, text) of every comment, and of every string that stands as a statement (docstrings of fields too)."""
-    found = []
+    lines = []
     for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            found += [(node.lineno + number - 1, line) for number, line in lines_of(node.value.value)]
+            lines += [(node.lineno + number - 1, line) for number, line in lines_of(node.value.value)]
     source = path.read_text(encoding="utf-8")
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
-            found.append((token.start[0], token.string))
-    return tuple(found)
+            lines.append((token.start[0], token.string))
+    return tuple(lines)
 
 
 def all_texts() -> Iterator[tuple[str, str]]:
@@ -123,21 +123,21 @@ def test_paths_that_are_named_exist() -> None:
 
 def members_of(body: list[ast.stmt]) -> dict[str, ast.stmt]:
     """Names that a module or class defines or imports, and by which statement."""
-    found: dict[str, ast.stmt] = {}
+    members: dict[str, ast.stmt] = {}
     for node in body:
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            found[node.name] = node
+            members[node.name] = node
         elif isinstance(node, ast.Assign):
-            found |= {
+            members |= {
                 name.id: node for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)
             }
         elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            found[node.target.id] = node
+            members[node.target.id] = node
         elif isinstance(node, ast.Import | ast.ImportFrom):
-            found |= {alias.asname or alias.name: node for alias in node.names}
+            members |= {alias.asname or alias.name: node for alias in node.names}
         elif isinstance(node, ast.If | ast.Try):
-            found |= members_of(node.body)
-    return found
+            members |= members_of(node.body)
+    return members
 
 
 def module_path(parts: list[str]) -> Path | None:
@@ -191,8 +191,10 @@ def test_roles_in_docstrings_resolve() -> None:
 
 
 def test_no_text_points_outside_the_repository() -> None:
-    own = relative(Path(__file__))
-    outside = [f"{where}: {line.strip()}" for where, line in all_texts() if OUTSIDE.search(line) and own not in where]
+    this_path = relative(Path(__file__))
+    outside = [
+        f"{where}: {line.strip()}" for where, line in all_texts() if OUTSIDE.search(line) and this_path not in where
+    ]
     assert not outside, "\n".join(outside)
 
 

@@ -79,14 +79,14 @@ def test_worlds_near_a_threshold_are_checked_at_half_the_timestep(
                 falls = {"verdict": Verdict.UNSTABLE, "reason": Reason.SHIFT} if changed else {}
                 yield near(-0.1 if changed else margin, job=index, **falls)
 
-    own = Near("mjx-warp", never)
-    results, notes = scored(own, Near("mujoco", never), monkeypatch, Simulation(check_timestep=True))
+    engine = Near("mjx-warp", never)
+    results, notes = scored(engine, Near("mujoco", never), monkeypatch, Simulation(check_timestep=True))
     assert {result.outcome.verdict for result in results} == {Verdict.STABLE}
     assert [a.attempt for a in results[0].attempts] == ([1, 8] if checked else [1])
     changed = [result.world.plan.plan_id for result in results if result.outcome.flags & Flag.TIMESTEP]
     assert changed == (["p1"] if checked else [])
     assert ("p1: stable, and unstable at half the timestep" in notes) is checked
-    assert [sim.physics.timestep_s for sim in own.sims] == ([0.002, 0.001] if checked else [0.002])
+    assert [sim.physics.timestep_s for sim in engine.sims] == ([0.002, 0.001] if checked else [0.002])
 
 
 def test_a_world_that_ended_on_its_way_down_is_near_nothing() -> None:

@@ -48,9 +48,9 @@ def test_estimates_are_within_a_factor_of_two(line: dict[str, Any]) -> None:
 def test_records_are_of_all_kinds() -> None:
     assert {line["engine"] for line in RECORDS} == {"mujoco", "mjx-warp-cpu", "mjx-warp"}
     for engine in ("mujoco", "mjx-warp-cpu"):
-        what = {line["what"] for line in RECORDS if line["engine"] == engine}
+        kinds = {line["what"] for line in RECORDS if line["engine"] == engine}
         errors = {"confidence 4", "confidence 4 exact", "placement-error"}
-        assert what >= errors | {"score", "static", "eumos", "eumos-search", "tilt"}
+        assert kinds >= errors | {"score", "static", "eumos", "eumos-search", "tilt"}
     boxes = [n for line in RECORDS for n in line["work"]["boxes"]]
     assert min(boxes) == 5
     assert max(boxes) > 200

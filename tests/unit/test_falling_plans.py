@@ -112,7 +112,7 @@ def test_auto_takes_the_faster_engine_for_plans_that_fall() -> None:
     plans = [shelf_plan(number % 20) for number in range(200)]
     work = Nominal(SIM, plans, RunOptions()).work
     assert (work.share < 1).mean() > 0.9
-    seconds, if_they_stood = (MEASURED.seconds(each, 2) for each in (work, Work(SIM, work.boxes)))
+    seconds, if_they_stood = (MEASURED.seconds(task, 2) for task in (work, Work(SIM, work.boxes)))
     assert seconds["mujoco"] > 4 * if_they_stood["mujoco"]
 
     def chosen(expected: dict[str, float]) -> str:

@@ -33,21 +33,21 @@ def packers(tmp_path: Path) -> list[Path]:
 
 
 def test_a_figure_of_packers_says_who_stands_more_often(packers: list[Path]) -> None:
-    found = petmjx.compare_packers(packers)
-    (sentence,) = found.sentences
+    comparison = petmjx.compare_packers(packers)
+    (sentence,) = comparison.sentences
     assert sentence.startswith(
         "Plans of $b$ stand more often than plans of a: by 40.00 percentage points on 20 orders (95 %"
     )
     assert sentence.endswith("McNemar's exact test, p = 0.0078).")  # 2 / 2^8
     files = [packers[0].parent / f"figure-{number}.{kind}" for kind in ("svg", "pdf", "png") for number in (1, 2)]
-    assert petmjx.figure(found, *files) == files
+    assert petmjx.figure(comparison, *files) == files
     for one, same in zip(files[::2], files[1::2], strict=True):
         assert one.read_bytes() == same.read_bytes()
     drawn = files[0].read_text(encoding="utf-8")
     assert "Plans of $b$ stand more often" in drawn
     assert f'width="{WIDTH_IN * 72:g}pt"' in drawn
     assert "<dc:date>" not in drawn
-    assert all(text in found._repr_html_() for text in ("Plans of $b$ stand", "<td>60.0</td>", "<td>100.0</td>"))
+    assert all(text in comparison._repr_html_() for text in ("Plans of $b$ stand", "<td>60.0</td>", "<td>100.0</td>"))
 
 
 @pytest.mark.parametrize(
@@ -108,8 +108,8 @@ def test_figures_of_sweeps(summary: pd.DataFrame, texts: tuple[str, ...], tmp_pa
 def test_a_figure_of_criteria(tmp_path: Path) -> None:
     row = {f"{score}{end}": 0.5 for score in ("precision", "recall", "mcc") for end in ("", "_low", "_high")}
     judged = pd.DataFrame([{"criterion": name, "n_plans": 7, **row} for name in ("centre", "support_75")])
-    found = CriteriaResults(pd.DataFrame(), pd.DataFrame(), judged, None, {"criteria": []})
-    (file,) = petmjx.figure(found, tmp_path / "x.svg")
+    results = CriteriaResults(pd.DataFrame(), pd.DataFrame(), judged, None, {"criteria": []})
+    (file,) = petmjx.figure(results, tmp_path / "x.svg")
     drawn = file.read_text(encoding="utf-8")
     assert all(
         f">{text}<" in drawn for text in ("centre", "support_75", "recall", "7 plans; lines: 95 % bootstrap intervals")
@@ -128,9 +128,9 @@ def test_what_has_no_figure_is_one_line(tmp_path: Path, packers: list[Path]) -> 
         ("packers", file, "found must be results of"),
         (petmjx.compare_packers(packers), tmp_path / "x.gif", "unknown ending; there are .pdf, .svg, .png"),
     ]
-    for found, path, said in refused:
-        with pytest.raises(InputError, match=said):
-            petmjx.figure(found, path)
+    for results, path, message in refused:
+        with pytest.raises(InputError, match=message):
+            petmjx.figure(results, path)
     assert not file.exists()
 
 

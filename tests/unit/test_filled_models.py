@@ -24,8 +24,8 @@ UNUSED = {"qpos_spring", "geom_rgba", "names_map"}
 
 
 def numbers_of(record: Any) -> dict[str, Any]:
-    found = {name: getattr(record, name) for name in dir(record) if not name.startswith("_")}
-    return {name: value for name, value in found.items() if isinstance(value, np.ndarray | int | float)}
+    attributes = {name: getattr(record, name) for name in dir(record) if not name.startswith("_")}
+    return {name: value for name, value in attributes.items() if isinstance(value, np.ndarray | int | float)}
 
 
 @pytest.mark.parametrize("carrier", ["euro-pallet", "epal-1"])
@@ -55,42 +55,42 @@ def test_what_is_lent_is_bounded() -> None:
     sim = Simulation(carrier="euro-pallet")
     scene, templates = build_scene(make_plan("p", 1), sim), Templates.of(sim)
     assert templates is not None
-    taken = [templates.filled(scene, np.arange(1)) for _ in range(MOST_SPARE + 3)]
-    for each in taken:
-        templates.give_back(each, scene, 1)
+    models = [templates.filled(scene, np.arange(1)) for _ in range(MOST_SPARE + 3)]
+    for model in models:
+        templates.give_back(model, scene, 1)
     (template,) = templates._made.values()
     assert len(template._spare) == MOST_SPARE
-    assert isinstance(taken[0].data, mujoco.MjData)
+    assert isinstance(models[0].data, mujoco.MjData)
 
 
 @pytest.mark.parametrize("physics", ["pallet", "reference"])
 def test_one_box_more_in_arrays_is_the_last_of_a_scene(physics: str) -> None:
     sim = Simulation(carrier="euro-pallet", physics=physics)
     plan = make_plan("heap", heap(30))
-    whole, blank = build_scene(plan, sim), Blank(sim)
+    full_scene, blank = build_scene(plan, sim), Blank(sim)
     boxes = NextBoxes.of(plan.size_mm, plan.corner_mm, plan.mass_kg, sim)
     scene, grown = blank.scene, []
     for row in range(30):
         scene = blank.with_box(scene, boxes, row)
         grown.append(scene)
     for name in OF_BOXES:
-        if getattr(whole, name) is not None:
-            np.testing.assert_array_equal(getattr(scene, name), getattr(whole, name))
+        if getattr(full_scene, name) is not None:
+            np.testing.assert_array_equal(getattr(scene, name), getattr(full_scene, name))
     growing = GrowingScenes([blank.scene, *grown[:-1]], blank)
     stacks = growing.stacks(range(30))
     growing.add(range(30), boxes)
     growing.copy([29, 3], [0, 1])
     assert [growing[world].n_boxes for world in (0, 1, 2, 29)] == [30, 4, 3, 30]
     for name in OF_BOXES:
-        if getattr(whole, name) is not None:
-            np.testing.assert_array_equal(getattr(growing[0], name), getattr(whole, name))
+        if getattr(full_scene, name) is not None:
+            np.testing.assert_array_equal(getattr(growing[0], name), getattr(full_scene, name))
     release = release_of_next(stacks, boxes, sim)
-    expected = release_of(whole, sim)
+    expected = release_of(full_scene, sim)
     np.testing.assert_array_equal(release.support, expected.support)
     np.testing.assert_array_equal(release.pos, expected.pos)
     half, target = stacks.with_next(boxes)
-    np.testing.assert_array_equal(half[-1], whole.half_size)
-    np.testing.assert_array_equal(target[4, :5], whole.target[:5])
+    np.testing.assert_array_equal(half[-1], full_scene.half_size)
+    np.testing.assert_array_equal(target[4, :5], full_scene.target[:5])
     assert np.isnan(target[4, 5:]).all()
 
 

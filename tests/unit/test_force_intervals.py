@@ -113,10 +113,10 @@ def test_the_closed_form_is_what_the_linear_programme_finds(monkeypatch: pytest.
     sim = Simulation()
     (plan,) = (plan for plan in petmjx.load_plans(bundled_path()) if plan.plan_id == "s0-000007")
     scene = build_scene(plan, sim)
-    asked = (scene, sim.physics, scene.target, scene.start_quat)
-    with_closed_form = force_intervals(*asked)
+    arguments = (scene, sim.physics, scene.target, scene.start_quat)
+    with_closed_form = force_intervals(*arguments)
     monkeypatch.setattr(intervals, "_without_programme", lambda touching, weight: np.full((len(weight), 2), np.nan))
-    assert force_intervals(*asked).tolist() == pytest.approx(with_closed_form, rel=1e-5, abs=1e-4)
+    assert force_intervals(*arguments).tolist() == pytest.approx(with_closed_form, rel=1e-5, abs=1e-4)
 
 
 # Runs with intervals.
@@ -153,18 +153,18 @@ def test_nothing_else_changes(tmp_path: Path) -> None:
     assert [name for name in more.boxes if name not in plain.boxes] == names
     assert more.boxes.drop(columns=names).equals(plain.boxes)
     assert more.worlds.equals(plain.worlds)
-    for folder, asked, message in (("plain", True, "is True, was False"), ("more", False, "is False, was True")):
+    for folder, enabled, message in (("plain", True, "is True, was False"), ("more", False, "is False, was True")):
         with pytest.raises(petmjx.InputError, match=rf"another run \(force_intervals {message}\)"):
-            petmjx.score(plans, engine="mujoco", force_intervals=asked, out=tmp_path / folder, resume=True)
+            petmjx.score(plans, engine="mujoco", force_intervals=enabled, out=tmp_path / folder, resume=True)
 
 
 def test_masses_of_variants_count_and_drives_have_none(tmp_path: Path) -> None:
-    asked = {"plans": [make_plan("p", stack(2, kg=10))], "engine": "mujoco", "force_intervals": True, "settle_s": 0.2}
-    resting = petmjx.sweep(write(tmp_path / "rest.toml", "axes.mass_factor = [1.0, 2.0]"), **asked).boxes
+    options = {"plans": [make_plan("p", stack(2, kg=10))], "engine": "mujoco", "force_intervals": True, "settle_s": 0.2}
+    resting = petmjx.sweep(write(tmp_path / "rest.toml", "axes.mass_factor = [1.0, 2.0]"), **options).boxes
     resting = resting.sort_values(["variant", "box"])
     assert resting["rest_top_force_low_n"].tolist() == pytest.approx([98.1, 0, 196.2, 0])
     drive = 'axes.profile = "eumos-40509"\naxes.level = 0.05\naxes.direction = "+x"'
-    driven = petmjx.sweep(write(tmp_path / "drive.toml", drive), **asked).boxes
+    driven = petmjx.sweep(write(tmp_path / "drive.toml", drive), **options).boxes
     assert driven["rest_top_force_n"].notna().all()
     assert driven["rest_top_force_low_n"].isna().all()
 

@@ -77,12 +77,12 @@ KINDS = {
 @pytest.mark.parametrize("name", KINDS)
 def test_other_kinds_are_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    content, said = KINDS[name]
+    content, message = KINDS[name]
     Path(name).write_bytes(content)
-    found = petmjx.load_plans(name)
-    (skipped,) = found.skipped
-    assert not found.plans
-    assert skipped.message.startswith(f"{name}: {said}")
+    plan_set = petmjx.load_plans(name)
+    (skipped,) = plan_set.skipped
+    assert not plan_set.plans
+    assert skipped.message.startswith(f"{name}: {message}")
     assert skipped.message.isprintable()
     with pytest.raises(InputError, match=f"^{name}: "):
         list(pack_orders(Path(name)))
@@ -121,10 +121,10 @@ MESSAGES = {
 
 @pytest.mark.parametrize("name", MESSAGES)
 def test_what_other_programs_write_is_named_with_its_place(name: str, tmp_path: Path) -> None:
-    content, said = MESSAGES[name]
+    content, message = MESSAGES[name]
     (tmp_path / "plans.csv").write_bytes(content)
     (skipped,) = petmjx.load_plans(tmp_path / "plans.csv").skipped
-    assert said in skipped.message
+    assert message in skipped.message
     assert "\\ud" not in skipped.message
 
 
@@ -148,9 +148,9 @@ def test_articles_too(tmp_path: Path) -> None:
         (b'article,strength_n\nx,"400,5"\n', "row 2: strength_n must be a number .* decimal comma; write 400.5"),
         (workbook(), "is an Excel workbook"),
     ]
-    for content, said in cases:
+    for content, message in cases:
         file.write_bytes(content)
-        with pytest.raises(InputError, match=said):
+        with pytest.raises(InputError, match=message):
             read_articles(file)
 
 

@@ -96,10 +96,10 @@ def test_what_is_skipped_leaves_a_gap_and_is_told(tmp_path: Path) -> None:
     assert results.worlds.plan_id.to_dict() == {0: "a", 2: "b", 4: "c"}
     with pytest.raises(KeyError):
         results.worlds.verdict[1]
-    told = results.skipped
-    assert told.plan_id.tolist() == ["bad", "thin", ""]
-    assert told.number.tolist() == [1, 3, pd.NA]
-    assert "placement 0" in told.error[1]
+    skipped = results.skipped
+    assert skipped.plan_id.tolist() == ["bad", "thin", ""]
+    assert skipped.number.tolist() == [1, 3, pd.NA]
+    assert "placement 0" in skipped.error[1]
     assert results.plans.number.tolist() == [0, 2, 4]
 
 

@@ -30,11 +30,11 @@ def groups_of(jobs: list[Job], size: int = 8, left: int = 2) -> Groups:
 
 def sizes_of(groups: Groups) -> list[tuple[int, int]]:
     """The number of the first job of each group, and how many it has."""
-    found = []
+    sizes = []
     while groups:
         group = groups.take()
-        found.append((groups.first, len(group)))
-    return found
+        sizes.append((groups.first, len(group)))
+    return sizes
 
 
 @pytest.mark.parametrize(
@@ -111,11 +111,11 @@ def test_jobs_that_are_appended_join_the_group_whose_kernels_know_them() -> None
 
 def test_a_group_with_recorded_worlds_says_so() -> None:
     groups = groups_of([SMALL] * 5 + [replace(SMALL, record=Record(0.1))] * 4)
-    said = []
+    recorded = []
     while groups:
-        said.append(groups.recorded)
+        recorded.append(groups.recorded)
         groups.take()
-    assert said == [False, True]
+    assert recorded == [False, True]
 
 
 def test_needs_of_both_and_of_some() -> None:

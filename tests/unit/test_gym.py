@@ -48,8 +48,8 @@ SMALL: dict[str, Any] = {"orders": FEW, "n_candidates": 6, "cell_mm": 200, "thre
 
 
 def legal(mask: Any, rng: np.random.Generator) -> int:
-    found = np.flatnonzero(mask)
-    return int(rng.choice(found)) if len(found) else 0
+    actions = np.flatnonzero(mask)
+    return int(rng.choice(actions)) if len(actions) else 0
 
 
 def assert_equal(one: Any, other: Any) -> None:
@@ -96,7 +96,7 @@ def test_the_vector_environment_is_as_many_single_ones(mode: AutoresetMode) -> N
     single = SyncVectorEnv([lambda: PalletizingEnv(**options)] * 3, autoreset_mode=mode)
     assert many.single_observation_space == single.single_observation_space
     assert many.action_space == single.action_space
-    (ours, told), (theirs, expected) = many.reset(seed=4), single.reset(seed=4)
+    (ours, infos), (theirs, expected) = many.reset(seed=4), single.reset(seed=4)
     assert_equal(ours, theirs)
     rng, ended = np.random.default_rng(1), 0
     for step in range(14):
@@ -105,20 +105,20 @@ def test_the_vector_environment_is_as_many_single_ones(mode: AutoresetMode) -> N
         actions = np.array([legal(mask, rng) for mask in ours["action_mask"]])
         if step == 2:
             actions[0] = 5  # seldom legal
-        ours, reward, terminated, truncated, told = many.step(actions)
+        ours, reward, terminated, truncated, infos = many.step(actions)
         theirs, *rest, expected = single.step(actions)
         for one, other in zip((reward, terminated, truncated), rest, strict=True):
             np.testing.assert_array_equal(one, other)
         over = terminated | truncated
         ended += over.sum()
         for name in ("verdict", "culprit", "placed", "left_out", "utilisation"):
-            np.testing.assert_array_equal(told[name], expected[name])
+            np.testing.assert_array_equal(infos[name], expected[name])
         if mode is AutoresetMode.SAME_STEP and over.any():
-            np.testing.assert_array_equal(told["_final_obs"], expected["_final_obs"])
+            np.testing.assert_array_equal(infos["_final_obs"], expected["_final_obs"])
             for row in np.flatnonzero(over):
-                assert_equal(told["final_obs"][row], expected["final_obs"][row])
-                assert told["final_info"]["reason"][row] == expected["final_info"]["reason"][row]
-                assert told["final_info"]["reward_margin"][row] == expected["final_info"]["reward_margin"][row]
+                assert_equal(infos["final_obs"][row], expected["final_obs"][row])
+                assert infos["final_info"]["reason"][row] == expected["final_info"]["reason"][row]
+                assert infos["final_info"]["reward_margin"][row] == expected["final_info"]["reward_margin"][row]
     assert ended > 4
 
 
@@ -177,13 +177,13 @@ def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
 def test_each_box_of_the_buffer_has_its_share_of_candidates(mask: str, buffer: int, most: int) -> None:
     """Its lowest places, as many as an equal share, or all that it has; the table is full where there are enough."""
     options = {"look_ahead": buffer + 2, "buffer": buffer, "mask": mask, "cell_mm": 200, "engine": "mujoco"}
-    cut, whole = (PalletizingEnv(**options, n_candidates=count, threads=1) for count in (most, 20_000))
+    cut, full_env = (PalletizingEnv(**options, n_candidates=count, threads=1) for count in (most, 20_000))
     rng = np.random.default_rng(buffer)
-    (observed, _), (everything, _) = (env.reset(seed=3) for env in (cut, whole))
+    (observed, _), (everything, _) = (env.reset(seed=3) for env in (cut, full_env))
     for _ in range(4):
         size = len(observed["action_mask"])
         assert size == max(most, buffer)
-        lists = [each["candidates"][each["action_mask"] == 1] for each in (observed, everything)]
+        lists = [observation["candidates"][observation["action_mask"] == 1] for observation in (observed, everything)]
         kept, all_of = ([places[places[:, 0] == box] for box in range(buffer)] for places in lists)
         assert len(lists[0]) == min(size, len(lists[1]))
         for few, many in zip(kept, all_of, strict=True):
@@ -192,7 +192,7 @@ def test_each_box_of_the_buffer_has_its_share_of_candidates(mask: str, buffer: i
         action = int(rng.integers(len(lists[0])))
         (same,) = np.flatnonzero((lists[1] == lists[0][action]).all(axis=1))
         observed, *_ = cut.step(action)
-        everything, _, over, *_ = whole.step(int(same))
+        everything, _, over, *_ = full_env.step(int(same))
         if over:
             break
 
@@ -217,10 +217,10 @@ def test_what_a_box_does_not_need_goes_to_the_others() -> None:
 
 def test_random_episodes_in_all_settings_show_no_fault() -> None:
     """Some of the episodes that ``python -m benchmarks loop episodes`` plays by the thousand."""
-    found = episodes(make_engine("mujoco", threads=1), 2 * len(SETTINGS), seed=5)
-    assert found["faults"] == {}
-    assert found["episodes"] >= 2 * len(SETTINGS)
-    assert found["placements"] > found["episodes"]
+    summary = episodes(make_engine("mujoco", threads=1), 2 * len(SETTINGS), seed=5)
+    assert summary["faults"] == {}
+    assert summary["episodes"] >= 2 * len(SETTINGS)
+    assert summary["placements"] > summary["episodes"]
 
 
 def test_an_illegal_action_changes_nothing_and_many_end_the_episode() -> None:

@@ -64,8 +64,8 @@ def pair() -> Pair:
             live._poses[live.n_placed - 1, :3] = scene.target[live.n_placed - 1]
     worlds = upload_worlds([Job(scene)], 1, scene.n_boxes, {}, SIM)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER, jnp.int32), rest_steps=1)
-    stood = jnp.asarray(np.column_stack([scene.target, scene.start_quat]), jnp.float32)[None]
-    state = state._replace(qpos=stood.at[:, -1].set(worlds.start[:, -1]), step=jnp.full(1, 70, jnp.int32))
+    poses = jnp.asarray(np.column_stack([scene.target, scene.start_quat]), jnp.float32)[None]
+    state = state._replace(qpos=poses.at[:, -1].set(worlds.start[:, -1]), step=jnp.full(1, 70, jnp.int32))
     return Pair(live, worlds, hand.take_up(state, worlds, jnp.ones(1, bool), DT))
 
 
@@ -90,23 +90,23 @@ def random_motion(rng: np.random.Generator, quat: FloatArray) -> tuple[FloatArra
 def test_hands_press_alike(pair: Pair, lowered: bool) -> None:
     rng = np.random.default_rng(5)
     of_c = pair.of_c
-    for taken in (0, 1, of_c.steps // 2, of_c.steps, of_c.steps + 40):
+    for n_steps in (0, 1, of_c.steps // 2, of_c.steps, of_c.steps + 40):
         quat, velocity = random_motion(rng, of_c.quat)
         pose = np.concatenate([of_c.begin + rng.normal(0.0, 0.01, 3), quat])
-        of_c.taken, of_c.lowered_from = taken, (taken if lowered else type(of_c).lowered_from)
-        step = pair.state.carried_from + taken
+        of_c.taken, of_c.lowered_from = n_steps, (n_steps if lowered else type(of_c).lowered_from)
+        step = pair.state.carried_from + n_steps
         state = pair.state._replace(
             step=step,
             lowered_from=step if lowered else pair.state.lowered_from,
             qpos=pair.state.qpos.at[0, 2].set(jnp.asarray(pose, jnp.float32)),
             qvel=pair.state.qvel.at[0, 2].set(jnp.asarray(velocity, jnp.float32)),
         )
-        found = jax.jit(hand.wrenches, static_argnames="sim")(state, pair.worlds, sim=SIM)
+        wrenches = jax.jit(hand.wrenches, static_argnames="sim")(state, pair.worlds, sim=SIM)
         expected = of_c.wrench(pose, velocity)
         bears_n = 4.0 * SIM.physics.gravity_m_s2 if lowered else 0.0
         assert np.linalg.norm(expected[:2]) <= SIM.placing.force_n + bears_n + 1e-9
-        np.testing.assert_allclose(found[0, 2], expected, **SINGLE)
-        assert not np.asarray(found[0, :2]).any()
+        np.testing.assert_allclose(wrenches[0, 2], expected, **SINGLE)
+        assert not np.asarray(wrenches[0, :2]).any()
 
 
 def test_hands_let_go_alike(pair: Pair) -> None:
@@ -115,14 +115,14 @@ def test_hands_let_go_alike(pair: Pair) -> None:
     state = pair.state._replace(qpos=pair.state.qpos.at[0, 2].set(jnp.asarray(pose, jnp.float32)))
     speeds = [0.0, 0.5]
     let_go = []
-    for taken in range(1, of_c.steps + 20):
-        speed = speeds[taken in range(of_c.steps, of_c.steps + 4)]
-        state = state._replace(step=state.carried_from + taken, qvel=state.qvel.at[0, 2, 0].set(jnp.float32(speed)))
+    for n_steps in range(1, of_c.steps + 20):
+        speed = speeds[n_steps in range(of_c.steps, of_c.steps + 4)]
+        state = state._replace(step=state.carried_from + n_steps, qvel=state.qvel.at[0, 2, 0].set(jnp.float32(speed)))
         state = hand.carry_on(state, pair.worlds, jnp.ones(1, bool), SIM)
         opens = of_c.has_let_go(pose, speed < SIM.quiet.quiet_m_s)
         assert bool(state.carried_from[0] == NEVER) == opens
         if opens:
-            let_go.append(taken)
+            let_go.append(n_steps)
             break
         assert (int(state.lowered_from[0]) != NEVER) == (of_c.lowered_from != type(of_c).lowered_from)
     assert let_go == [of_c.steps + 4 + 5]

@@ -91,8 +91,8 @@ def ended(
 
 def test_what_has_not_begun_goes_to_the_faster_engine() -> None:
     outcomes, progress = ended(5.0, 300)
-    assert sorted(each.job for each in outcomes) == list(range(300))
-    by_engine = [each.engine for each in sorted(outcomes, key=lambda each: each.job)]
+    assert sorted(outcome.job for outcome in outcomes) == list(range(300))
+    by_engine = [outcome.engine for outcome in sorted(outcomes, key=lambda outcome: outcome.job)]
     # one thread has two worlds at a time: one more had begun
     assert by_engine == ["mujoco"] * (LEAST_WORLDS + 1) + ["mjx-warp-cpu"] * (300 - LEAST_WORLDS - 1)
     (note,) = progress.notes
@@ -111,7 +111,7 @@ def test_what_has_not_begun_goes_to_the_faster_engine() -> None:
 )
 def test_it_stays_where_nothing_is_gained(times: float, count: int, costs: Costs) -> None:
     outcomes, progress = ended(times, count, costs)
-    assert [each.engine for each in outcomes] == ["mujoco"] * count
+    assert [outcome.engine for outcome in outcomes] == ["mujoco"] * count
     assert not progress.notes
 
 
@@ -130,14 +130,14 @@ def test_without_kernels_it_stays() -> None:
         raise EngineUnavailable("Warp is not installed")
 
     outcomes, progress = ended(5.0, 100, make=missing)
-    assert [each.engine for each in outcomes] == ["mujoco"] * 100
+    assert [outcome.engine for outcome in outcomes] == ["mujoco"] * 100
     assert not progress.notes
 
 
 def test_an_error_of_the_kernels_loses_no_world() -> None:
     outcomes, progress = ended(5.0, 100, make=lambda: Kernels(fails_after=10))
-    assert sorted(each.job for each in outcomes) == list(range(100))
-    assert [each.engine for each in outcomes].count("mjx-warp-cpu") == 10
+    assert sorted(outcome.job for outcome in outcomes) == list(range(100))
+    assert [outcome.engine for outcome in outcomes].count("mjx-warp-cpu") == 10
     assert "mjx-warp-cpu failed (RuntimeError: no more memory); 69 worlds: went to mujoco" in progress.notes
 
 
@@ -145,9 +145,9 @@ def test_further_attempts_and_the_solver_cg_stay() -> None:
     engine = HandoverEngine(Slow(5.0), Kernels, CHEAP)
     assert len(list(engine.run(jobs(50), SIM, Progress()))) == 50
     again = list(engine.run(jobs(50), SIM.changed(solver_iterations=400), Progress()))
-    assert {each.engine for each in again} == {"mujoco"}
+    assert {outcome.engine for outcome in again} == {"mujoco"}
     outcomes, _ = ended(5.0, 50, sim=SIM.changed(solver="cg"))
-    assert {each.engine for each in outcomes} == {"mujoco"}
+    assert {outcome.engine for outcome in outcomes} == {"mujoco"}
 
 
 def test_each_engine_starts_from_its_own_states() -> None:
@@ -161,7 +161,7 @@ def test_each_engine_starts_from_its_own_states() -> None:
         if outcome.job == 99:
             scene = growing[0].scene
             growing += [Job(scene, start=KeptState(name, name)) for name in ("mujoco", "mjx-warp-cpu")]  # type: ignore[arg-type]
-    assert sorted(each.job for each in outcomes) == list(range(102))
+    assert sorted(outcome.job for outcome in outcomes) == list(range(102))
     assert kernels.starts[-2:] == [None, "mjx-warp-cpu"]
     assert not any(mujoco.starts)
     engine.close()

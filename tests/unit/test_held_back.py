@@ -148,17 +148,17 @@ def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: py
 
 
 def test_no_pause_is_asked_of_an_engine_that_does_not_know_them() -> None:
-    asked: list[bool] = []
+    pauses: list[bool] = []
 
     class Own(FailingEngine):
         def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
             assert progress is not None
-            asked.append(progress.pauses)
+            pauses.append(progress.pauses)
             return super().run(jobs, sim, progress)
 
     assert len(list(score_worlds(worlds_failing(0, 2), Simulation(), Own()))) == 2
-    assert asked
-    assert not any(asked)
+    assert pauses
+    assert not any(pauses)
 
 
 def wait_for_worlds(folder: Path, count: int) -> float:

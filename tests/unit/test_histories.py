@@ -135,11 +135,11 @@ def test_what_a_fork_records_goes_on_from_its_placement() -> None:
     scene, record = make_scene(2), Record(0.02, details=True)
     placed = simulate(scene, sim, record, keep_state=True)
     fork = simulate(scene, sim, record, start=placed.state, drive=SHAKE)
-    whole = simulate(scene, sim, record, drive=SHAKE)
+    full_run = simulate(scene, sim, record, drive=SHAKE)
     assert np.isnan(history_of(fork).top_force_n[0]).all()
     joined = history_of(placed).then(history_of(fork))
     assert len(joined.time_s) > len(history_of(fork).time_s)
-    assert_equal(joined, history_of(whole))
+    assert_equal(joined, history_of(full_run))
 
 
 class Doubtful(MujocoEngine):
@@ -242,9 +242,9 @@ def test_a_history_comes_back_as_it_was(tmp_path: Path) -> None:
     for plan in PLANS:
         scene = make_world(plan).job.scene
         expected = history_of(simulate(scene, Simulation(), Record(0.1, details=True)))
-        found = read_history(run, plan.plan_id, 0, plan.n_boxes)
-        assert found is not None
-        assert_equal(found, expected)
+        history = read_history(run, plan.plan_id, 0, plan.n_boxes)
+        assert history is not None
+        assert_equal(history, expected)
     assert read_history(run, "stands", 1, 3) is None
 
 
@@ -272,7 +272,7 @@ def by_world(run: petmjx.RunResults) -> dict[str, pd.DataFrame]:
 
 
 def test_a_run_that_goes_on_has_the_same_histories(tmp_path: Path) -> None:
-    whole = by_world(recorded(tmp_path / "whole"))
+    expected = by_world(recorded(tmp_path / "whole"))
 
     class Stopping(MujocoEngine):
         def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
@@ -289,7 +289,7 @@ def test_a_run_that_goes_on_has_the_same_histories(tmp_path: Path) -> None:
     run = recorded(tmp_path / "run", resume=True)
     again = by_world(run)
     assert run.info["warnings"] == []
-    for name, table in whole.items():
+    for name, table in expected.items():
         pd.testing.assert_frame_equal(again[name], table)
 
 

@@ -64,17 +64,17 @@ def module_of(path: Path, repository: Path) -> str:
 
 def imported_modules(path: Path, modules: Collection[str]) -> set[str]:
     """Which of ``modules`` a file imports anywhere: also in functions, for types alone, or by a name in a text."""
-    found = set()
+    names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
+            names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             inside = {f"{node.module}.{alias.name}" for alias in node.names}
-            found |= inside if inside <= set(modules) else {node.module or "", *inside}
+            names |= inside if inside <= set(modules) else {node.module or "", *inside}
         elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value != "petmjx":
-            found.add(node.value)
-    return found & set(modules)
+            names.add(node.value)
+    return names & set(modules)
 
 
 def import_graph(repository: Path) -> dict[str, set[str]]:
@@ -95,9 +95,9 @@ def circle_in(graph: dict[str, set[str]]) -> tuple[str, ...]:
             return (*trail[trail.index(module) :], module)
         if module in done:
             return ()
-        found = next(filter(None, (visit(each, (*trail, module)) for each in sorted(graph[module]))), ())
+        circle = next(filter(None, (visit(neighbour, (*trail, module)) for neighbour in sorted(graph[module]))), ())
         done.add(module)
-        return found
+        return circle
 
     return next(filter(None, (visit(module, ()) for module in sorted(graph))), ())
 

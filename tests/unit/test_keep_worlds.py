@@ -31,8 +31,8 @@ def runs(tmp_path: Path) -> tuple[petmjx.RunResults, petmjx.RunResults]:
 
 
 def test_all_else_is_the_same(runs: tuple[petmjx.RunResults, petmjx.RunResults]) -> None:
-    whole, slim = runs
-    pd.testing.assert_frame_equal(whole.worlds, slim.worlds)
+    full, slim = runs
+    pd.testing.assert_frame_equal(full.worlds, slim.worlds)
     assert {path.name for path in slim.path.iterdir()} == {"worlds", "plans", "placements", "run.json"}
     assert slim.boxes_if_kept.empty
     with pytest.raises(petmjx.InputError, match=f"{re.escape(str(slim.path))}: {NOT_KEPT}"):
@@ -66,21 +66,21 @@ def test_shards_that_keep_the_same_are_joined(tmp_path: Path) -> None:
 
 
 def test_worlds_are_compared_without_boxes(runs: tuple[petmjx.RunResults, petmjx.RunResults]) -> None:
-    found = petmjx.compare_runs(*runs)
-    assert found.n_agree == 6
-    assert "b kept no boxes: only worlds are compared" in found.notes
-    assert (found.boxes["n"] == 0).all()
-    assert (found.worlds["n"] > 0).any()
+    comparison = petmjx.compare_runs(*runs)
+    assert comparison.n_agree == 6
+    assert "b kept no boxes: only worlds are compared" in comparison.notes
+    assert (comparison.boxes["n"] == 0).all()
+    assert (comparison.worlds["n"] > 0).any()
 
 
 def test_a_report_has_articles_and_no_pictures(runs: tuple[petmjx.RunResults, petmjx.RunResults]) -> None:
-    whole, slim = (petmjx.report(run, run.path / "report.html").read_text() for run in runs)
+    full_page, slim = (petmjx.report(run, run.path / "report.html").read_text() for run in runs)
     assert "worlds kept no boxes: its worlds have no 3D picture." in slim
-    assert "boxes-0" in whole
+    assert "boxes-0" in full_page
     assert "boxes-0" not in slim
-    said = re.findall(r"article-\d", whole[whole.index("Articles that fail first") :])
-    assert said
-    assert said == re.findall(r"article-\d", slim[slim.index("Articles that fail first") :])
+    articles = re.findall(r"article-\d", full_page[full_page.index("Articles that fail first") :])
+    assert articles
+    assert articles == re.findall(r"article-\d", slim[slim.index("Articles that fail first") :])
 
 
 def test_what_is_about_boxes_says_so(

@@ -54,10 +54,10 @@ def test_what_is_kept_is_what_was_given(tmp_path: Path) -> None:
     assert table is not None
     parts = Parts(tmp_path, {})
     parts.add(Tables(tmp_path).files_of(0, [("placements", table)]))
-    found = kept_plans(parts, records_of(known), [plan.plan_id for plan in known])
-    assert list(found) == [plan.plan_id for plan in known]
+    plan_by_id = kept_plans(parts, records_of(known), [plan.plan_id for plan in known])
+    assert list(plan_by_id) == [plan.plan_id for plan in known]
     for plan in known:
-        kept = found[plan.plan_id]
+        kept = plan_by_id[plan.plan_id]
         assert plan_digest(kept) == plan_digest(plan)
         assert same(kept, plan), plan.plan_id
         assert kept.source == plan.source

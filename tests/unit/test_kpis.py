@@ -53,17 +53,17 @@ def reference(real_data: Path) -> dict[str, Any]:
 
 
 def test_the_published_kpis(real_data: Path, reference: dict[str, Any]) -> None:
-    found = petmjx.kpis(
+    table = petmjx.kpis(
         real_data / "packing_plan_5-bed-bpp.json", real_data / "5_bed-bpp.json", assume_stable=True
     ).plans.set_index("plan_id")
-    assert set(found.index) == set(reference)
+    assert set(table.index) == set(reference)
     for plan_id, values in reference.items():
         for name in PUBLISHED:
-            assert found.loc[plan_id, name] == pytest.approx(values[name], abs=1e-9), (plan_id, name)
-        assert found.loc[plan_id, "n_ordered"] == values["n_items"]
-        assert found.loc[plan_id, "target"] == values["target"]
+            assert table.loc[plan_id, name] == pytest.approx(values[name], abs=1e-9), (plan_id, name)
+        assert table.loc[plan_id, "n_ordered"] == values["n_items"]
+        assert table.loc[plan_id, "target"] == values["target"]
         # theirs is the last whole millimetre below the top
-        assert found.loc[plan_id, "height_below_2m_m"] == pytest.approx(values["eval_score_height"] + 0.001, abs=1e-9)
+        assert table.loc[plan_id, "height_below_2m_m"] == pytest.approx(values["eval_score_height"] + 0.001, abs=1e-9)
 
 
 def test_the_published_support(real_data: Path, reference: dict[str, Any]) -> None:
@@ -86,7 +86,7 @@ def on_a_raster(corner: FloatArray, size: FloatArray) -> tuple[FloatArray, Seque
     shares, numbers = [], []
     for box, ((x, y, z), (dx, dy, dz)) in enumerate(zip(corner.astype(int), size.astype(int), strict=True)):
         here = np.s_[x : x + dx, y : y + dy]
-        below = {each - 1 for each in last[here][height[here] >= z - 5].flat if each}
+        below = {number - 1 for number in last[here][height[here] >= z - 5].flat if number}
         share = 0.0
         for other in below:
             length = [
@@ -156,8 +156,8 @@ def test_columns_by_hand() -> None:
         placement((400, 0, 0), (400, 300, 200)),
         placement((300, 0, 200), (300, 200, 1801), orientation=1),
     ]
-    found = rate({"A": plan}, {"A": order_for(plan, more=1)}, assume_stable=True)
-    row = found.plans.iloc[0]
+    kpis = rate({"A": plan}, {"A": order_for(plan, more=1)}, assume_stable=True)
+    row = kpis.plans.iloc[0]
     volume = 2 * 400 * 300 * 200 + 300 * 200 * 1801
     assert row["kpi_1"] == 0.25
     assert row["kpi_2"] == pytest.approx(volume / (1200 * 800 * 2001))
@@ -171,21 +171,21 @@ def test_columns_by_hand() -> None:
     assert row["height_below_2m_m"] == 0.2
     assert row["volume_m3"] == pytest.approx(volume / 1e9)
     assert row["utilisation_2m"] == pytest.approx(2 * 400 * 300 * 200 / (1200 * 800 * 2000))
-    assert found.summary["rating"] == 0.75
+    assert kpis.summary["rating"] == 0.75
     assert rate({"A": plan[:2]}).plans["kpi_5"].isna().all()
 
 
 def test_orders_and_plans_without_each_other() -> None:
     plans = {"A": tower(2), "B": tower(1), "bad": []}
     orders = {"A": order_for(plans["A"]), "lost": order_for(tower(6)), "odd": {}}
-    found = rate(plans, orders, assume_stable=True)
-    assert found.plans["plan_id"].tolist() == ["A"]
-    assert found.summary["rating"] == 2 / 8
-    assert found.notes[:2] == (
+    kpis = rate(plans, orders, assume_stable=True)
+    assert kpis.plans["plan_id"].tolist() == ["A"]
+    assert kpis.summary["rating"] == 2 / 8
+    assert kpis.notes[:2] == (
         "1 plan has no order and no KPIs (B)",
         "1 order (6 boxes) has no plan, and counts as not stable in the ratings (lost)",
     )
-    assert [line.partition(": ")[2] for line in found.skipped] == [
+    assert [line.partition(": ")[2] for line in kpis.skipped] == [
         "plan bad: has no placement",
         "order odd: properties.target must be one of euro-pallet, rollcontainer, got nothing",
     ]
@@ -217,13 +217,13 @@ def runs() -> dict[str, Path]:
 
 def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
     plans = {"stands": tower(2), "falls": FALLS}
-    found = rate(plans, run=runs["static"])
-    assert found.plans.set_index("plan_id")["kpi_6"].to_dict() == {"stands": 1, "falls": 0}
-    assert found.plans.set_index("plan_id")["verdict"].to_dict() == {"stands": "stable", "falls": "unstable"}
-    assert found.summary["rating"] == found.summary["rating_by_verdict"] == 0.5
-    assert found.notes == ()
+    kpis = rate(plans, run=runs["static"])
+    assert kpis.plans.set_index("plan_id")["kpi_6"].to_dict() == {"stands": 1, "falls": 0}
+    assert kpis.plans.set_index("plan_id")["verdict"].to_dict() == {"stands": "stable", "falls": "unstable"}
+    assert kpis.summary["rating"] == kpis.summary["rating_by_verdict"] == 0.5
+    assert kpis.notes == ()
     both = rate(plans, run=[runs["one-by-one"], runs["static"]])
-    assert both.summary == found.summary
+    assert both.summary == kpis.summary
     alone = rate(plans, run=runs["one-by-one"])
     assert alone.plans["kpi_6"].isna().all()
     assert alone.summary["rating"] is None
@@ -242,13 +242,13 @@ def test_a_run_that_is_not_finished_is_told(runs: dict[str, Path]) -> None:
 def test_runs_that_do_not_fit(runs: dict[str, Path]) -> None:
     with pytest.raises(petmjx.InputError, match="static: plan stands differs from the one that was simulated there"):
         rate({"stands": tower(3)}, run=runs["static"])
-    found = rate({"stands": tower(2), "new": tower(1)}, run=runs["static"])
-    assert found.plans.set_index("plan_id")["kpi_6"].isna().to_dict() == {"stands": False, "new": True}
+    kpis = rate({"stands": tower(2), "new": tower(1)}, run=runs["static"])
+    assert kpis.plans.set_index("plan_id")["kpi_6"].isna().to_dict() == {"stands": False, "new": True}
     assert (
         "1 plan is not in the run or invalid there, so kpi_6 is empty, which counts as not stable in the rating (new)"
-        in found.notes
+        in kpis.notes
     )
-    assert found.summary["rating"] == 2 / 3
+    assert kpis.summary["rating"] == 2 / 3
     with pytest.raises(petmjx.InputError, match="no such folder"):
         rate({"stands": tower(2)}, run="nowhere")
 
@@ -273,9 +273,9 @@ def test_ten_millimetres_along_z(runs: dict[str, Path]) -> None:
         changed = table.set_column(number, table.schema.field(number), [shifts])
         pq.write_table(changed, file)
         relisted(runs["static"])
-        found = rate({"stands": tower(2)}, run=runs["static"])
-        assert found.plans["kpi_6"].tolist() == [expected]
-        assert found.plans["verdict"].tolist() == ["stable"]
+        kpis = rate({"stands": tower(2)}, run=runs["static"])
+        assert kpis.plans["kpi_6"].tolist() == [expected]
+        assert kpis.plans["verdict"].tolist() == ["stable"]
 
 
 # Files and the command.
@@ -283,8 +283,8 @@ def test_ten_millimetres_along_z(runs: dict[str, Path]) -> None:
 
 def test_files(capsys: pytest.CaptureFixture[str]) -> None:
     plans = {'=HYPERLINK("x")': tower(2), "B, \x1b[31m": tower(1)}
-    found = rate(plans, assume_stable=True)
-    write_kpis(found, "out", xlsx=True)
+    kpis = rate(plans, assume_stable=True)
+    write_kpis(kpis, "out", xlsx=True)
     table = pq.read_table("out/kpis.parquet")
     assert table.column_names == [column.name for column in COLUMNS]
     assert all(field.metadata[b"description"] for field in table.schema)
@@ -292,7 +292,7 @@ def test_files(capsys: pytest.CaptureFixture[str]) -> None:
     csv = pd.read_csv("out/kpis.csv")
     assert csv["plan_id"].tolist() == list(plans)
     assert csv["kpi_4"].tolist() == table["kpi_4"].to_pylist()
-    assert json.loads(Path("out/summary.json").read_text())["rating"] == found.summary["rating"]
+    assert json.loads(Path("out/summary.json").read_text())["rating"] == kpis.summary["rating"]
     sheet = openpyxl.load_workbook("out/kpis.xlsx")["orderwise"]
     (_, first, second) = sheet.iter_rows()
     assert (first[0].value, first[0].data_type) == ('=HYPERLINK("x")', "s")
@@ -301,8 +301,8 @@ def test_files(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("at", [1, 3, 4])
 def test_on_a_full_disk_all_files_are_as_they_were(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = rate({"A": tower(1)}, assume_stable=True)
-    write_kpis(found, "before")
+    kpis = rate({"A": tower(1)}, assume_stable=True)
+    write_kpis(kpis, "before")
     before = {file: file.read_bytes() for file in Path("before").iterdir()}
     calls = itertools.count(1)
 

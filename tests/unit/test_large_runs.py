@@ -103,7 +103,7 @@ def test_no_part_is_written_twice(sweep: Any, tmp_path: Path, writes: list[str],
 
 
 def test_it_goes_on_after_any_number_of_worlds(sweep: Any, tmp_path: Path) -> None:
-    whole = sweep()
+    expected = sweep()
     for worlds in (0, 1, 11, 12, 13, 25, 35):
         out = tmp_path / str(worlds)
         with pytest.raises(KeyboardInterrupt):
@@ -112,9 +112,9 @@ def test_it_goes_on_after_any_number_of_worlds(sweep: Any, tmp_path: Path) -> No
         assert len(cut.worlds) == cut.info["counts"]["worlds"] == worlds
         results = sweep(out, resume=True)
         written_as_given(out)
-        pd.testing.assert_frame_equal(results.worlds, whole.worlds)
+        pd.testing.assert_frame_equal(results.worlds, expected.worlds)
         counts = {**results.info["counts"]}
-        assert counts == whole.info["counts"]
+        assert counts == expected.info["counts"]
 
 
 def test_worlds_that_take_too_much_memory_are_written_early(

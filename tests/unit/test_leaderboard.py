@@ -98,7 +98,7 @@ def test_the_page_is_static_and_names_are_text(board: Path) -> None:
 def test_the_numbers_are_data_too(board: Path) -> None:
     data = json.loads((board / "leaderboard.json").read_text(encoding="utf-8"))
     assert [(row["packer"], row["rating"]) for row in data["rating"]] == [("careful", 1.0), ("<b>eager&'", 0.5)]
-    assert [(each["packer"], each["verdict"]) for each in data["stories"]] == [
+    assert [(story["packer"], story["verdict"]) for story in data["stories"]] == [
         ("careful", "stable"),
         ("<b>eager&'", "unstable"),
     ]
@@ -150,8 +150,8 @@ def test_what_makes_no_leaderboard_is_one_line(tmp_path: Path, board: Path) -> N
         ),
         ([board, board], {"stories": -1}, "stories must be"),
     ]
-    for packers, options, said in refused:
-        with pytest.raises(InputError, match=said):
+    for packers, options, message in refused:
+        with pytest.raises(InputError, match=message):
             petmjx.leaderboard(packers, tmp_path / "board", **options)
     with pytest.raises(InputError, match="overwrite"):
         petmjx.leaderboard([board], board)

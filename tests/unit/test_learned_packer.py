@@ -145,12 +145,12 @@ def test_places_are_on_all_sides() -> None:
         point, column = np.nonzero(table.open[:, seen] & (table.carried[:, seen] >= (0.5 - 1e-9) * table.area[seen]))
         theirs = zip(seen[column], *table.points[point].T, table.z[point, seen[column]], strict=True)
         base = places.size_mm[:, :2]
-        there = {_key(*corner) for corner in zip(places.shape, *places.corner_mm.T, strict=True)}
-        assert {_key(*corner) for corner in theirs} <= there
+        keys = {_key(*corner) for corner in zip(places.shape, *places.corner_mm.T, strict=True)}
+        assert {_key(*corner) for corner in theirs} <= keys
         corner, other = places.corner_mm.copy(), mirrored.places(0.5)
         corner[:, 0] = extent[0] - corner[:, 0] - base[:, 0]
-        found = {_key(*each) for each in zip(other.shape, *other.corner_mm.T, strict=True)}
-        assert {_key(*each) for each in zip(places.shape, *corner.T, strict=True)} == found
+        mirror_keys = {_key(*place) for place in zip(other.shape, *other.corner_mm.T, strict=True)}
+        assert {_key(*place) for place in zip(places.shape, *corner.T, strict=True)} == mirror_keys
         chosen = by_taste(plain)
         if chosen is None:
             for stream in (plain, straight, mirrored):
@@ -184,7 +184,7 @@ def test_room_is_where_typical_cartons_could_stand() -> None:
         surface.put(low, np.array([*(low[:2] + rng.uniform(200, 400, 2)), top]))
     low = np.array([[0.0, 0.0, 100.0], [300.0, 200.0, 350.0]])
     high = low + np.array([400.0, 300.0, 120.0])
-    found = room(surface, low, high)
+    measures = room(surface, low, high)
     for row in range(2):
         height = surface.height.copy()
         (x0, y0), (x1, y1) = surface.lines(low)[row], surface.lines(high)[row]
@@ -199,8 +199,8 @@ def test_room_is_where_typical_cartons_could_stand() -> None:
                     costs.append((top + AIR * (top - mean)).min())
                     level.append((top - mean < LEVEL_MM).mean())
                 lowest.append(min(costs))
-            assert found[f"room_{name}"][row] == pytest.approx(np.mean(lowest) / 1000, abs=1e-4)
-            assert found[f"level_{name}"][row] == pytest.approx(np.mean(level))
+            assert measures[f"room_{name}"][row] == pytest.approx(np.mean(lowest) / 1000, abs=1e-4)
+            assert measures[f"level_{name}"][row] == pytest.approx(np.mean(level))
     nowhere = room(Surface((120.0, 90.0), COARSE_MM), np.zeros((1, 3)), np.full((1, 3), 80.0))
     assert (nowhere["room_small"], nowhere["level_large"]) == (2.0, 0.0)  # no carton has room
 
@@ -233,8 +233,8 @@ def test_slopes_are_those_of_scores() -> None:
         ahead, behind = values.copy(), values.copy()
         ahead[number] += step
         behind[number] -= step
-        found = weights @ (network.with_learned(ahead).scores(rows) - network.with_learned(behind).scores(rows))
-        assert slope == pytest.approx(found / (2 * step), abs=1e-6)
+        difference = weights @ (network.with_learned(ahead).scores(rows) - network.with_learned(behind).scores(rows))
+        assert slope == pytest.approx(difference / (2 * step), abs=1e-6)
 
 
 def policy_that_is(chance: float) -> Policy:
@@ -260,9 +260,9 @@ def test_the_surest_is_taken_where_none_is_sure(monkeypatch: pytest.MonkeyPatch)
         assert chosen is not None
         stream.put(chosen)
     places, _ = published().seen(stream) or pytest.fail("no candidates")
-    taken = published().take(stream, places, -np.arange(len(places), dtype=float))
-    assert taken is not None
-    assert taken.chance == 0.9
+    choice = published().take(stream, places, -np.arange(len(places), dtype=float))
+    assert choice is not None
+    assert choice.chance == 0.9
 
 
 def test_the_weights_are_small_and_in_the_package(tmp_path: Path) -> None:

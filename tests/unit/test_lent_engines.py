@@ -51,19 +51,19 @@ class Bare:
         return iter(())
 
 
-def lent(own: Any) -> Engine:
-    with engine_for(RunOptions(engine=own), Work(Simulation(), [1])) as (engine, _):
+def lent(user_engine: Any) -> Engine:
+    with engine_for(RunOptions(engine=user_engine), Work(Simulation(), [1])) as (engine, _):
         return engine
 
 
 def test_a_lent_engine_keeps_what_it_has() -> None:
-    own = Full()
-    engine = lent(own)
+    user_engine = Full()
+    engine = lent(user_engine)
     for name in ("name", "takes_more", "takes_parts", "looks", "devices", "device"):
-        assert getattr(engine, name) == getattr(own, name), name
+        assert getattr(engine, name) == getattr(user_engine, name), name
     assert engine.tells
     assert engine.open([], Simulation(), 7) == ("open", [], Simulation(), 7)  # type: ignore[comparison-overlap]
-    assert not own.closed, "it stays the user's"
+    assert not user_engine.closed, "it stays the user's"
 
 
 def test_what_it_leaves_out_is_as_of_any_engine() -> None:

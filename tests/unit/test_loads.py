@@ -149,23 +149,23 @@ def results() -> petmjx.RunResults:
 
 def test_shares_of_a_tower(results: petmjx.RunResults) -> None:
     """The lowest box bears the weight of two, the middle one that of one; statics gives the shares."""
-    found = petmjx.loads(results, table("donut-00101843,,200,,,", ",dairy,100,,,2"))
-    boxes = found.boxes[found.boxes["plan_id"] == "three"].sort_values("box")
+    loads = petmjx.loads(results, table("donut-00101843,,200,,,", ",dairy,100,,,2"))
+    boxes = loads.boxes[loads.boxes["plan_id"] == "three"].sort_values("box")
     assert boxes["strength_n"].tolist() == [200, 50, 200]
     assert boxes["load_share"].tolist() == pytest.approx([2 * WEIGHT_N / 200, WEIGHT_N / 50, 0], rel=0.01, abs=1e-6)
-    plans = found.plans.set_index("plan_id")
+    plans = loads.plans.set_index("plan_id")
     assert plans["overloaded"].dropna().to_dict() == {"three": True, "one": False}
     assert plans.loc["three", ["n_overloaded", "n_unknown", "box", "article"]].tolist() == [1, 0, 1, "milk"]
     assert plans.loc["three", "max_load_share"] == pytest.approx(WEIGHT_N / 50, rel=0.01)
     assert plans["verdict"].to_dict() == {"three": "stable", "one": "stable", "falls": "unstable"}
-    assert found.notes == ("1 article of 1 box has no strength: jam",)
-    assert repr(found) == "Loads(3 worlds, 1 overloaded)"
+    assert loads.notes == ("1 article of 1 box has no strength: jam",)
+    assert repr(loads) == "Loads(3 worlds, 1 overloaded)"
 
 
 def test_a_run_that_is_not_finished_is_told(results: petmjx.RunResults) -> None:
     leave_unfinished(results.path)
-    found = petmjx.loads(results.path, table("donut-00101843,,200,,,", "jam,,200,,,", "milk,,200,,,"))
-    assert found.notes == ("the run is not finished (interrupted)",)
+    loads = petmjx.loads(results.path, table("donut-00101843,,200,,,", "jam,,200,,,", "milk,,200,,,"))
+    assert loads.notes == ("the run is not finished (interrupted)",)
 
 
 def test_what_statics_leaves_open_is_overloaded_possibly(capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,8 +190,8 @@ def test_what_statics_leaves_open_is_overloaded_possibly(capsys: pytest.CaptureF
 
 
 def test_mckee_takes_the_sizes_of_the_plan(results: petmjx.RunResults) -> None:
-    found = petmjx.loads("run", table(",confectionery,,5,4,5"), plans="plans.json")
-    boxes = found.boxes.set_index(["plan_id", "box"])
+    loads = petmjx.loads("run", table(",confectionery,,5,4,5"), plans="plans.json")
+    boxes = loads.boxes.set_index(["plan_id", "box"])
     assert boxes.loc[("one", 0), "strength_n"] == pytest.approx(5.87 * 5 * math.sqrt(4 * 2000) / 5)
     assert boxes.loc[("falls", 0), "press_strength_n"] == pytest.approx(5.87 * 5 * math.sqrt(4 * 1200) / 5)
     assert boxes["strength_n"].isna().sum() == 2  # milk and jam
@@ -204,9 +204,9 @@ def test_verdicts_stay(results: petmjx.RunResults) -> None:
 
 
 def test_files(results: petmjx.RunResults) -> None:
-    found = petmjx.loads("run", table("milk,,1,,,"))
-    found.write("loads")
-    for name, frame in (("box_loads", found.boxes), ("plan_loads", found.plans)):
+    loads = petmjx.loads("run", table("milk,,1,,,"))
+    loads.write("loads")
+    for name, frame in (("box_loads", loads.boxes), ("plan_loads", loads.plans)):
         read = pq.read_table(f"loads/{name}.parquet")
         assert read.column_names == list(frame.columns)
         assert all(b"unit" in field.metadata and field.metadata[b"description"] for field in read.schema)
@@ -248,10 +248,10 @@ def test_the_command(
 
 def test_worlds_with_errors_are_not_called_plans(results: petmjx.RunResults) -> None:
     table("milk,,10,,,")
-    found = petmjx.loads(results, "articles.csv")
-    again = replace(found, plans=pd.concat([found.plans, found.plans.assign(variant=1)], ignore_index=True))
-    again = replace(again, boxes=pd.concat([found.boxes, found.boxes.assign(variant=1)], ignore_index=True))
-    assert "2 of 6 worlds overloaded (2 boxes), 4 not known" in [str(each) for each in load_tables(again)]
+    loads = petmjx.loads(results, "articles.csv")
+    again = replace(loads, plans=pd.concat([loads.plans, loads.plans.assign(variant=1)], ignore_index=True))
+    again = replace(again, boxes=pd.concat([loads.boxes, loads.boxes.assign(variant=1)], ignore_index=True))
+    assert "2 of 6 worlds overloaded (2 boxes), 4 not known" in [str(load_table) for load_table in load_tables(again)]
 
 
 def test_the_command_refuses(capsys: pytest.CaptureFixture[str]) -> None:

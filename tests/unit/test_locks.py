@@ -54,10 +54,10 @@ def test_of_a_hundred_runs_at_once_one_writes(tmp_path: Path) -> None:
     with ThreadPoolExecutor(101) as pool:
         attempts = [pool.submit(attempt, number) for number in range(101)]
         try:
-            wait_for(lambda: sum(each.done() for each in attempts) == 100)
+            wait_for(lambda: sum(future.done() for future in attempts) == 100)
         finally:
             over.set()
-        answers = [each.result() for each in attempts]
+        answers = [future.result() for future in attempts]
     assert sorted(answers) == ["refused"] * 100 + ["wrote"]
 
 

@@ -35,9 +35,9 @@ def raw() -> list[Outcome]:
 
 @pytest.fixture
 def lookers() -> Iterator[Lookers[Any]]:
-    found = Lookers[Any](2)
-    yield found
-    found.close()
+    pool = Lookers[Any](2)
+    yield pool
+    pool.close()
 
 
 def pids(lookers: Lookers[Any]) -> list[int]:
@@ -45,14 +45,17 @@ def pids(lookers: Lookers[Any]) -> list[int]:
 
 
 def told(outcomes: list[Outcome]) -> list[tuple[Any, ...]]:
-    return [(each.job, each.verdict, each.plan_edge_m, each.rest_edge_m, each.margin, each.flags) for each in outcomes]
+    return [
+        (outcome.job, outcome.verdict, outcome.plan_edge_m, outcome.rest_edge_m, outcome.margin, outcome.flags)
+        for outcome in outcomes
+    ]
 
 
 def expected(raw: list[Outcome]) -> list[tuple[Any, ...]]:
-    found = told(looked_at(deepcopy(raw), JOBS, SIM))
-    assert {each[1] for each in found} == {Verdict.STABLE}
-    assert all(0 < edge < 1 for _, _, *edges, _, _ in found for edge in edges)
-    return found
+    rows = told(looked_at(deepcopy(raw), JOBS, SIM))
+    assert {row[1] for row in rows} == {Verdict.STABLE}
+    assert all(0 < edge < 1 for _, _, *edges, _, _ in rows for edge in edges)
+    return rows
 
 
 def given(raw: list[Outcome], key: Any) -> list[tuple[Any, Outcome]]:
@@ -62,26 +65,26 @@ def given(raw: list[Outcome], key: Any) -> list[tuple[Any, Outcome]]:
 
 def test_they_find_what_the_run_would(lookers: Lookers[Any], raw: list[Outcome]) -> None:
     assert len(pids(lookers)) == 2
-    found: dict[Any, Outcome] = {}
+    outcomes: dict[Any, Outcome] = {}
     many = 2 * MOST_WAITING + 3  # more than may wait for them
     for key in range(many):
-        found |= lookers.exchanged(given(raw, key), JOBS, SIM, wait=False)
-    found |= lookers.exchanged([], [], SIM, wait=True)
-    assert sorted(found) == [(key, job) for key in range(many) for job in range(len(JOBS))]
+        outcomes |= lookers.exchanged(given(raw, key), JOBS, SIM, wait=False)
+    outcomes |= lookers.exchanged([], [], SIM, wait=True)
+    assert sorted(outcomes) == [(key, job) for key in range(many) for job in range(len(JOBS))]
     for key in range(many):
-        assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
+        assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw)
         for job, sent in enumerate(raw):
-            np.testing.assert_array_equal(found[key, job].boxes.pos, sent.boxes.pos)
+            np.testing.assert_array_equal(outcomes[key, job].boxes.pos, sent.boxes.pos)
     assert lookers.exchanged([], [], SIM, wait=True) == []
 
 
 def test_what_was_measured_of_boxes_stays_with_the_run(lookers: Lookers[Any], raw: list[Outcome]) -> None:
-    came = given(raw, "once")
-    boxes = [outcome.boxes for _, outcome in came]
-    found = dict(lookers.exchanged(came, JOBS, SIM, wait=True))
-    assert [found["once", job].boxes.pos is boxes[job].pos for job in range(len(JOBS))] == [True, True]
-    assert [np.isfinite(found["once", job].boxes.plan_edge_m).any() for job in range(len(JOBS))] == [True, True]
-    assert [found["once", job] is came[job][1] for job in range(len(JOBS))] == [False, False]
+    sent = given(raw, "once")
+    boxes = [outcome.boxes for _, outcome in sent]
+    outcomes = dict(lookers.exchanged(sent, JOBS, SIM, wait=True))
+    assert [outcomes["once", job].boxes.pos is boxes[job].pos for job in range(len(JOBS))] == [True, True]
+    assert [np.isfinite(outcomes["once", job].boxes.plan_edge_m).any() for job in range(len(JOBS))] == [True, True]
+    assert [outcomes["once", job] is sent[job][1] for job in range(len(JOBS))] == [False, False]
 
 
 def test_the_run_looks_itself_where_they_do_not(lookers: Lookers[Any], raw: list[Outcome]) -> None:
@@ -90,25 +93,25 @@ def test_the_run_looks_itself_where_they_do_not(lookers: Lookers[Any], raw: list
     os.kill(one, signal.SIGSTOP)
     os.kill(other, signal.SIGSTOP)
     unsendable = [Job(job.scene, record=lambda: None) for job in JOBS]  # type: ignore[arg-type]
-    found = dict(lookers.exchanged(given(raw, "unsendable"), unsendable, SIM, wait=False))
-    assert len(found) == len(JOBS)
+    outcomes = dict(lookers.exchanged(given(raw, "unsendable"), unsendable, SIM, wait=False))
+    assert len(outcomes) == len(JOBS)
     for key in range(5):
         assert lookers.exchanged(given(raw, key), JOBS, SIM, wait=False) == []
     os.kill(one, signal.SIGKILL)
     os.kill(other, signal.SIGKILL)
-    found |= lookers.exchanged(given(raw, 5), JOBS, SIM, wait=True)
+    outcomes |= lookers.exchanged(given(raw, 5), JOBS, SIM, wait=True)
     assert pids(lookers) == []
-    found |= lookers.exchanged(given(raw, "none is left"), JOBS, SIM, wait=False)
+    outcomes |= lookers.exchanged(given(raw, "none is left"), JOBS, SIM, wait=False)
     for key in ("unsendable", *range(6), "none is left"):
-        assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw)
+        assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw)
 
 
 def test_states_that_drives_start_from_stay_here(lookers: Lookers[Any], raw: list[Outcome]) -> None:
     """A process would have to import what they are of."""
     driven = [Job(job.scene, start=lambda: None) for job in JOBS]  # type: ignore[arg-type]  # cannot be sent
     assert lookers.exchanged(given(raw, 0), driven, SIM, wait=False) == []
-    found = dict(lookers.exchanged([], [], SIM, wait=True))
-    assert told([found[0, job] for job in range(len(JOBS))]) == expected(raw)
+    outcomes = dict(lookers.exchanged([], [], SIM, wait=True))
+    assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
 
 
 def test_a_process_that_hangs_is_not_waited_for_without_end(
@@ -119,8 +122,8 @@ def test_a_process_that_hangs_is_not_waited_for_without_end(
     monkeypatch.setattr("petmjx.engines.beside.lookers.HANGS_S", 2 * LOOK_S)
     os.kill(one, signal.SIGSTOP)
     lookers.exchanged(given(raw, 0), JOBS, SIM, wait=False)
-    found = dict(lookers.exchanged([], [], SIM, wait=True))
-    assert told([found[0, job] for job in range(len(JOBS))]) == expected(raw)
+    outcomes = dict(lookers.exchanged([], [], SIM, wait=True))
+    assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
     assert pids(lookers) == [other]
     with pytest.raises(ProcessLookupError):
         os.kill(one, 0)
@@ -130,21 +133,21 @@ def test_waiting_ends_when_there_is_something_else_to_do(
     lookers: Lookers[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("petmjx.engines.beside.lookers.HANGS_S", 5.0)
-    stopped, asked = pids(lookers), list[bool]()
+    stopped, answers = pids(lookers), list[bool]()
 
     def later() -> bool:
-        asked.append(len(asked) > 2)
-        return asked[-1]
+        answers.append(len(answers) > 2)
+        return answers[-1]
 
     for pid in stopped:
         os.kill(pid, signal.SIGSTOP)
     assert lookers.exchanged(given(raw, 0), JOBS, SIM, wait=True, until=later) == []
-    assert asked[-1]
+    assert answers[-1]
     assert lookers.exchanged([], [], SIM, wait=True, until=lambda: True) == []
     for pid in stopped:
         os.kill(pid, signal.SIGCONT)
-    found = dict(lookers.exchanged([], [], SIM, wait=True, until=lambda: False))
-    assert told([found[0, job] for job in range(len(JOBS))]) == expected(raw)
+    outcomes = dict(lookers.exchanged([], [], SIM, wait=True, until=lambda: False))
+    assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
     assert pids(lookers) == stopped
 
 
@@ -177,8 +180,8 @@ def test_after_ctrl_c_all_that_hang_are_waited_for_a_moment_together(
         lookers.exchanged(given(raw, key), JOBS, SIM, wait=False)
     begin = time.monotonic()
     lookers.hurry()
-    found = dict(lookers.exchanged([], [], SIM, wait=True))
+    outcomes = dict(lookers.exchanged([], [], SIM, wait=True))
     assert time.monotonic() - begin < 20  # a loaded machine; each would have had a minute
     for key in range(4):
-        assert told([found[key, job] for job in range(len(JOBS))]) == expected(raw), "nothing that came is lost"
+        assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw), "nothing that came is lost"
     assert pids(lookers) == []

@@ -23,11 +23,11 @@ def test_queues_are_lists_of_boxes() -> None:
         lists.append([(*boxes.size_mm[i], boxes.mass_kg[i], boxes.strength_n[i]) for i in range(k)])
     left_out = np.zeros(n, int)
     while any(lists):
-        np.testing.assert_array_equal(queues.counts, [len(each) for each in lists])
+        np.testing.assert_array_equal(queues.counts, [len(remaining) for remaining in lists])
         size, mass = queues.seen(np.arange(n))
-        for row, each in enumerate(lists):
+        for row, queue in enumerate(lists):
             expected = np.zeros((seen, 4))
-            expected[: len(each)] = np.reshape([box[:4] for box in each[:seen]], (-1, 4))
+            expected[: len(queue)] = np.reshape([box[:4] for box in queue[:seen]], (-1, 4))
             np.testing.assert_array_equal(np.column_stack([size[row], mass[row]]), expected)
         rows = np.array([row for row in rng.permutation(n) if lists[row]])
         if rng.random() < 0.2:

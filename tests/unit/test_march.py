@@ -31,8 +31,8 @@ def _tiny(number: int, threads: int) -> Any:
 def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
     kernels = {threads: _tiny(threads, threads) for threads in (128, 256)}
     launches = [Launch(1, threads, 1, 256, 2, hands=False) for threads in (256, 128, 128)]
-    own = {kernel.module for kernel in own_kernels(len(launches))}
-    begun, loaded, load = Barrier(2 + len(own), timeout=LONG_S), [], wp.Module.load
+    modules = {kernel.module for kernel in own_kernels(len(launches))}
+    begun, loaded, load = Barrier(2 + len(modules), timeout=LONG_S), [], wp.Module.load
 
     def watched(module: Any, *args: Any, **options: Any) -> Any:
         begun.wait()  # breaks if one begins only after another one
@@ -45,8 +45,8 @@ def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkey
         patched.setattr(wp.Module, "load", watched)
         patched.setattr(march, "kernel", lambda launch: kernels[launch.threads])
         marching.load()
-    assert len(loaded) == 2 + len(own)
-    assert set(loaded) == {kernels[128].module, kernels[256].module} | own
+    assert len(loaded) == 2 + len(modules)
+    assert set(loaded) == {kernels[128].module, kernels[256].module} | modules
     for number, kernel in kernels.items():
         assert kernel.module.execs
         values = wp.zeros(2, int)

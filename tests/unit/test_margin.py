@@ -77,9 +77,9 @@ def test_the_sign_is_that_of_the_verdict(limit_m: float, dtype: type[np.floating
         metrics = boxes()
         metrics.shift_m = np.array([[value, 0, 0]] * 3, dtype)
         verdict, _ = judge(Flag.NONE, metrics, 3, thresholds)
-        found = margin(metrics, thresholds=thresholds)
-        assert (found >= 0) == (verdict is Verdict.STABLE)
-        assert found == pytest.approx(0, abs=1e-6)
+        actual = margin(metrics, thresholds=thresholds)
+        assert (actual >= 0) == (verdict is Verdict.STABLE)
+        assert actual == pytest.approx(0, abs=1e-6)
 
 
 def test_a_world_that_was_shaken_though_it_did_not_stand_has_the_smaller_margin() -> None:
@@ -107,7 +107,11 @@ def test_flips_say_within_which_margin_they_are(tmp_path: Path) -> None:
     floating = make_plan("floats", (*stack(1), ((400.0, 300.0, 200.0), (0.0, 0.0, 205.0), 5.0)))
     petmjx.score(floating, engine="mujoco", out=folders[0])
     petmjx.sweep(file, floating, engine="mujoco", out=folders[1], **strict)
-    found = compare_runs(*folders)
-    (flip,) = found.flips.to_dict("records")
+    comparison = compare_runs(*folders)
+    (flip,) = comparison.flips.to_dict("records")
     assert flip["margin_a"] > 0 > flip["margin_b"]
-    assert found.flips_within == found.to_dict()["flips_within"] == min(abs(flip["margin_a"]), abs(flip["margin_b"]))
+    assert (
+        comparison.flips_within
+        == comparison.to_dict()["flips_within"]
+        == min(abs(flip["margin_a"]), abs(flip["margin_b"]))
+    )

@@ -39,11 +39,11 @@ def quaternions(shape: tuple[int, ...]) -> np.ndarray:
 def test_tilt_is_the_oracles() -> None:
     quat = quaternions((LANES, BOXES))
     expected = motion_np.tilt_deg(quat.reshape(-1, 4)).reshape(LANES, BOXES)
-    found = motion.tilt_deg(jnp.asarray(quat, jnp.float32))
+    tilts = motion.tilt_deg(jnp.asarray(quat, jnp.float32))
     # The oracle's arcsin is flat at 180°, so compare within 179°.
     inside = expected < 179.0
     assert inside.mean() > 0.9
-    np.testing.assert_allclose(np.asarray(found)[inside], expected[inside], atol=DEGREES)
+    np.testing.assert_allclose(np.asarray(tilts)[inside], expected[inside], atol=DEGREES)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 0.001, 0.02, 1.0, 20.0, 90.0, 180.0])
@@ -52,16 +52,16 @@ def test_small_tilts_are_not_lost(tilt_deg: float) -> None:
     yaw = np.array([np.cos(0.4), 0.0, 0.0, np.sin(0.4)])
     quat = np.zeros(4)
     mujoco.mju_mulQuat(quat, yaw, np.array([np.cos(half), np.sin(half), 0.0, 0.0]))
-    found = motion.tilt_deg(jnp.asarray(quat, jnp.float32)[None, None])
-    assert float(found[0, 0]) == pytest.approx(tilt_deg, rel=1e-4, abs=1e-5)
+    tilts = motion.tilt_deg(jnp.asarray(quat, jnp.float32)[None, None])
+    assert float(tilts[0, 0]) == pytest.approx(tilt_deg, rel=1e-4, abs=1e-5)
 
 
 def test_lowest_points_are_the_oracles() -> None:
     pos, half = RNG.normal(size=(LANES, BOXES, 3)), RNG.uniform(0.05, 0.3, (LANES, BOXES, 3))
     quat = quaternions((LANES, BOXES))
     expected = motion_np.lowest_z(pos.reshape(-1, 3), quat.reshape(-1, 4), half.reshape(-1, 3))
-    found = motion.lowest_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
-    np.testing.assert_allclose(np.asarray(found).ravel(), expected, atol=METRES)
+    lowest = motion.lowest_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
+    np.testing.assert_allclose(np.asarray(lowest).ravel(), expected, atol=METRES)
 
 
 def test_drops_and_signs() -> None:
@@ -93,12 +93,12 @@ def test_drops_signs_and_shifts_are_the_oracles() -> None:
     assert 20 < dropped.sum() < 180
     assert motion.has_dropped(*single[:3], limits).ravel().tolist() == dropped.tolist()
     shift = motion_np.shift(flat[0], flat[3], limits.shift_floor_m)
-    found = motion.shift(single[0], single[3], limits.shift_floor_m)
-    np.testing.assert_allclose(np.asarray(found).reshape(-1, 3), shift, atol=METRES)
+    shifts = motion.shift(single[0], single[3], limits.shift_floor_m)
+    np.testing.assert_allclose(np.asarray(shifts).reshape(-1, 3), shift, atol=METRES)
     tilt = motion_np.tilt_deg(flat[1]) / 5
     excess = motion_np.excess(shift, tilt, dropped, limits)
     tilt_32, dropped_32 = (jnp.asarray(a).reshape(LANES, BOXES) for a in (tilt.astype(np.float32), dropped))
-    np.testing.assert_allclose(motion.excess(found, tilt_32, dropped_32, limits).ravel(), excess, rtol=1e-3)
+    np.testing.assert_allclose(motion.excess(shifts, tilt_32, dropped_32, limits).ravel(), excess, rtol=1e-3)
 
 
 @pytest.mark.parametrize("limit", [0.02, 0.03, 0.0007, 20.0])
@@ -146,8 +146,8 @@ def test_how_far_points_have_moved_is_path_and_turn() -> None:
     after[0, 0] = 0.005
     after[1, 3:] = [np.cos(0.005), np.sin(0.005), 0.0, 0.0]
     expected = [0.005, 0.3 * 0.01]
-    found = motion.moved(*(jnp.asarray(each)[None] for each in (before, after, half)))
-    np.testing.assert_allclose(found[0], expected, rtol=1e-4)
+    distances = motion.moved(*(jnp.asarray(array)[None] for array in (before, after, half)))
+    np.testing.assert_allclose(distances[0], expected, rtol=1e-4)
     np.testing.assert_allclose(motion_np.moved(before, after, np.full(2, 0.3)), expected, rtol=1e-5)
 
 
@@ -184,7 +184,7 @@ def test_top_forces_are_mujocos(cone: str, seed: int) -> None:
     k = 4 if pyramidal else 3
     rows[has_rows, :k] = data.efc_force[address[has_rows, None] + np.arange(k)]
     frame_z = np.asarray(contact.frame).reshape(-1, 3, 3)[:, :, 2].astype(np.float32)
-    found = force.contact_force_z(
+    forces = force.contact_force_z(
         jnp.asarray(rows),
         jnp.asarray(frame_z),
         jnp.asarray(np.asarray(contact.friction)[:, :2], jnp.float32),
@@ -195,13 +195,13 @@ def test_top_forces_are_mujocos(cone: str, seed: int) -> None:
         mujoco.mj_contactForce(model, data, c, wrench)
         expected.append(float(wrench[:3] @ np.asarray(contact.frame[c]).reshape(3, 3)[:, 2]))
     assert data.ncon > 8
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(forces, expected, rtol=1e-4, atol=1e-3)
 
     geom, bodies = np.asarray(contact.geom), geom_bodies(model, range(model.nbody - 2))
     box, sign, counts = force.pressed_box(
         jnp.asarray(bodies[geom]), jnp.asarray(data.geom_xpos[geom, 2], jnp.float32), jnp.asarray(frame_z[:, 0])
     )
-    np.add.at(total, np.asarray(box)[np.asarray(counts)], np.asarray(sign * found)[np.asarray(counts)])
+    np.add.at(total, np.asarray(box)[np.asarray(counts)], np.asarray(sign * forces)[np.asarray(counts)])
     np.testing.assert_allclose(
         total, force_np.top_forces(data, bodies, model.nbody - 2, pyramidal), rtol=1e-4, atol=1e-3
     )
@@ -230,8 +230,8 @@ def test_the_final_pose_and_the_force_at_rest_enter_the_maxima() -> None:
             rest_samples=jnp.array([5, 5]),
         ),
     )
-    found = reduce_metrics(state, worlds, Simulation())
-    np.testing.assert_allclose(found.max_tilt, [[4.0, 90.0, 0.0]] * 2, atol=1e-4)
-    np.testing.assert_allclose(found.max_top_force, [[80.0, 50.0, 50.0], [50.0] * 3])
-    np.testing.assert_allclose(found.rest_force[0], [80.0, 20.0, 0.0])
-    assert np.isnan(found.rest_force[1]).all()
+    metrics = reduce_metrics(state, worlds, Simulation())
+    np.testing.assert_allclose(metrics.max_tilt, [[4.0, 90.0, 0.0]] * 2, atol=1e-4)
+    np.testing.assert_allclose(metrics.max_top_force, [[80.0, 50.0, 50.0], [50.0] * 3])
+    np.testing.assert_allclose(metrics.rest_force[0], [80.0, 20.0, 0.0])
+    assert np.isnan(metrics.rest_force[1]).all()

@@ -93,10 +93,10 @@ def test_a_new_metric_reaches_files_units_and_comparison(
     assert results.units("boxes")["spin_x"] == results.units("worlds")["max_spin"] == "1"
     column = pq.read_schema(tmp_path / "a/worlds/part-00000.parquet").field("max_spin")
     assert column.metadata[b"description"] == b"most turns of any box"
-    found = compare_runs(tmp_path / "a", tmp_path / "b")
-    largest = {row["metric"]: row["largest"] for row in found.boxes.to_dict("records")}
+    comparison = compare_runs(tmp_path / "a", tmp_path / "b")
+    largest = {row["metric"]: row["largest"] for row in comparison.boxes.to_dict("records")}
     assert (largest["spin_x"], largest["spin_y"], largest["spin_y relative"]) == (50.0, 100.0, 0.5)
-    assert dict(zip(found.worlds["metric"], found.worlds["largest"], strict=True))["max_spin"] == 100.0
+    assert dict(zip(comparison.worlds["metric"], comparison.worlds["largest"], strict=True))["max_spin"] == 100.0
     assert "`max_spin` | 1 | float64 | largest magnitude of `spin_x`, `spin_y`" in markdown()
 
 
@@ -161,12 +161,12 @@ def test_every_reason_has_its_words() -> None:
 
 
 def test_what_was_not_measured_has_no_value() -> None:
-    found = BoxMetrics.measured(2, max_tilt_deg=np.ones(2))
-    assert found.max_tilt_deg.tolist() == [1.0, 1.0]
-    assert found.dropped.tolist() == [False, False]
-    assert np.isnan(found.quat).all()
-    assert found.quat.shape == (2, 4)
-    assert np.isnan(found.drop_s).tolist() == [True, True]
+    metrics = BoxMetrics.measured(2, max_tilt_deg=np.ones(2))
+    assert metrics.max_tilt_deg.tolist() == [1.0, 1.0]
+    assert metrics.dropped.tolist() == [False, False]
+    assert np.isnan(metrics.quat).all()
+    assert metrics.quat.shape == (2, 4)
+    assert np.isnan(metrics.drop_s).tolist() == [True, True]
     with pytest.raises(TypeError, match="max_tilt"):
         BoxMetrics.measured(2, max_tilt=np.ones(2))
 

@@ -41,8 +41,8 @@ class TakesForItsOwn(Engine):
     runs: int = 0
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        left, asked = list(range(len(jobs))), len(jobs)
-        self.parts.append(asked)
+        left, n_jobs = list(range(len(jobs))), len(jobs)
+        self.parts.append(n_jobs)
         self.runs += 1
         while left:
             yield make_outcome(1, Verdict.STABLE, job=left.pop(0))
@@ -56,8 +56,8 @@ class TakesForItsOwn(Engine):
                     pass
                 if self.fails and len(left) == 1:
                     raise ValueError("out of order")
-                left += range(asked, asked + len(part))
-                asked += len(part)
+                left += range(n_jobs, n_jobs + len(part))
+                n_jobs += len(part)
                 self.parts.extend([len(part)] if part else [])
 
 
@@ -85,9 +85,9 @@ def when_worlds_become_jobs(monkeypatch: pytest.MonkeyPatch, last: int) -> None:
     monkeypatch.setattr("petmjx.engines.making.ready_for", without_room(ready_for, CHUNK + 2, last))
 
 
-def found_by(engine: Engine, source: Iterable[World], found: list[str]) -> None:
+def found_by(engine: Engine, source: Iterable[World], plan_ids: list[str]) -> None:
     for result in score_worlds(source, Simulation(), engine, chunk_worlds=CHUNK):
-        found.append(result.world.plan.plan_id)
+        plan_ids.append(result.world.plan.plan_id)
 
 
 Short = Callable[[pytest.MonkeyPatch, int], None]
@@ -106,9 +106,9 @@ def test_a_part_for_which_the_host_has_no_memory_is_made_again_in_another_run(
 ) -> None:
     """Also where a stand-in has taken over meanwhile."""
     short(monkeypatch, CHUNK + 2)
-    engine, found = TakesForItsOwn(fails=fails), list[str]()
-    found_by(engine, worlds_of(3 * CHUNK), found)
-    assert sorted(found) == sorted(f"p{k}" for k in range(3 * CHUNK))
+    engine, plan_ids = TakesForItsOwn(fails=fails), list[str]()
+    found_by(engine, worlds_of(3 * CHUNK), plan_ids)
+    assert sorted(plan_ids) == sorted(f"p{k}" for k in range(3 * CHUNK))
     assert engine.parts[:2] == [CHUNK, CHUNK]
     assert engine.runs > 1
 
@@ -118,10 +118,10 @@ def test_memory_of_the_host_that_stays_short_is_raised_after_the_outcomes_of_the
     short: Short, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     short(monkeypatch, sys.maxsize)
-    engine, found = TakesForItsOwn(), list[str]()
+    engine, plan_ids = TakesForItsOwn(), list[str]()
     with pytest.raises(MemoryError, match="no room on the host"):
-        found_by(engine, worlds_of(3 * CHUNK), found)
-    assert sorted(found) == sorted(f"p{k}" for k in range(CHUNK))
+        found_by(engine, worlds_of(3 * CHUNK), plan_ids)
+    assert sorted(plan_ids) == sorted(f"p{k}" for k in range(CHUNK))
     assert engine.parts == [CHUNK]
 
 
@@ -134,16 +134,16 @@ class Full(dict[int, Any]):
 
 
 def test_what_an_engine_could_not_be_asked_is_not_missed_from_it() -> None:
-    asked = _Asked[World](unanswered=Full())
+    requests = _Asked[World](unanswered=Full())
     with pytest.raises(MemoryError):
-        asked.add([(world, None, ()) for world in worlds_of(2)])
-    assert (asked.count, asked.unanswered) == (0, {})
+        requests.add([(world, None, ()) for world in worlds_of(2)])
+    assert (requests.count, requests.unanswered) == (0, {})
 
 
 @pytest.mark.parametrize("fails", [False, True])
 def test_memory_that_runs_out_in_the_source_is_raised_after_the_outcomes_of_the_part_before(fails: bool) -> None:
     source = map(without_room(lambda world: world, CHUNK + 2, CHUNK + 2), worlds_of(3 * CHUNK))
-    engine, found = TakesForItsOwn(fails=fails), list[str]()
+    engine, plan_ids = TakesForItsOwn(fails=fails), list[str]()
     with pytest.raises(MemoryError, match="no room on the host"):
-        found_by(engine, source, found)
-    assert sorted(found) == sorted(f"p{k}" for k in range(CHUNK))
+        found_by(engine, source, plan_ids)
+    assert sorted(plan_ids) == sorted(f"p{k}" for k in range(CHUNK))

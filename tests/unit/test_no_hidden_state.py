@@ -103,8 +103,8 @@ def test_scoring_from_several_threads(capsys: pytest.CaptureFixture[str]) -> Non
 
     stdout, logged = sys.stdout, mujoco.MjLogConfig.get().logto_console
     expected = [score(number) for number in range(THREADS)]
-    for found, alone in zip(in_threads(score), expected, strict=True):
-        for table, same in zip(found, alone, strict=True):
+    for tables, alone in zip(in_threads(score), expected, strict=True):
+        for table, same in zip(tables, alone, strict=True):
             pd.testing.assert_frame_equal(table, same, check_exact=True)
     assert sys.stdout is stdout
     assert mujoco.MjLogConfig.get().logto_console == logged
@@ -137,8 +137,8 @@ def test_threads_take_turns_with_one_batched_engine() -> None:
 
     expected = run(0)
     for outcomes in in_threads(run, 2):
-        for found, alone in zip(outcomes, expected, strict=True):
-            assert_same(found, alone)
+        for outcome, alone in zip(outcomes, expected, strict=True):
+            assert_same(outcome, alone)
     assert len(engine.programs) == 1
 
 

@@ -24,8 +24,8 @@ LONGEST_TEXT = 3_000
 
 
 def read(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return found
+    notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    return notebook
 
 
 def test_there_is_what_the_documents_promise() -> None:

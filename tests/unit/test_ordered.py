@@ -237,12 +237,12 @@ def shards_of(folder: Path, *orders: Path | None) -> list[Path]:
 
 
 def test_merged_shards_have_the_orders_of_the_whole_run(orders: Path, tmp_path: Path) -> None:
-    whole = score(orders=orders)
+    full_run = score(orders=orders)
     copy = write(tmp_path / "copy.json", ORDERS)
     merged = petmjx.merge_runs(shards_of(tmp_path, orders, copy, orders), tmp_path / "merged")
-    assert merged.info["counts"] == whole.info["counts"]
-    assert merged.plans.equals(whole.plans)
-    assert merged.info["orders"]["digest"] == whole.info["orders"]["digest"]
+    assert merged.info["counts"] == full_run.info["counts"]
+    assert merged.plans.equals(full_run.plans)
+    assert merged.info["orders"]["digest"] == full_run.info["orders"]["digest"]
     assert sorted(merged.info["orders"]["plans"]) == LINES
     assert merged.info["orders"]["without_plan"] == ["lost"]
 

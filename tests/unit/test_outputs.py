@@ -146,10 +146,10 @@ def test_nothing_of_the_user_is_touched(
                 ([], ["--overwrite"]) if kind is as_file and not replaces else ([["--overwrite"], []][replaces],)
             ):
                 code = main([*arguments, *overwrite])
-                said = only_line(capsys.readouterr().err)
-                assert code == 2, (name, kind.__name__, said)
-                assert f"out/{name}" in said or "out: h" in said, (name, kind.__name__, said)
-                assert everything(work / "out") | everything(outside) == before, (name, kind.__name__, said)
+                line = only_line(capsys.readouterr().err)
+                assert code == 2, (name, kind.__name__, line)
+                assert f"out/{name}" in line or "out: h" in line, (name, kind.__name__, line)
+                assert everything(work / "out") | everything(outside) == before, (name, kind.__name__, line)
             shutil.rmtree(work / "out")
     assert everything(work) == inputs_before
 
@@ -190,8 +190,8 @@ def test_own_files_are_replaced_if_asked(
         before = everything(Path("out"))
         capsys.readouterr()
         assert main(arguments) == 2
-        said = only_line(capsys.readouterr().err)
-        assert "--overwrite" in said
+        line = only_line(capsys.readouterr().err)
+        assert "--overwrite" in line
         assert everything(Path("out")) == before
         assert main([*arguments, "--overwrite"]) == 0, capsys.readouterr().err
         assert everything(Path("out")).keys() == before.keys()

@@ -44,7 +44,7 @@ mass_kg = 0.5
 def scaled(factor: float) -> Callable[[str], str]:
     """The file with all lengths in another unit."""
     return lambda text: re.sub(
-        r"\[(?=\d).*?\]", lambda found: str([value * factor for value in json.loads(found[0])]), text
+        r"\[(?=\d).*?\]", lambda match: str([value * factor for value in json.loads(match[0])]), text
     )
 
 
@@ -54,27 +54,27 @@ def changed(old: str, new: str, count: int = 1) -> Callable[[str], str]:
 
 def test_a_sound_file_is_a_carrier() -> None:
     write(FILE, SOUND)
-    found = read_carrier(FILE)
-    assert found.name == "half pallet"
-    assert found.size_mm == (800, 600, 144)
-    assert found.frictions == (0.4, 0.3, 0.4, 0.4, 0.4)
+    carrier = read_carrier(FILE)
+    assert carrier.name == "half pallet"
+    assert carrier.size_mm == (800, 600, 144)
+    assert carrier.frictions == (0.4, 0.3, 0.4, 0.4, 0.4)
     sim = Simulation(carrier="mine.toml")
-    assert sim.carrier == found == Simulation(carrier=FILE).carrier
-    assert Simulation(carrier=tomllib.loads(SOUND)).carrier == found
+    assert sim.carrier == carrier == Simulation(carrier=FILE).carrier
+    assert Simulation(carrier=tomllib.loads(SOUND)).carrier == carrier
     assert Simulation.read(json.loads(json.dumps(sim.model_dump(mode="json")))) == sim
     body = build_scene(PLAN, sim).carrier
     assert body.mass == pytest.approx(10.9)
     assert floor_z_m(sim) == -0.144
     np.testing.assert_allclose([body.low, body.high], [[0, 0, -0.144], [0.8, 0.6, 0.0]], atol=1e-12)
-    np.testing.assert_allclose(body.friction[:, 0], found.frictions)
+    np.testing.assert_allclose(body.friction[:, 0], carrier.frictions)
 
 
 def test_one_mass_is_shared_out_by_volume_and_a_file_has_its_name() -> None:
     text = re.sub(r"mass_kg = .*\n", "", SOUND).replace('name = "half pallet"', "mass_kg = 12")
-    found = read_carrier(write(FILE, text))
-    assert found.name == "mine"
-    volumes = [board.volume_mm3 for board in found.boards]
-    assert found.masses_kg == pytest.approx([12 * volume / sum(volumes) for volume in volumes])
+    carrier = read_carrier(write(FILE, text))
+    assert carrier.name == "mine"
+    volumes = [board.volume_mm3 for board in carrier.boards]
+    assert carrier.masses_kg == pytest.approx([12 * volume / sum(volumes) for volume in volumes])
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_one_mass_is_shared_out_by_volume_and_a_file_has_its_name() -> None:
             "the least z of all boards is 5 mm, and must be 0: no board is on the floor, z = 0",
         ),
         (
-            lambda text: re.sub(r"corner_mm = \[(\d+)", lambda found: f"corner_mm = [{int(found[1]) + 400}", text),
+            lambda text: re.sub(r"corner_mm = \[(\d+)", lambda match: f"corner_mm = [{int(match[1]) + 400}", text),
             "the least x of all boards is 400 mm, and must be 0: the carrier's front-left corner is the origin",
         ),
         (
@@ -221,8 +221,8 @@ def test_criteria_are_asked_on_the_carrier_of_the_run() -> None:
     pytest.importorskip("shapely")
     post = make_plan("post", (((60.0, 60.0, 200.0), (600.0, 119.0, 0.0), 3.0),))  # 4 mm beyond the edge of a board
     results = petmjx.score([post], engine="mujoco", threads=1, carrier="epal-1")
-    found = petmjx.criteria([post], run=results, only=("centre",))
-    assert found.plans.centre.tolist() == [False]
-    assert found.plans.centre_slack[0] == pytest.approx(-4)
-    assert found.judged is not None
+    answers = petmjx.criteria([post], run=results, only=("centre",))
+    assert answers.plans.centre.tolist() == [False]
+    assert answers.plans.centre_slack[0] == pytest.approx(-4)
+    assert answers.judged is not None
     assert petmjx.criteria([post], run=results, only=("centre",), carrier="footprint").plans.centre.tolist() == [True]

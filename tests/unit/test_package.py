@@ -27,8 +27,8 @@ def text_of(name: str) -> str:
 def test_the_repository_has_one_address() -> None:
     owned = re.compile(r"https?://[\w.]+/petmjx(?:/petmjx)?\b")
     for name in ADDRESSED:
-        found = set(owned.findall(text_of(name)))
-        assert found == {ADDRESS}, name
+        addresses = set(owned.findall(text_of(name)))
+        assert addresses == {ADDRESS}, name
     assert all(url.startswith(ADDRESS) for url in PROJECT["project"]["urls"].values())
 
 
@@ -40,8 +40,8 @@ def test_a_checkout_without_tags_has_the_version_of_the_fallback() -> None:
 def test_the_long_description_has_no_relative_links() -> None:
     text = text_of("README.md")
     pictures = re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)
-    for each in PROJECT["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
-        text = re.sub(each["pattern"], each["replacement"], text)
+    for substitution in PROJECT["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]["substitutions"]:
+        text = re.sub(substitution["pattern"], substitution["replacement"], text)
     targets = re.findall(r"\]\(([^)]+)\)", text)
     assert targets
     assert not [target for target in targets if not target.startswith(("https://", "#"))]

@@ -44,10 +44,10 @@ def by_name(path: Path) -> str:
 def test_nothing_forbidden(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     code = re.sub(r"^\s*//.*$", "", text, flags=re.MULTILINE) if path.suffix == ".js" else text
-    found = {why: match[0] for why, pattern in FORBIDDEN.items() if (match := re.search(pattern, code))}
+    matches = {why: match[0] for why, pattern in FORBIDDEN.items() if (match := re.search(pattern, code))}
     if path.name == "page.html":  # the frame that styles and scripts are put into
-        found.pop("the end of an element within", None)
-    assert not found
+        matches.pop("the end of an element within", None)
+    assert not matches
 
 
 @pytest.mark.parametrize("path", FILES, ids=by_name)

@@ -222,7 +222,7 @@ def test_flags_that_make_a_verdict_doubtful_are_told() -> None:
     assert len(notes) == 4
     page = story_page(all_of_them)
     assert all(escaped(note) in page for note in notes)
-    printed = "\n".join(str(each) for each in story_tables(all_of_them))
+    printed = "\n".join(str(table) for table in story_tables(all_of_them))
     assert all(f"note: {note}" in printed for note in notes)
     assert notes_in_words(told(Flag.MOVING, verdict=Verdict.INVALID, reason=Reason.FAILED)) == []
 
@@ -233,9 +233,9 @@ def test_every_reason_has_words(reason: Reason) -> None:
     unstable = reason in (Reason.DROP, Reason.TILT, Reason.SHIFT)
     verdict = Verdict.UNSTABLE if unstable else Verdict.INVALID
     outcome = replace(story.outcome, verdict=verdict, reason=reason, culprit=-1, first_sign_s=np.nan)
-    told = replace(story, outcome=outcome)
-    assert len(reason_in_words(told)) > 10
-    assert escaped(reason_in_words(told)) in story_page(told)
+    changed_story = replace(story, outcome=outcome)
+    assert len(reason_in_words(changed_story)) > 10
+    assert escaped(reason_in_words(changed_story)) in story_page(changed_story)
 
 
 def test_times_of_placements() -> None:
@@ -281,8 +281,8 @@ def test_contacts_of_a_pair_are_one_force_on_the_lower_body() -> None:
     between = np.flatnonzero((contacts.body == [0, 1]).all(axis=1))
     body, force = contacts.body.copy(), contacts.force.copy()
     body[between[::4]], force[between[::4]] = [1, 0], -force[between[::4]]
-    told = replace(story.history, contacts=replace(contacts, body=body, force=force))
-    columns = opened_block(story_blocks(replace(story, history=told))["contacts"])
+    history = replace(story.history, contacts=replace(contacts, body=body, force=force))
+    columns = opened_block(story_blocks(replace(story, history=history))["contacts"])
 
     def values(name: str) -> Any:
         column = columns[name]

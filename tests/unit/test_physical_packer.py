@@ -46,9 +46,9 @@ FAST: dict[str, Any] = {"engine": "mujoco", "threads": 1}
 @settings(max_examples=25, deadline=None)
 @given(items=orders, extent=targets)
 def test_what_is_found_is_sound_and_apart(items: list[Item], extent: tuple[int, int]) -> None:
-    found = search(items, extent, CLEARANCE_MM, width=2, branch=2)
-    check_sound(found.placed, items, extent, CLEARANCE_MM)
-    assert found == search(items, extent, CLEARANCE_MM, width=2, branch=2)
+    packing = search(items, extent, CLEARANCE_MM, width=2, branch=2)
+    check_sound(packing.placed, items, extent, CLEARANCE_MM)
+    assert packing == search(items, extent, CLEARANCE_MM, width=2, branch=2)
 
 
 @settings(max_examples=25, deadline=None)
@@ -56,8 +56,8 @@ def test_what_is_found_is_sound_and_apart(items: list[Item], extent: tuple[int, 
 def test_no_box_is_left_out_that_balanced_places(items: list[Item], extent: tuple[int, int]) -> None:
     """The search begins with the packing of ``balanced``."""
     greedy = pack_balanced(items, extent)
-    found = search(items, extent, 0.0, width=1, branch=2)
-    assert sum(box.item.volume_m3 for box in found.placed) >= sum(box.item.volume_m3 for box in greedy) - 1e-9
+    packing = search(items, extent, 0.0, width=1, branch=2)
+    assert sum(box.item.volume_m3 for box in packing.placed) >= sum(box.item.volume_m3 for box in greedy) - 1e-9
 
 
 def test_the_search_packs_more_densely() -> None:
@@ -72,9 +72,9 @@ def test_the_search_packs_more_densely() -> None:
 
 
 def test_packings_that_are_given_up_would_not_have_been_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = search(DRAWN.items[:25], EXTENT, 3.0, width=2, branch=3)
+    packing = search(DRAWN.items[:25], EXTENT, 3.0, width=2, branch=3)
     monkeypatch.setattr(beam_module, "_worst", lambda *arguments: float("inf"))
-    assert search(DRAWN.items[:25], EXTENT, 3.0, width=2, branch=3) == found
+    assert search(DRAWN.items[:25], EXTENT, 3.0, width=2, branch=3) == packing
 
 
 def test_large_orders_are_searched_in_larger_steps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,9 +87,9 @@ def test_large_orders_are_searched_in_larger_steps(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(beam_module, "_step", noted)
     monkeypatch.setattr(beam_module, "MOST_STEPS", 10)
-    found = search(items, EXTENT, 3.0, width=2, branch=2)
+    packing = search(items, EXTENT, 3.0, width=2, branch=2)
     assert placed == [0, 3, 6, 9, 12, 15, 18, 21, 24]
-    check_sound(found.placed, items, EXTENT, 3.0)
+    check_sound(packing.placed, items, EXTENT, 3.0)
 
 
 def test_a_copy_goes_its_own_way() -> None:
@@ -107,17 +107,17 @@ def test_a_copy_goes_its_own_way() -> None:
 
 
 def test_finalists_are_apart_by_their_clearances_and_the_densest_comes_first() -> None:
-    found = finalists(Order(DRAWN.target, DRAWN.items[:20]), PhysicalOptions(width=1, clearances_mm=(0.0, 20.0)))
-    assert {each.clearance_mm for each in found} == {0.0, 20.0}
-    for each in found:
-        check_sound(each.placed, DRAWN.items[:20], EXTENT, each.clearance_mm)
-    assert found[0].utilisation >= found[1].utilisation
+    packings = finalists(Order(DRAWN.target, DRAWN.items[:20]), PhysicalOptions(width=1, clearances_mm=(0.0, 20.0)))
+    assert {candidate.clearance_mm for candidate in packings} == {0.0, 20.0}
+    for packing in packings:
+        check_sound(packing.placed, DRAWN.items[:20], EXTENT, packing.clearance_mm)
+    assert packings[0].utilisation >= packings[1].utilisation
 
 
 def test_where_clearances_leave_boxes_out_none_is_tried_too() -> None:
     half = replace(JAM, length_mm=1200.0, width_mm=400.0, height_mm=1900.0)
-    found = finalists(Order("euro-pallet", (half, half)), PhysicalOptions(clearances_mm=(5.0,)))
-    assert [(each.clearance_mm, len(each.placed)) for each in found] == [(0.0, 2), (5.0, 1)]
+    packings = finalists(Order("euro-pallet", (half, half)), PhysicalOptions(clearances_mm=(5.0,)))
+    assert [(packing.clearance_mm, len(packing.placed)) for packing in packings] == [(0.0, 2), (5.0, 1)]
 
 
 # ---------------------------------------------------------------------- what is taken
@@ -140,8 +140,8 @@ def judged(utilisation: float, standing: int, boxes: int = 2, verdict: Verdict =
     [("utilisation", 0.6), ("share", 0.5)],
 )
 def test_what_is_maximised_decides_among_those_that_stand(maximise: Any, taken: float) -> None:
-    each = [judged(0.7, 11), judged(0.6, 12), judged(0.5, 16), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
-    assert choose(each, OPTIONS.changed(maximise=maximise)).finalist.utilisation == taken
+    packings = [judged(0.7, 11), judged(0.6, 12), judged(0.5, 16), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
+    assert choose(packings, OPTIONS.changed(maximise=maximise)).finalist.utilisation == taken
 
 
 def test_more_boxes_are_worth_any_utilisation() -> None:
@@ -149,12 +149,12 @@ def test_more_boxes_are_worth_any_utilisation() -> None:
 
 
 def test_if_none_stands_often_enough_the_surest_is_taken() -> None:
-    each = [judged(0.7, 11), judged(0.6, 3), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
-    assert choose(each, OPTIONS).finalist.utilisation == 0.7
+    packings = [judged(0.7, 11), judged(0.6, 3), judged(0.8, 16, verdict=Verdict.UNSTABLE)]
+    assert choose(packings, OPTIONS).finalist.utilisation == 0.7
 
 
 def tried(
-    found: list[Finalist],
+    packings: list[Finalist],
     standing: dict[float, int],
     *,
     fall_first: bool = True,
@@ -164,61 +164,64 @@ def tried(
     """What is made of an order with these finalists, of which so many of 16 worlds stand, and which worlds are asked
     for: utilisation, variants."""
     how = OPTIONS.changed(**options)
-    asking, asked = judging("o", found, how, spare), []
+    asking, requests = judging("o", packings, how, spare), []
     try:
         while True:
             for trial, variants in next(asking):
-                asked.append((trial.finalist.utilisation, variants))
+                requests.append((trial.finalist.utilisation, variants))
                 falls = 16 - standing[trial.finalist.utilisation]
                 fallen = range(1, 1 + falls) if fall_first else range(17 - falls, 17)
                 for variant in variants:
                     trial.take(variant, Verdict.UNSTABLE if variant in fallen else Verdict.STABLE)
     except StopIteration as end:
-        return PackedOrder.of("o", ORDER, found, end.value, how), asked
+        return PackedOrder.of("o", ORDER, packings, end.value, how), requests
 
 
 FEW, REST, ALL = range(5), range(5, 17), range(17)
 
 
 def test_no_packing_is_simulated_that_would_not_be_taken() -> None:
-    found, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 11, 0.6: 13, 0.5: 16}
-    packed, asked = tried(found, standing, fall_first=False)
+    packings, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 11, 0.6: 13, 0.5: 16}
+    packed, requests = tried(packings, standing, fall_first=False)
     assert (packed.taken.finalist.utilisation, packed.good, packed.tried) == (0.6, True, 2)
-    assert asked == [(0.7, FEW), (0.7, REST), (0.6, FEW), (0.6, REST)]
-    packed, asked = tried(found, standing, fall_first=False, maximise="share")
+    assert requests == [(0.7, FEW), (0.7, REST), (0.6, FEW), (0.6, REST)]
+    packed, requests = tried(packings, standing, fall_first=False, maximise="share")
     assert (packed.taken.finalist.utilisation, packed.good, packed.tried) == (0.5, True, 3)
-    assert asked == [(each, worlds) for worlds in (FEW, REST) for each in (0.7, 0.6, 0.5)]
-    assert tried(found[:1], {0.7: 12}, worlds=4, fall_first=False)[1] == [(0.7, FEW)]
+    assert requests == [(utilisation, worlds) for worlds in (FEW, REST) for utilisation in (0.7, 0.6, 0.5)]
+    assert tried(packings[:1], {0.7: 12}, worlds=4, fall_first=False)[1] == [(0.7, FEW)]
 
 
 def test_a_packing_that_cannot_be_good_any_more_is_given_up() -> None:
     """The first 4 of 16 worlds fall: too many for a share of 0.8, not yet for one of 0.75."""
-    found = [finalist(0.7), finalist(0.6), finalist(0.5)]
-    packed, asked = tried(found, {0.7: 3, 0.6: 16}, least_share=0.8)
+    packings = [finalist(0.7), finalist(0.6), finalist(0.5)]
+    packed, requests = tried(packings, {0.7: 3, 0.6: 16}, least_share=0.8)
     assert (packed.taken.finalist.utilisation, packed.taken.n_worlds, packed.tried) == (0.6, 16, 2)
     assert packed.n_simulated == 5 + 17
-    assert asked == [(0.7, FEW), (0.6, FEW), (0.6, REST)]
-    assert tried(found, {0.7: 11, 0.6: 16})[1] == [(0.7, FEW), (0.7, REST), (0.6, FEW), (0.6, REST)]
+    assert requests == [(0.7, FEW), (0.6, FEW), (0.6, REST)]
+    assert tried(packings, {0.7: 11, 0.6: 16})[1] == [(0.7, FEW), (0.7, REST), (0.6, FEW), (0.6, REST)]
 
 
 def test_if_none_is_good_all_worlds_say_which_stands_most_often() -> None:
-    found, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 9, 0.6: 10, 0.5: 2}
-    packed, asked = tried(found, standing, least_share=0.9)
+    packings, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 9, 0.6: 10, 0.5: 2}
+    packed, requests = tried(packings, standing, least_share=0.9)
     assert (packed.taken.finalist.utilisation, packed.taken.n_standing, packed.good) == (0.6, 10, False)
-    assert asked == [*((each, FEW) for each in (0.7, 0.6, 0.5)), *((each, REST) for each in (0.7, 0.6, 0.5))]
+    assert requests == [
+        *((utilisation, FEW) for utilisation in (0.7, 0.6, 0.5)),
+        *((utilisation, REST) for utilisation in (0.7, 0.6, 0.5)),
+    ]
 
 
 def test_an_engine_with_room_simulates_what_may_not_be_needed() -> None:
     """The packing that is taken, and how many came before it, are the same."""
-    found, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 3, 0.6: 13, 0.5: 16}
-    packed, asked = tried(found, standing, spare=lambda: True)
-    assert asked == [(each, ALL) for each in (0.7, 0.6, 0.5)]
+    packings, standing = [finalist(0.7), finalist(0.6), finalist(0.5)], {0.7: 3, 0.6: 13, 0.5: 16}
+    packed, requests = tried(packings, standing, spare=lambda: True)
+    assert requests == [(utilisation, ALL) for utilisation in (0.7, 0.6, 0.5)]
     assert (packed.taken.finalist.utilisation, packed.tried, packed.n_simulated) == (0.6, 2, 51)
     answers = iter([False, True])
-    packed, asked = tried(found, standing, spare=lambda: next(answers))
-    assert asked == [(0.7, FEW), (0.7, REST), (0.6, ALL), (0.5, ALL)]
+    packed, requests = tried(packings, standing, spare=lambda: next(answers))
+    assert requests == [(0.7, FEW), (0.7, REST), (0.6, ALL), (0.5, ALL)]
     assert (packed.taken.finalist.utilisation, packed.tried, packed.n_simulated) == (0.6, 2, 51)
-    assert tried(found, standing, maximise="share", spare=lambda: True)[0].tried == 3
+    assert tried(packings, standing, maximise="share", spare=lambda: True)[0].tried == 3
 
 
 def test_it_says_what_is_left_out_and_why() -> None:
@@ -227,8 +230,8 @@ def test_it_says_what_is_left_out_and_why() -> None:
     assert (packed.left_out.numbers, packed.why) == ((2,), FALLS)
     packed, _ = tried([less], {0.6: 16})
     assert (packed.left_out.numbers, packed.why) == ((2,), NO_PLACE)
-    packed, asked = tried([], {})
-    assert (packed.taken, packed.plan, packed.good, asked) == (None, None, False, [])
+    packed, requests = tried([], {})
+    assert (packed.taken, packed.plan, packed.good, requests) == (None, None, False, [])
     assert packed.row()["boxes"] == 0
     assert tried([], {}, maximise="share")[1] == []
 
@@ -262,11 +265,14 @@ def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, takes_more:
     the first order then, if it takes more while it runs."""
     large = Order(ORDER.target, (JAM,) * 3)
     three = finalists(large, PhysicalOptions(width=1))[:1]
-    found = {large: three, ORDER: [finalist(0.7), finalist(0.6, boxes=1)]}
-    monkeypatch.setattr(physical_module, "finalists", lambda order, options: found[order])
+    packings_by_order = {large: three, ORDER: [finalist(0.7), finalist(0.6, boxes=1)]}
+    monkeypatch.setattr(physical_module, "finalists", lambda order, options: packings_by_order[order])
     engine = SmallestFirst(takes_more)
     packed = list(pack_physical([("a", large), ("b", ORDER)], OPTIONS, {"engine": engine}, workers=1))
-    assert [(each.order_id, len(each.taken.finalist.placed)) for each in packed] == [("a", 3), ("b", 1)]
+    assert [(packed_order.order_id, len(packed_order.taken.finalist.placed)) for packed_order in packed] == [
+        ("a", 3),
+        ("b", 1),
+    ]
     several = [2] * 5 + [1] * 17 + [3] * 17
     assert engine.boxes == (several if takes_more else [2] * 5 + [3] * 5 + [1] * 5 + [3] * 12 + [1] * 12)
 
@@ -278,9 +284,9 @@ def test_worlds_are_those_of_a_score() -> None:
     petmjx.score([plan], confidence=4, engine=engine)
     worlds = [world.job for world in WorldsOfPlans(4, {"engine": engine}).of(plan, range(5))]
     assert [job.has_errors for job in worlds] == [False, True, True, True, True]
-    for own, other in zip(worlds, engine.jobs, strict=True):
-        assert own.has_errors == other.has_errors
-        np.testing.assert_array_equal(own.scene.start_pos, other.scene.start_pos)
+    for packer_job, other in zip(worlds, engine.jobs, strict=True):
+        assert packer_job.has_errors == other.has_errors
+        np.testing.assert_array_equal(packer_job.scene.start_pos, other.scene.start_pos)
     assert [job.has_errors for job in (world.job for world in WorldsOfPlans(0, {}).of(plan, [0]))] == [False]
 
 
@@ -329,12 +335,12 @@ def test_plans_depend_on_the_order_alone(packed: petmjx.Packed, small_orders: Pa
 
 
 def test_without_worlds_only_exact_placement_counts() -> None:
-    found = petmjx.pack(n=1, seed=4, width=1, branch=1, worlds=0, clearances_mm=[0], **FAST)
-    assert "errors" not in repr(found)
-    row, taken = found.orders.iloc[0], found.each[0].taken
-    assert taken is not None
+    packed_orders = petmjx.pack(n=1, seed=4, width=1, branch=1, worlds=0, clearances_mm=[0], **FAST)
+    assert "errors" not in repr(packed_orders)
+    row, packing = packed_orders.orders.iloc[0], packed_orders.each[0].taken
+    assert packing is not None
     assert (row["verdict"], row["n_worlds"], row["tried"], row["good"]) == ("stable", 0, 1, True)
-    assert row["utilisation"] == pytest.approx(taken.finalist.utilisation)
+    assert row["utilisation"] == pytest.approx(packing.finalist.utilisation)
 
 
 @pytest.mark.parametrize(

@@ -41,9 +41,9 @@ def tables() -> tuple[Worlds, State]:
 def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State]) -> None:
     worlds, table = tables
     rows = np.random.default_rng(count).permutation(ROWS)[:count]
-    found = [each.on_host() for each in pick(rows, table, worlds, SIM)]
-    assert len(found) == -(-count // PICKED)
-    for number, (state, measured) in enumerate(found):
+    batches = [batch.on_host() for batch in pick(rows, table, worlds, SIM)]
+    assert len(batches) == -(-count // PICKED)
+    for number, (state, measured) in enumerate(batches):
         some = jnp.asarray(np.resize(rows[number * PICKED :][:PICKED], PICKED))
         chosen = take_rows(table, some)
         jax.tree.map(assert_same_bits, state, chosen)
@@ -65,7 +65,7 @@ def test_what_was_prepared_compiles_nothing(tables: tuple[Worlds, State]) -> Non
 def test_of_a_small_table_no_more_rows_are_picked_than_it_has(tables: tuple[Worlds, State]) -> None:
     worlds, table = (take_rows(record, jnp.arange(5)) for record in tables)
     rows = np.array([4, 0, 2])
-    ((state, _),) = (each.on_host() for each in pick(rows, table, worlds, SIM))
+    ((state, _),) = (batch.on_host() for batch in pick(rows, table, worlds, SIM))
     jax.tree.map(assert_same_bits, state, take_rows(table, jnp.asarray([4, 0, 2, 4, 0])))
 
 
@@ -75,8 +75,8 @@ def test_outcomes_have_their_rows_in_each_batch(tables: tuple[Worlds, State], mo
     worlds = take_rows(tables[0], jnp.arange(5))
     table = fresh_state(worlds, all_placed=True, ends=jnp.full(5, NEVER, jnp.int32), rest_steps=1)
     table = table._replace(steps_done=10 * jnp.arange(5, dtype=jnp.int32))
-    found = outcomes(pick(rows, table, worlds, SIM), jobs, SIM, Recorder(jobs, SIM))
-    assert [(outcome.job, outcome.n_steps) for outcome in found] == [(4, 40), (0, 0), (2, 20), (3, 30), (1, 10)]
+    all_outcomes = outcomes(pick(rows, table, worlds, SIM), jobs, SIM, Recorder(jobs, SIM))
+    assert [(outcome.job, outcome.n_steps) for outcome in all_outcomes] == [(4, 40), (0, 0), (2, 20), (3, 30), (1, 10)]
 
 
 def assert_same_bits(mine: np.ndarray[Any, Any], theirs: jax.Array) -> None:
@@ -89,5 +89,5 @@ def test_rows_that_are_there_many_times_are_the_same_on_threads(count: int) -> N
     rng = np.random.default_rng(count)
     arrays = [rng.random((7, *shape)) for shape in ((), (3,), (2, 4))]
     source = rng.integers(0, 7, count)
-    for array, found in zip(arrays, repeated.repeated(iter(arrays), source), strict=True):
-        np.testing.assert_array_equal(found, array[source])
+    for array, rows in zip(arrays, repeated.repeated(iter(arrays), source), strict=True):
+        np.testing.assert_array_equal(rows, array[source])

@@ -129,8 +129,8 @@ def test_an_mp4_has_its_frames_its_size_and_its_time(tmp_path: Path) -> None:
     petmjx.draw(STORY, tmp_path / "x.mp4", size=(160, 121), fps=10, speed=2)
     frames, seconds = ffmpeg.count_frames_and_secs(str(tmp_path / "x.mp4"))
     assert (frames, seconds) == (11 + 20, pytest.approx(3.1, abs=0.05))
-    asked = subprocess.run([ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "x.mp4"], capture_output=True, text=True)
-    assert re.search(r"Video: h264.*yuv420p.* 160x120", asked.stderr), "H.264 takes even sides"
+    process = subprocess.run([ffmpeg.get_ffmpeg_exe(), "-i", tmp_path / "x.mp4"], capture_output=True, text=True)
+    assert re.search(r"Video: h264.*yuv420p.* 160x120", process.stderr), "H.264 takes even sides"
 
 
 def encoded(path: Path, frames: Iterator[bytes]) -> None:
@@ -170,8 +170,8 @@ def test_figures_have_their_labels_as_text(tmp_path: Path) -> None:
     names = [tmp_path / f"f.{kind}" for kind in ("svg", "pdf", "png")]
     files = petmjx.draw(falling_story("a $x$ <b> & plan"), *names, size=(200, 240))
     text = files[0].read_text(encoding="utf-8")
-    said = re.findall(r"<text[^>]*>(.*?)</text>|<tspan[^>]*>(.*?)</tspan>", text)
-    labels = " | ".join(part for pair in said for part in pair if part)
+    pairs = re.findall(r"<text[^>]*>(.*?)</text>|<tspan[^>]*>(.*?)</tspan>", text)
+    labels = " | ".join(part for pair in pairs for part in pair if part)
     for label in (
         "a $x$ &lt;b&gt; &amp; plan",
         "unstable by tilt: first box 2 (tea), at 0.70 s",
@@ -289,10 +289,10 @@ def test_a_recording_for_rerun(tmp_path: Path) -> None:
 
 def test_the_documents_have_the_pictures_that_the_script_makes(repository: Path) -> None:
     script = runpy.run_path(str(repository / "docs" / "pictures.py"))
-    there = {path.name for path in (repository / "docs" / "pictures").iterdir()}
-    assert there == set(script["files"]())
+    names = {path.name for path in (repository / "docs" / "pictures").iterdir()}
+    assert names == set(script["files"]())
     documents = [repository / "README.md", *(repository / "docs").glob("*.md")]
     text = "".join(document.read_text(encoding="utf-8") for document in documents)
-    assert [name for name in there if f"pictures/{name})" not in text] == []
+    assert [name for name in names if f"pictures/{name})" not in text] == []
     assert (repository / "docs" / "pictures" / "collapse.png").stat().st_size < 150_000
-    assert all((repository / "docs" / "pictures" / name).stat().st_size < 1_000_000 for name in there)
+    assert all((repository / "docs" / "pictures" / name).stat().st_size < 1_000_000 for name in names)

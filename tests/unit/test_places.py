@@ -17,8 +17,8 @@ def boxes(size_mm: np.ndarray, pallet: np.ndarray, corner_mm: np.ndarray | None 
     return Asked(size_mm, np.zeros_like(size_mm) if corner_mm is None else corner_mm, np.ones(len(pallet)), pallet)
 
 
-def found_for(stock: Stock, asked: Asked, grid: np.ndarray | None = None, highest_mm: float = 9000.0) -> Places:
-    return free_places(stock, asked, EXTENT_MM, highest_mm, grid)
+def found_for(stock: Stock, request: Asked, grid: np.ndarray | None = None, highest_mm: float = 9000.0) -> Places:
+    return free_places(stock, request, EXTENT_MM, highest_mm, grid)
 
 
 def assert_same(one: Places, other: Places) -> None:
@@ -32,12 +32,12 @@ def lively_stock(rng: np.random.Generator, n: int) -> Stock:
     for step in range(12):
         rows = np.flatnonzero(rng.random(n) < 0.7)
         sizes = rng.uniform(100, 600, (len(rows), 3))
-        found = found_for(stock, boxes(sizes, rows))
-        first = np.searchsorted(found.row, np.arange(len(rows)))
-        last = np.searchsorted(found.row, np.arange(len(rows)), side="right")
+        spots = found_for(stock, boxes(sizes, rows))
+        first = np.searchsorted(spots.row, np.arange(len(rows)))
+        last = np.searchsorted(spots.row, np.arange(len(rows)), side="right")
         fits = np.flatnonzero(last > first)
         chosen = rng.integers(first[fits], last[fits])
-        corners = found.corner_mm[chosen]
+        corners = spots.corner_mm[chosen]
         corners[:, :2] += rng.choice([0.0, 7.3], (len(fits), 2))  # not at extreme points alone
         stock.add(boxes(sizes[fits], rows[fits], corners))
         if step % 3 == 2:
@@ -61,43 +61,45 @@ def test_places_of_a_pallet_depend_on_its_boxes_alone(monkeypatch: pytest.Monkey
     stock = lively_stock(rng, n)
     assert stock.count.min() < stock.count.max() > 6
     pallet = np.repeat(rng.permutation(n), 2)
-    asked = boxes(rng.uniform(100, 600, (len(pallet), 3)), pallet)
+    request = boxes(rng.uniform(100, 600, (len(pallet), 3)), pallet)
     corners = np.indices((6, 4)).reshape(2, -1).T * 181.7
     for grid in (None, corners):
-        together = found_for(stock, asked, grid)
-        for row in range(len(asked)):
-            alone = found_for(built_anew(stock, int(pallet[row])), boxes(asked.size_mm[[row]], np.zeros(1, int)), grid)
+        together = found_for(stock, request, grid)
+        for row in range(len(request)):
+            alone = found_for(
+                built_anew(stock, int(pallet[row])), boxes(request.size_mm[[row]], np.zeros(1, int)), grid
+            )
             assert_same(alone._replace(row=alone.row + row, pallet=alone.pallet + pallet[row]), part(together, row))
         with monkeypatch.context() as patched:
             for name in ("_AT_ONCE", "_WORTH_A_THREAD"):
                 patched.setattr(places, name, 500)  # many pieces, on threads
-            assert_same(found_for(stock, asked, grid), together)
+            assert_same(found_for(stock, request, grid), together)
 
 
 def test_places_with_less_support_are_left_out() -> None:
     rng, n = np.random.default_rng(2), 7
-    stock, asked = lively_stock(rng, n), boxes(rng.uniform(100, 600, (n, 3)), np.arange(n))
-    found = found_for(stock, asked)
-    borne = found.support >= 0.6
+    stock, request = lively_stock(rng, n), boxes(rng.uniform(100, 600, (n, 3)), np.arange(n))
+    spots = found_for(stock, request)
+    borne = spots.support >= 0.6
     assert 0 < borne.sum() < len(borne)
-    some = free_places(stock, asked, EXTENT_MM, 9000.0, least_support=0.6)
-    assert_same(some, Places(*(values[borne] for values in found)))
+    some = free_places(stock, request, EXTENT_MM, 9000.0, least_support=0.6)
+    assert_same(some, Places(*(values[borne] for values in spots)))
 
 
-def part(found: Places, row: int) -> Places:
-    which = found.row == row
+def part(spots: Places, row: int) -> Places:
+    which = spots.row == row
     assert which.any()
-    return Places(*(values[which] for values in found))
+    return Places(*(values[which] for values in spots))
 
 
 def test_what_bears_a_box() -> None:
     stock, one = Stock(1), np.zeros(1, np.int64)
     for x in (0.0, 400.0):
         stock.add(boxes(np.array([[400.0, 300.0, 200.0]]), one, np.array([[x, 0.0, 0.0]])))
-    found = found_for(stock, boxes(np.array([[600.0, 500.0, 100.0]]), one))
-    assert found.corner_mm.tolist() == [[0, 300, 0], [400, 300, 0], [0, 0, 200], [400, 0, 200]]
-    assert found.support.tolist() == [1, 1, 0.6, 0.4]
-    assert found.centred is not None
-    assert found.centred.tolist() == [True, True, True, True]
+    spots = found_for(stock, boxes(np.array([[600.0, 500.0, 100.0]]), one))
+    assert spots.corner_mm.tolist() == [[0, 300, 0], [400, 300, 0], [0, 0, 200], [400, 0, 200]]
+    assert spots.support.tolist() == [1, 1, 0.6, 0.4]
+    assert spots.centred is not None
+    assert spots.centred.tolist() == [True, True, True, True]
     high = found_for(stock, boxes(np.array([[600.0, 600.0, 1400.0]]), one), highest_mm=1500.0)
     assert high.corner_mm.tolist() == []  # too high on the boxes, and too long behind them

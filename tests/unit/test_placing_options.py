@@ -77,8 +77,8 @@ def test_the_numbers_are_axes(tmp_path: Path) -> None:
         encoding="utf-8",
     )
     plan = SweepPlan(load_sweep(file, plans_given=True), (make_plan("two", BOXES),))
-    found = [plan.scene(group).placing for group in plan.groups()]
-    assert found == [Placing(name=Way.HAND, force_n=f, height_mm=8, side_mm=9, speed_m_s=0.2) for f in (20, 60)]
+    placings = [plan.scene(group).placing for group in plan.groups()]
+    assert placings == [Placing(name=Way.HAND, force_n=f, height_mm=8, side_mm=9, speed_m_s=0.2) for f in (20, 60)]
 
 
 def test_a_plan_says_from_where_its_boxes_come(tmp_path: Path) -> None:
@@ -106,9 +106,9 @@ def test_an_unusable_approach_costs_its_plan(tmp_path: Path, value: Any, fault: 
     plans["p"][1]["approach_deg"] = value
     plans["q"] = plans["p"][:1]
     file.write_text(json.dumps(plans), encoding="utf-8")
-    found = petmjx.load_plans(file)
-    assert [plan.plan_id for plan in found.plans] == ["q"]
-    assert f"plan p, placement 1: approach_deg {fault}" in found.skipped[0].message
+    plan_set = petmjx.load_plans(file)
+    assert [plan.plan_id for plan in plan_set.plans] == ["q"]
+    assert f"plan p, placement 1: approach_deg {fault}" in plan_set.skipped[0].message
 
 
 def test_a_run_goes_on_only_with_the_same_placing(tmp_path: Path) -> None:

@@ -39,9 +39,9 @@ def test_warnings_count_what_is_odd(
     boxes: list[Box], extent: tuple[float, float] | None, counts: tuple[int, int, int]
 ) -> None:
     corner, size = (np.array(column, dtype=float) for column in zip(*boxes, strict=True))
-    found = check_layout("A", "f.json", corner, size, extent)
-    assert (found.n_overlapping_pairs, found.n_outside, found.n_floating) == counts
-    assert found.any == any(counts)
+    layout_warning = check_layout("A", "f.json", corner, size, extent)
+    assert (layout_warning.n_overlapping_pairs, layout_warning.n_outside, layout_warning.n_floating) == counts
+    assert layout_warning.any == any(counts)
 
 
 def test_overlaps_agree_with_a_plain_loop() -> None:
@@ -62,10 +62,10 @@ def test_odd_plans_are_kept_and_reported_with_counts() -> None:
         "odd": [placement(corner=(700, 0, 0)), placement(corner=(0, 0, 50))],
         "more": [placement(corner=(x, 0, 0)) for x in (-200, 0, 300, 701)],
     }
-    found = load_plans(write(Path("p.json"), plans), carrier_extent_mm=(1200, 800))
-    assert len(found) == 3
-    assert found.skipped == []
-    assert [str(w) for w in found.warnings] == [
+    plan_set = load_plans(write(Path("p.json"), plans), carrier_extent_mm=(1200, 800))
+    assert len(plan_set) == 3
+    assert plan_set.skipped == []
+    assert [str(w) for w in plan_set.warnings] == [
         "p.json: plan odd: 1 box outside the carrier (0), 1 floating box (1 by 50 mm)",
         "p.json: plan more: 4 overlapping pairs (0 and 1, 0 and 2, 1 and 2, …), 2 boxes outside the carrier (0, 3)",
     ]

@@ -21,10 +21,10 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 def test_reads_fields_and_applies_orientation() -> None:
     plan = {"A": [placement(), placement(corner=(600, 1.5, 0), orientation=1, sequence=7)]}
-    found = load_plans(write(Path("plans.json"), plan))
-    assert found.skipped == []
-    assert found.warnings == []
-    (read,) = found.plans
+    plan_set = load_plans(write(Path("plans.json"), plan))
+    assert plan_set.skipped == []
+    assert plan_set.warnings == []
+    (read,) = plan_set.plans
     assert (read.plan_id, read.source, read.n_boxes) == ("A", "plans.json", 2)
     np.testing.assert_array_equal(read.size_mm, [[600, 400, 220], [400, 600, 220]])
     np.testing.assert_array_equal(read.corner_mm, [[0, 0, 0], [600, 1.5, 0]])
@@ -49,18 +49,18 @@ def test_plain_gzipped_folder_and_many_files_read_the_same() -> None:
     Path("named_without_gz.json").write_bytes(gzip.compress(second.encode()))
     from_folder = load_plans("folder")
     from_files = load_plans([Path("a.json"), "named_without_gz.json"])
-    for found in (from_folder, from_files):
-        assert [(plan.plan_id, plan.n_boxes) for plan in found] == [("A", 2), ("B", 3)]
-        assert found.skipped == []
+    for plan_set in (from_folder, from_files):
+        assert [(plan.plan_id, plan.n_boxes) for plan in plan_set] == [("A", 2), ("B", 3)]
+        assert plan_set.skipped == []
     assert from_folder.plans[0].source == os.path.join("folder", "1.json.gz")
 
 
 def test_gzip_of_two_members_with_padding() -> None:
     text = json.dumps({"A": tower(2)}).encode()
     Path("p.json.gz").write_bytes(gzip.compress(text[:100]) + gzip.compress(text[100:]) + b"\0" * 512)
-    found = load_plans("p.json.gz")
-    assert len(found) == 1
-    assert found.skipped == []
+    plan_set = load_plans("p.json.gz")
+    assert len(plan_set) == 1
+    assert plan_set.skipped == []
 
 
 def test_byte_order_mark_and_names_outside_ascii() -> None:
@@ -75,9 +75,9 @@ def test_limit_counts_good_plans_and_stops_reading() -> None:
     plans = {"bad": [], "A": tower(1), "B": tower(1), "C": tower(1)}
     write(Path("1.json"), plans)
     write(Path("2.json"), "not read any more")
-    found = load_plans(["1.json", "2.json"], limit=2)
-    assert [plan.plan_id for plan in found] == ["A", "B"]
-    assert [skipped.plan_id for skipped in found.skipped] == ["bad"]
+    plan_set = load_plans(["1.json", "2.json"], limit=2)
+    assert [plan.plan_id for plan in plan_set] == ["A", "B"]
+    assert [skipped.plan_id for skipped in plan_set.skipped] == ["bad"]
 
 
 def test_extra_fields_are_ignored_also_nested_lists_of_objects() -> None:
@@ -90,15 +90,15 @@ def test_extra_fields_are_ignored_also_nested_lists_of_objects() -> None:
 
 def test_plans_show_themselves_briefly() -> None:
     plans = {"s0-000003": tower(41), "odd": [placement(), placement(corner=(0, 0, 500))], "bad": []}
-    found = load_plans(write(Path("p.json"), plans))
-    assert repr(found) == "PlanSet(2 plans, 1 skipped, 1 odd)"
-    assert [repr(plan) for plan in found] == ["Plan('s0-000003', 41 boxes)", "Plan('odd', 2 boxes)"]
+    plan_set = load_plans(write(Path("p.json"), plans))
+    assert repr(plan_set) == "PlanSet(2 plans, 1 skipped, 1 odd)"
+    assert [repr(plan) for plan in plan_set] == ["Plan('s0-000003', 41 boxes)", "Plan('odd', 2 boxes)"]
 
 
 def test_real_plans_are_read_without_complaint(real_data: Path) -> None:
-    found = load_plans([real_data / "packing_plan_a.json", real_data / "packing_plan_5-bed-bpp.json"])
-    assert len(found) == 6
-    assert found.skipped == []
+    plan_set = load_plans([real_data / "packing_plan_a.json", real_data / "packing_plan_5-bed-bpp.json"])
+    assert len(plan_set) == 6
+    assert plan_set.skipped == []
     orders = load_plans(real_data / "5_bed-bpp.json")
     assert len(orders) == 0
     assert "are orders" in orders.skipped[0].message

@@ -30,31 +30,31 @@ def _file(folder: Path, plans: dict[str, Any], text: str | None = None) -> Path:
 
 def _both(path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[PlanSet, PlanSet, int]:
     """The plans of a file in one go and in pieces, and the number of pieces that were read and used."""
-    whole = load_plans(path)
+    uncut = load_plans(path)
     used = []
     answer = apart._answer
 
     def counted(*some: Any) -> Any:
-        found = answer(*some)
-        used.append(found is not None)
-        return found
+        reply = answer(*some)
+        used.append(reply is not None)
+        return reply
 
     monkeypatch.setattr(apart, "_answer", counted)
     monkeypatch.setattr(read, "WORTH_BYTES", 1)
     monkeypatch.setattr(apart, "PIECE_BYTES", 1)
     monkeypatch.setattr(apart, "cpu_threads", lambda: 3)
-    return whole, load_plans(path), len(used) if used and all(used) else 0
+    return uncut, load_plans(path), len(used) if used and all(used) else 0
 
 
 def _same(one: PlanSet, other: PlanSet) -> None:
     assert [plan.plan_id for plan in one] == [plan.plan_id for plan in other]
     for plan, same in zip(one, other, strict=True):
-        for each in fields(Plan):
-            value, its = getattr(plan, each.name), getattr(same, each.name)
+        for field in fields(Plan):
+            value, its = getattr(plan, field.name), getattr(same, field.name)
             if isinstance(value, np.ndarray):
                 np.testing.assert_array_equal(its, value, strict=True)
             else:
-                assert its == value, each.name
+                assert its == value, field.name
     for name in ("skipped", "warnings", "notes", "conventions", "numbers"):
         assert getattr(one, name) == getattr(other, name), name
 
@@ -70,13 +70,13 @@ def test_pieces_have_the_same_plans_faults_and_notes(tmp_path: Path, monkeypatch
     text = json.dumps(plans)
     end = text.rindex("}")
     repeated = f"{text[:end]}, {json.dumps(ids[0])}: {json.dumps(plans[ids[2]])}}}\n"
-    whole, pieces, used = _both(_file(tmp_path, plans, repeated), monkeypatch)
+    uncut, pieces, used = _both(_file(tmp_path, plans, repeated), monkeypatch)
     assert used == 3
-    assert len(whole.plans) == 10
-    assert len(whole.skipped) == 3
-    assert whole.notes
-    assert whole.warnings
-    _same(whole, pieces)
+    assert len(uncut.plans) == 10
+    assert len(uncut.skipped) == 3
+    assert uncut.notes
+    assert uncut.warnings
+    _same(uncut, pieces)
 
 
 @pytest.mark.parametrize("what", ["lists of objects in placements", "no JSON near the end", "one plan"])
@@ -91,9 +91,9 @@ def test_what_cannot_be_cut_is_read_in_one_go(what: str, tmp_path: Path, monkeyp
         text = text[:-150] + text[-149:].replace(":", "", 1)
     else:
         text = json.dumps(dict(list(plans.items())[:1]))
-    whole, pieces, used = _both(_file(tmp_path, plans, text), monkeypatch)
+    uncut, pieces, used = _both(_file(tmp_path, plans, text), monkeypatch)
     assert not used
-    _same(whole, pieces)
+    _same(uncut, pieces)
 
 
 @pytest.mark.parametrize("says", ["Loading", "(lp0"])
@@ -104,10 +104,10 @@ def test_what_interpreters_print_when_they_start_is_no_answer(
     site.mkdir()
     (site / "sitecustomize.py").write_text(f"print({says!r})")
     monkeypatch.syspath_prepend(site)
-    whole, pieces, used = _both(_file(tmp_path, dict(generate_one(k, 7) for k in range(3))), monkeypatch)
+    uncut, pieces, used = _both(_file(tmp_path, dict(generate_one(k, 7) for k in range(3))), monkeypatch)
     assert not used
-    assert len(whole.plans) == 3
-    _same(whole, pieces)
+    assert len(uncut.plans) == 3
+    _same(uncut, pieces)
 
 
 def test_ctrl_c_does_not_wait_for_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,4 +130,4 @@ def test_ctrl_c_does_not_wait_for_pieces(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(KeyboardInterrupt):
         load_plans(path)
     assert time.monotonic() - began < 10
-    assert [each.poll() is not None for each in started] == [True, True]
+    assert [process.poll() is not None for process in started] == [True, True]

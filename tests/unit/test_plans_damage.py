@@ -85,10 +85,10 @@ def same(a: Plan, b: Plan) -> bool:
 
 def check(sample: Sample, damaged: bytes) -> bool:
     """Check one damaged copy against Python's decoder of whole texts; returns whether it is still JSON."""
-    found = sample.load(damaged)
-    read = {plan.plan_id: plan for plan in found}
-    assert len(read) == len(found)
-    for skipped in found.skipped:
+    plan_set = sample.load(damaged)
+    read = {plan.plan_id: plan for plan in plan_set}
+    assert len(read) == len(plan_set)
+    for skipped in plan_set.skipped:
         assert skipped.message.startswith(f"{sample.path}: ")
         assert skipped.message.isprintable()
     try:
@@ -99,7 +99,7 @@ def check(sample: Sample, damaged: bytes) -> bool:
         last_line = error.lineno
     if last_line is not None:
         assert not read
-        (refused,) = found.skipped
+        (refused,) = plan_set.skipped
         assert refused.plan_id is None
         if "the file is empty" not in refused.message and "the top level" not in refused.message:
             place = re.search(r"not JSON at line (\d+), column (\d+) ", refused.message)
@@ -111,7 +111,7 @@ def check(sample: Sample, damaged: bytes) -> bool:
         return True
     ids = [plan_id for plan_id, _ in entries]
     assert set(read) <= set(ids)
-    assert len(found) + len(found.skipped) == max(len(ids), 1), "each plan is read, or has its line"
+    assert len(plan_set) + len(plan_set.skipped) == max(len(ids), 1), "each plan is read, or has its line"
     for plan_id, plan in sample.plans.items():
         if sample.bytes_of[plan_id] in damaged and ids.count(plan_id) == 1:
             assert same(read[plan_id], plan)
@@ -192,9 +192,9 @@ def test_structure_broken_at_a_plan_start_is_read_whole_or_refused(
 def test_a_file_cut_off_anywhere_is_refused(samples: list[Sample], which: int) -> None:
     sample = samples[which]
     for end in range(1, len(sample.data) - 1, 97):
-        found = sample.load(sample.data[:end])
-        assert len(found) == 0
-        (skipped,) = found.skipped
+        plan_set = sample.load(sample.data[:end])
+        assert len(plan_set) == 0
+        (skipped,) = plan_set.skipped
         assert re.search(r"not JSON at line \d+, column \d+ \(the file ends .*truncated\?\)", skipped.message)
 
 
@@ -217,18 +217,18 @@ def test_of_a_refused_file_nothing_is_left(samples: list[Sample], tmp_path: Path
     text = json.dumps({"bad": [], "A": [placement(colour="red")], "B": [placement()]})
     (tmp_path / "a.json").write_text(text[:-1])
     (tmp_path / "b.json").write_text(json.dumps({"B": [placement()], "A": [placement()]}))
-    found = load_plans([tmp_path / "a.json", tmp_path / "b.json"])
-    assert [(plan.plan_id, plan.source) for plan in found] == [(name, str(tmp_path / "b.json")) for name in "BA"]
-    assert found.numbers == {"B": 0, "A": 1}
-    assert len(found.skipped) == 1
-    assert found.notes == []
+    plan_set = load_plans([tmp_path / "a.json", tmp_path / "b.json"])
+    assert [(plan.plan_id, plan.source) for plan in plan_set] == [(name, str(tmp_path / "b.json")) for name in "BA"]
+    assert plan_set.numbers == {"B": 0, "A": 1}
+    assert len(plan_set.skipped) == 1
+    assert plan_set.notes == []
     assert load_plans(tmp_path / "a.json", limit=1).numbers == {"A": 1}, "what is read is as much as is wanted"
 
 
 def test_a_wrapped_file_is_not_taken_for_damage(samples: list[Sample]) -> None:
-    found = samples[0].load(b'{"plans": ' + samples[0].data + b"}")
-    assert [s.plan_id for s in found.skipped] == ["plans"]
-    assert len(found) == 0
+    plan_set = samples[0].load(b'{"plans": ' + samples[0].data + b"}")
+    assert [s.plan_id for s in plan_set.skipped] == ["plans"]
+    assert len(plan_set) == 0
 
 
 def test_damaged_gzip_files_keep_what_unpacks(samples: list[Sample]) -> None:
@@ -239,9 +239,9 @@ def test_damaged_gzip_files_keep_what_unpacks(samples: list[Sample]) -> None:
     for _ in range(60):
         at = rng.randrange(len(packed))
         damaged = packed[:at] if rng.random() < 0.5 else packed[:at] + rng.randbytes(3) + packed[at + 3 :]
-        found = sample.load(damaged)
-        assert len(found) == N_PLANS or found.skipped
-        n_read += len(found)
+        plan_set = sample.load(damaged)
+        assert len(plan_set) == N_PLANS or plan_set.skipped
+        n_read += len(plan_set)
     assert n_read > 60, "on average much of a file lies before the damage"
     cut = sample.load(packed[: len(packed) * 3 // 4])
     assert len(cut) > N_PLANS // 3
@@ -252,6 +252,6 @@ def test_damaged_gzip_files_keep_what_unpacks(samples: list[Sample]) -> None:
 def test_broken_utf8_costs_only_its_plan(samples: list[Sample]) -> None:
     sample = samples[0]
     at = sample.data.index("ä".encode())
-    found = sample.load(sample.data[:at] + b"\xff" + sample.data[at + 1 :])
-    assert len(found) == N_PLANS - 1
-    assert found.skipped[0].message.endswith("article is not UTF-8 text")
+    plan_set = sample.load(sample.data[:at] + b"\xff" + sample.data[at + 1 :])
+    assert len(plan_set) == N_PLANS - 1
+    assert plan_set.skipped[0].message.endswith("article is not UTF-8 text")

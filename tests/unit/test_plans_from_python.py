@@ -21,23 +21,23 @@ pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
 def test_frames_of_many_types() -> None:
     assert ids(load_plans(frame_of())) == ["A", "B"]
-    whole = frame_of(plan_id=[7, 7, 8], article=[1, 2, 3], orientation=[0.0, 1.0, 0.0])
-    found = load_plans(whole.astype({"article": "category", "weight_kg": "Float32", "sequence": "int8"}))
-    assert ids(found) == ["7", "8"]
-    assert found.plans[0].articles == ("1", "2")
-    assert found.plans[0].turned.tolist() == [False, True]
+    frame = frame_of(plan_id=[7, 7, 8], article=[1, 2, 3], orientation=[0.0, 1.0, 0.0])
+    plan_set = load_plans(frame.astype({"article": "category", "weight_kg": "Float32", "sequence": "int8"}))
+    assert ids(plan_set) == ["7", "8"]
+    assert plan_set.plans[0].articles == ("1", "2")
+    assert plan_set.plans[0].turned.tolist() == [False, True]
     assert ids(load_plans(pa.Table.from_pandas(frame_of()))) == ["A", "B"]
     assert ids(load_plans(frame_of().iloc[::-1], limit=1)) == ["B"]
 
 
 def test_bad_values_in_frames() -> None:
-    found = load_plans(
+    plan_set = load_plans(
         frame_of(
             weight_kg=[5, "5", 5],
             x_mm=[0, 0, np.nan],
         )
     )
-    assert messages(found) == [
+    assert messages(plan_set) == [
         'data frame: plan A, row 1: weight_kg must be a number, got "5"',
         "data frame: plan B, row 2: x_mm is missing",
     ]
@@ -52,9 +52,9 @@ def test_bad_values_in_frames() -> None:
         ("article", ["a", "b", None], "article is missing"),
         ("orientation", [0, 0, "1"], 'orientation must be 0 or 1, got "1"'),
     ):
-        found = load_plans(frame_of(**{column: pd.Series(values, dtype=object)}))
-        assert messages(found) == [f"data frame: plan B, row 2: {fault}"]
-        assert ids(found) == ["A"]
+        plan_set = load_plans(frame_of(**{column: pd.Series(values, dtype=object)}))
+        assert messages(plan_set) == [f"data frame: plan B, row 2: {fault}"]
+        assert ids(plan_set) == ["A"]
     with pytest.raises(petmjx.InputError, match="plan B, row 2"):
         load_plans(frame_of(x_mm=[0, 0, np.inf]), strict=True)
 

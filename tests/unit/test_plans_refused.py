@@ -97,10 +97,10 @@ FIELD_FAULTS = [
 def test_a_bad_field_is_named_and_costs_only_its_plan(path: list[Any], value: Any, message: str) -> None:
     plans = {"good": tower(2), "00100408": changed(path, value), "last": tower(1)}
     file = write(Path("plans.json"), plans)
-    found = load_plans(file)
+    plan_set = load_plans(file)
     line = f"plans.json: plan 00100408, placement 7: {message}"
-    assert [plan.plan_id for plan in found] == ["good", "last"]
-    assert [(s.source, s.plan_id, s.message) for s in found.skipped] == [("plans.json", "00100408", line)]
+    assert [plan.plan_id for plan in plan_set] == ["good", "last"]
+    assert [(s.source, s.plan_id, s.message) for s in plan_set.skipped] == [("plans.json", "00100408", line)]
     with pytest.raises(InputError) as raised:
         load_plans(file, strict=True)
     assert str(raised.value) == line
@@ -122,9 +122,9 @@ PLAN_FAULTS: list[tuple[Any, str]] = [
 
 @pytest.mark.parametrize(("value", "message"), PLAN_FAULTS)
 def test_a_bad_plan_is_named_and_costs_only_itself(value: Any, message: str) -> None:
-    found = load_plans(write(Path("plans.json"), {"A": tower(1), "P": value, "B": tower(1)}))
-    assert [plan.plan_id for plan in found] == ["A", "B"]
-    assert [str(skipped) for skipped in found.skipped] == [f"plans.json: {message}"]
+    plan_set = load_plans(write(Path("plans.json"), {"A": tower(1), "P": value, "B": tower(1)}))
+    assert [plan.plan_id for plan in plan_set] == ["A", "B"]
+    assert [str(skipped) for skipped in plan_set.skipped] == [f"plans.json: {message}"]
 
 
 @pytest.mark.parametrize(
@@ -151,9 +151,9 @@ def test_repeated_ids_within_and_across_files_keep_the_first_good_one() -> None:
     one, bad, two = json.dumps(tower(1)), "[]", json.dumps(tower(2))
     write(Path("a.json"), f'{{"A": {bad}, "A": {two}, "A": {one}}}')
     write(Path("b.json"), {"A": tower(1), "B": tower(1)})
-    found = load_plans(["a.json", "b.json"])
-    assert [(plan.plan_id, plan.n_boxes) for plan in found] == [("A", 2), ("B", 1)]
-    assert [str(skipped) for skipped in found.skipped] == [
+    plan_set = load_plans(["a.json", "b.json"])
+    assert [(plan.plan_id, plan.n_boxes) for plan in plan_set] == [("A", 2), ("B", 1)]
+    assert [str(skipped) for skipped in plan_set.skipped] == [
         "a.json: plan A: has no placement",
         "a.json: plan A: repeated plan id, first used in this file",
         "b.json: plan A: repeated plan id, first used in a.json",
@@ -186,21 +186,21 @@ FILE_FAULTS = [
 def test_an_unusable_file_gives_one_line_and_the_others_are_read(content: bytes, message: str) -> None:
     Path("p.json").write_bytes(content)
     write(Path("q.json"), {"Q": tower(1)})
-    found = load_plans(["p.json", "q.json"])
-    assert [plan.plan_id for plan in found] == ["Q"]
-    assert len(found.skipped) == 1
-    assert found.skipped[0].message.startswith(message)
-    assert "\n" not in found.skipped[0].message
-    json.dumps([found.skipped[0].plan_id, found.skipped[0].message]).encode()
+    plan_set = load_plans(["p.json", "q.json"])
+    assert [plan.plan_id for plan in plan_set] == ["Q"]
+    assert len(plan_set.skipped) == 1
+    assert plan_set.skipped[0].message.startswith(message)
+    assert "\n" not in plan_set.skipped[0].message
+    json.dumps([plan_set.skipped[0].plan_id, plan_set.skipped[0].message]).encode()
     with pytest.raises(InputError, match=r"^p\.json: "):
         load_plans("p.json", strict=True)
 
 
 def test_orders_are_told_from_plans() -> None:
     order = {"item_sequence": {"1": placement()["item"]}, "properties": {"target": "euro-pallet"}}
-    found = load_plans(write(Path("orders.json"), {"1": order, "2": order}))
-    assert len(found.skipped) == 1
-    message = found.skipped[0].message
+    plan_set = load_plans(write(Path("orders.json"), {"1": order, "2": order}))
+    assert len(plan_set.skipped) == 1
+    message = plan_set.skipped[0].message
     assert message.startswith("orders.json: 2 entries (1, …) are orders (item_sequence), not packing plans")
     assert "petmjx samples --orders orders.json" in message
 
@@ -234,9 +234,9 @@ def test_an_unreadable_file_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
         return whole_open(path, flags)
 
     monkeypatch.setattr(os, "open", refuse)
-    found = load_plans(["a.json", "b.json"])
-    assert [plan.plan_id for plan in found] == ["B"]
-    assert str(found.skipped[0]) == "a.json: cannot be read (Permission denied)"
+    plan_set = load_plans(["a.json", "b.json"])
+    assert [plan.plan_id for plan in plan_set] == ["B"]
+    assert str(plan_set.skipped[0]) == "a.json: cannot be read (Permission denied)"
 
 
 @pytest.mark.parametrize("option", [{"limit": 0}, {"max_boxes": 0}])

@@ -39,9 +39,9 @@ def test_none_is_left_when_their_parent_is_killed(number: int, tmp_path: Path) -
 
 def test_the_command_ends_when_plans_cannot_be_written() -> None:
     command = "import sys; sys.argv[0] = 'petmjx'; from petmjx.__main__ import command; command()"
-    asked = ["samples", "-n", "300", "--workers", "2", "-o", "/dev/full"]
+    arguments = ["samples", "-n", "300", "--workers", "2", "-o", "/dev/full"]
     ended = subprocess.run(
-        [sys.executable, "-c", command, *asked], env=own_environment(), capture_output=True, text=True, timeout=30
+        [sys.executable, "-c", command, *arguments], env=own_environment(), capture_output=True, text=True, timeout=30
     )
     assert ended.returncode == 2
     assert "/dev/full: cannot be written" in only_line(ended.stderr)
@@ -49,21 +49,21 @@ def test_the_command_ends_when_plans_cannot_be_written() -> None:
 
 def test_results_are_taken_as_they_come() -> None:
     with AsTheyCome(told, range(30), workers=2) as coming:
-        found = dict(coming.take(waits=True))
-        assert found
+        results = dict(coming.take(waits=True))
+        assert results
         assert not coming.ended
         while some := coming.take(waits=True):
-            found.update(some)
+            results.update(some)
         assert coming.ended
-    own = os.nice(0)
-    assert found == {number: ("", own + 5, number**2) for number in range(30)}
+    niceness = os.nice(0)
+    assert results == {number: ("", niceness + 5, number**2) for number in range(30)}
     with AsTheyCome(told, range(2), workers=1) as coming:
         assert coming.alone
         assert coming.take(waits=False) == []
         assert not coming.ended
-        taken = [coming.take(waits=True) for _ in range(3)]
+        batches = [coming.take(waits=True) for _ in range(3)]
         assert coming.ended
-    assert [[(number, square) for number, (*_, square) in some] for some in taken] == [[(0, 0)], [(1, 1)], []]
+    assert [[(number, square) for number, (*_, square) in some] for some in batches] == [[(0, 0)], [(1, 1)], []]
 
 
 def test_what_tasks_raise_is_raised() -> None:

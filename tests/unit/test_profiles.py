@@ -293,7 +293,7 @@ def test_psd_tables_from_csv(tmp_path: Path) -> None:
 
 def test_tilt_turns_whatever_gravity_there_is(tmp_path: Path) -> None:
     """A load slides at atan μ on the moon, too; an acceleration in m/s² is the same everywhere."""
-    found: dict[tuple[str, float], np.ndarray] = {}
+    excitations: dict[tuple[str, float], np.ndarray] = {}
     for profile, gravity in ((name, g) for name in ("tilt", "eumos-40509") for g in (9.81, 1.62)):
         file = tmp_path / "sweep.toml"
         level = "level = 0.5\n" if profile != "tilt" else ""
@@ -302,6 +302,6 @@ def test_tilt_turns_whatever_gravity_there_is(tmp_path: Path) -> None:
         (group,) = plan.groups()
         drive = plan.drive(group.plan, group.variants[-1])
         assert drive is not None
-        found[profile, gravity] = drive.excitation.samples
-    np.testing.assert_allclose(found["tilt", 1.62], found["tilt", 9.81] * 1.62 / 9.81)
-    np.testing.assert_array_equal(found["eumos-40509", 1.62], found["eumos-40509", 9.81])
+        excitations[profile, gravity] = drive.excitation.samples
+    np.testing.assert_allclose(excitations["tilt", 1.62], excitations["tilt", 9.81] * 1.62 / 9.81)
+    np.testing.assert_array_equal(excitations["eumos-40509", 1.62], excitations["eumos-40509", 9.81])

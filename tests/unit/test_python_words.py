@@ -34,10 +34,10 @@ CALLS = {
 def test_python_has_arguments(name: str, tmp_path: Path) -> None:
     petmjx.score(make_plan(), engine="mujoco", out=tmp_path / "run")
     (tmp_path / "r.html").write_text("mine")
-    call, said = CALLS[name]
+    call, message = CALLS[name]
     with pytest.raises(InputError) as error:
         call(tmp_path)
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert not re.search(r"--[a-z]", str(error.value))
 
 
@@ -69,20 +69,20 @@ def test_a_script_hears_of_its_run(capsys: pytest.CaptureFixture[str], monkeypat
 
 
 def test_lines_come_while_no_world_ends() -> None:
-    said: list[str] = []
-    lines = ScriptLines(said.append, line_s=0.01)
+    messages: list[str] = []
+    lines = ScriptLines(messages.append, line_s=0.01)
 
     class Slow:
         name = "slow"
 
         def run(self, jobs: Any, sim: Any, progress: Any = None) -> Any:
-            while len(said) < 4:  # the thread says how far it is
+            while len(messages) < 4:  # the thread says how far it is
                 time.sleep(0.01)
             yield from MujocoEngine(1).run(jobs, sim, progress)
 
     petmjx.score(make_plan(), engine=Slow(), watcher=lines)
-    assert said[1].startswith("0 of 1 plan")
-    assert said[-1].startswith("1 of 1 plan")
+    assert messages[1].startswith("0 of 1 plan")
+    assert messages[-1].startswith("1 of 1 plan")
 
 
 def test_a_plan_can_be_told() -> None:
@@ -117,8 +117,8 @@ def test_an_episode_that_has_ended_is_over() -> None:
 )
 def test_what_a_duration_means_is_said(options: dict[str, Any], said: str | None) -> None:
     warnings = petmjx.score(make_plan(), engine="mujoco", **options).info["warnings"]
-    found = [line for line in warnings if "duration_s" in line]
-    assert [line.startswith(said) for line in found] == [True] if said else found == []
+    lines = [line for line in warnings if "duration_s" in line]
+    assert [line.startswith(said) for line in lines] == [True] if said else lines == []
 
 
 def test_no_film_is_a_number_of_turns(tmp_path: Path) -> None:

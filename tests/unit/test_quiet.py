@@ -66,13 +66,13 @@ def quiet_on_mjx(paces: np.ndarray, sim: Simulation, failed: bool) -> list[bool]
         culprit=jnp.array([0], jnp.int32), max_tilt=state.metrics.max_tilt.at[0, 0].set(tilt)
     )
     state = state._replace(status=jnp.array([Status.RUNNING], jnp.int32), metrics=signs)
-    found = []
+    flags = []
     count = _count_quiet(sim)
     for pace in paces:
         state = state._replace(qvel=jnp.asarray(velocities(pace), jnp.float32)[None])
         state, quiet = count(state, worlds, jnp.array([True]), jnp.array([True]))
-        found.append(bool(quiet[0]))
-    return found
+        flags.append(bool(quiet[0]))
+    return flags
 
 
 @pytest.mark.parametrize("sim", [ADAPTIVE, ANY_PACE, ONE_LOOK, RARE_LOOKS])
@@ -121,14 +121,14 @@ ONE_CREEPS = np.where(np.arange(BOXES) == 1, 0.3, FADING)
 def test_what_creeps_is_waited_for_until_a_box_has_failed(
     find: Finder, paces: np.ndarray, sim: Simulation, failed: bool, first_quiet: int | None
 ) -> None:
-    found = find(paces, sim, failed)
-    assert (found.index(True) if True in found else None) == first_quiet
+    flags = find(paces, sim, failed)
+    assert (flags.index(True) if True in flags else None) == first_quiet
 
 
 @pytest.mark.parametrize("find", [quiet_on_c, quiet_on_mjx])
 def test_pyramidal_cones_creep_by_themselves(find: Finder) -> None:
-    found = find(STEADY, Simulation(physics="reference"), False)
-    assert found.index(True) == 2
+    flags = find(STEADY, Simulation(physics="reference"), False)
+    assert flags.index(True) == 2
 
 
 def test_a_placement_begins_the_count_anew() -> None:

@@ -66,10 +66,10 @@ def draw_plan(rng: Rng, plan_id: str, order: Order) -> tuple[Plan | None, int]:
         elif fate == 1:  # of another size or mass
             factor = float(rng.choice([0.05, 0.5, 0.98, 1.02, 2.0]))
             by_size = bool(rng.integers(0, 2))
-            scaled = tuple(each * (factor if by_size else 1.0) for each in size)
+            scaled = tuple(side * (factor if by_size else 1.0) for side in size)
             goods.append((item.item_id, item.article, scaled, kg * (1.0 if by_size else factor)))  # type: ignore[arg-type]
     # repeated ones count where the order has more of them than the plan has
-    ordered = [(each.article, each.length_mm, each.weight_kg) for each in order.items]
+    ordered = [(ordered_item.article, ordered_item.length_mm, ordered_item.weight_kg) for ordered_item in order.items]
     for _ in range(rng.integers(0, 4)):
         item = order.items[rng.integers(0, len(order.items))]
         goods.append((item.item_id, item.article, (item.length_mm, item.width_mm, item.height_mm), item.weight_kg))
@@ -82,8 +82,8 @@ def draw_plan(rng: Rng, plan_id: str, order: Order) -> tuple[Plan | None, int]:
         key = (names or _id_by_mass(order, kg), size[0], kg)
         if key in kinds:
             kinds[key] += 1
-    wanted = {key: sum(key[1:] == each[1:] for each in ordered) for key in kinds}
-    right = sum(min(count, wanted[key]) for key, count in kinds.items())
+    order_counts = {key: sum(key[1:] == entry[1:] for entry in ordered) for key in kinds}
+    right = sum(min(count, order_counts[key]) for key, count in kinds.items())
     over = len(goods) > 1 and rng.integers(0, 5) == 0
     return plan_of(plan_id, [goods[k] for k in rng.permutation(len(goods))], over), 0 if over else right
 
@@ -98,10 +98,10 @@ def run_of(plans: Mapping[str, Plan], verdicts: Mapping[str, str], with_orders: 
     ids = list(plans)
     boxes = [plan.n_boxes for plan in plans.values()]
     worlds = {"plan_id": ids, "variant": 0, "verdict": [verdicts[name] for name in ids], "reason": "", "n_boxes": boxes}
-    said = {"plan_id": ids, "volume_m3": 0.1, "height_m": 1.0, "extent_x_m": 1.0, "extent_y_m": 0.5}
+    columns = {"plan_id": ids, "volume_m3": 0.1, "height_m": 1.0, "extent_x_m": 1.0, "extent_y_m": 0.5}
     if with_orders:
-        said |= {"ordered_boxes": 10_000, "left_out": 0, "not_ordered": 0, "resized": 0}
-    return SimpleNamespace(worlds=pd.DataFrame(worlds), plans=pd.DataFrame(said), carrier=Carrier.FOOTPRINT)
+        columns |= {"ordered_boxes": 10_000, "left_out": 0, "not_ordered": 0, "resized": 0}
+    return SimpleNamespace(worlds=pd.DataFrame(worlds), plans=pd.DataFrame(columns), carrier=Carrier.FOOTPRINT)
 
 
 def test_a_thousand_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() -> None:
@@ -111,8 +111,8 @@ def test_a_thousand_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() 
     honest: dict[str, Plan] = {}
     for name, order in orders.items():
         goods = [
-            (each.item_id, each.article, (each.length_mm, each.width_mm, each.height_mm), each.weight_kg)
-            for each in order.items
+            (item.item_id, item.article, (item.length_mm, item.width_mm, item.height_mm), item.weight_kg)
+            for item in order.items
         ]
         honest[name] = plan_of(name, goods)
     plans: dict[str, dict[str, Plan]] = {"all": honest, "one": {"o1": honest["o1"]}}
@@ -207,7 +207,7 @@ def forged(run: Path, change: Callable[[pa.Table], pa.Table], folder: Path) -> P
 def with_column(name: str, value: Callable[[Any], Any]) -> Callable[[pa.Table], pa.Table]:
     def change(table: pa.Table) -> pa.Table:
         at = table.column_names.index(name)
-        values = pa.array([value(each) for each in table[name].to_pylist()], table.schema.field(at).type)
+        values = pa.array([value(cell) for cell in table[name].to_pylist()], table.schema.field(at).type)
         return table.set_column(at, table.schema.field(at), values)
 
     return change
@@ -224,15 +224,15 @@ def test_a_run_with_forged_verdicts_is_not_rated_and_an_honest_one_does_not_move
     alone = board(made, tmp_path / "alone", {"honest": made / "honest", "falling": made / "falling"})
     assert rating_of(alone) == {"honest": 1.0, "falling": 0.25}
     assert alone["refused"] == []
-    assert {each["packer"]: each["differ"] for each in alone["simulated_again"]} == {"honest": [], "falling": []}
-    assert {len(each["plans"]) for each in alone["simulated_again"]} == {4}
+    assert {sample["packer"]: sample["differ"] for sample in alone["simulated_again"]} == {"honest": [], "falling": []}
+    assert {len(sample["plans"]) for sample in alone["simulated_again"]} == {4}
     packers = {"honest": made / "honest", "forger": forger}
     with pytest.warns(PlanWarning, match=r"forger is not rated: 3 of 4 plans .* stable in the run and unstable by"):
         data = board(made, tmp_path / "board", packers)
     (row,) = data["rating"]
-    same = next(each for each in alone["rating"] if each["packer"] == "honest")
+    same = next(rating_row for rating_row in alone["rating"] if rating_row["packer"] == "honest")
     assert row == same
-    assert [each["packer"] for each in data["refused"]] == ["forger"]
+    assert [entry["packer"] for entry in data["refused"]] == ["forger"]
     assert data["refused"][0]["why"] in data["notes"]
     assert "forger is not rated" in (tmp_path / "board" / "index.html").read_text(encoding="utf-8")
     assert not (tmp_path / "board" / "plans" / "forger.json").exists()
@@ -245,7 +245,7 @@ def test_stories_contradict_a_run_as_well(made: Path, tmp_path: Path) -> None:
     with pytest.warns(PlanWarning, match="forger is not rated"):
         data = board(made, tmp_path / "board", packers, replays=0, stories=4)
     assert rating_of(data) == {"honest": 1.0}
-    assert {each["packer"] for each in data["stories"]} == {"honest"}
+    assert {story["packer"] for story in data["stories"]} == {"honest"}
 
 
 def test_a_run_under_gentle_thresholds_is_simulated_as_the_board_does(made: Path, tmp_path: Path) -> None:
@@ -280,9 +280,9 @@ def test_a_run_that_says_more_boxes_than_its_plans_have_is_not_rated(made: Path,
 def test_a_run_whose_plans_are_gone_is_not_rated(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     find = entries.find_plans
 
-    def of_honest(info: Any, records: Any, wanted: Any, *more: Any) -> PlansAgain:
+    def of_honest(info: Any, records: Any, plan_ids: Any, *more: Any) -> PlansAgain:
         gone = any("falling" in record.source for record in records.values())
-        return PlansAgain({}, tuple(wanted), (), ()) if gone else find(info, records, wanted, *more)
+        return PlansAgain({}, tuple(plan_ids), (), ()) if gone else find(info, records, plan_ids, *more)
 
     monkeypatch.setattr(entries, "find_plans", of_honest)
     with pytest.warns(PlanWarning, match="falling is not rated: its plans were not found again"):
@@ -316,8 +316,8 @@ def test_strangers_of_all_kinds_on_one_board_and_by_kpis(made: Path, tmp_path: P
     packers: dict[str, Path] = {"honest": made / "honest.json"}
     for number, (name, plans) in enumerate(STRANGERS.items()):
         packers[name] = write(tmp_path / f"{name}.json", plans)
-        found = petmjx.kpis(packers[name], made / "orders.json", assume_stable=True)
-        assert found.summary["rating"] == found.summary["rating_if_all_stood"] == RATED[name]
+        kpis = petmjx.kpis(packers[name], made / "orders.json", assume_stable=True)
+        assert kpis.summary["rating"] == kpis.summary["rating_if_all_stood"] == RATED[name]
         if number % 2:
             petmjx.score(packers[name], engine="mujoco", threads=1, out=tmp_path / name)
             packers[name] = tmp_path / name
@@ -345,14 +345,14 @@ def test_orders_that_nobody_packed_count(made: Path, tmp_path: Path) -> None:
 
 def test_plans_without_names_are_rated_by_size_and_mass(made: Path, tmp_path: Path) -> None:
     bare = {
-        name: [placement(tuple(each["flb_coordinates"]), SIZE, id="", article="") for each in GOOD] for name in ORDERS
+        name: [placement(tuple(box["flb_coordinates"]), SIZE, id="", article="") for box in GOOD] for name in ORDERS
     }
     data = board(
         made, tmp_path / "board", {"bare": write(tmp_path / "bare.json", bare), "honest": made / "honest.json"}
     )
     assert rating_of(data) == {"bare": 1.0, "honest": 1.0}
-    whole = {row["packer"]: row["left_out"] for row in data["packers"] if row["size"] == "all"}
-    assert whole == {"bare": 0.0, "honest": 0.0}
+    left_out = {row["packer"]: row["left_out"] for row in data["packers"] if row["size"] == "all"}
+    assert left_out == {"bare": 0.0, "honest": 0.0}
     assert "8 boxes of bare have neither id nor article; matched by size and mass" in data["notes"]
 
 
@@ -394,5 +394,5 @@ def test_what_is_near_a_threshold() -> None:
     assert not near("unstable", -1.0, flag.EARLY_STOP | flag.FORKED)
     assert near("unstable", -0.05)
     assert near("invalid", float("nan"))
-    for each in (flag.SINKING, flag.MOVING, flag.KNIFE_EDGE, flag.TIMESTEP):
-        assert near("unstable", -1.0, each)
+    for doubt in (flag.SINKING, flag.MOVING, flag.KNIFE_EDGE, flag.TIMESTEP):
+        assert near("unstable", -1.0, doubt)

@@ -19,10 +19,10 @@ def test_every_sweep_of_the_checkout_is_ready_made(repository: Path) -> None:
 
 
 def test_a_path_comes_before_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = tmp_path / "eumos"
-    own.write_text("")
+    file = tmp_path / "eumos"
+    file.write_text("")
     monkeypatch.chdir(tmp_path)
-    assert find_sweep("eumos").resolve() == own
+    assert find_sweep("eumos").resolve() == file
 
 
 def test_an_installed_package_has_its_own_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -56,18 +56,18 @@ def written(data: Tosses, path: Path) -> Path:
 
 def test_tosses_that_petmjx_made_are_met(own: Tosses, tmp_path: Path) -> None:
     data = read_tosses(written(own, tmp_path / "own.npz"))
-    found = toss_study.compared(data, "mujoco")
-    assert found["right_face"] == 1.0
-    assert found["place_median_mm"] < 1e-6
-    assert found["path_mean_mm"] < 1e-6
-    assert all(test["ks"] == 0 for test in found["distributions"].values())
+    comparison = toss_study.compared(data, "mujoco")
+    assert comparison["right_face"] == 1.0
+    assert comparison["place_median_mm"] < 1e-6
+    assert comparison["path_mean_mm"] < 1e-6
+    assert all(test["ks"] == 0 for test in comparison["distributions"].values())
 
 
 def test_friction_is_found_from_each_half(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(toss_study, "FRICTIONS", (0.12, 0.21, 0.25))
-    found = toss_study.friction(made(friction=0.21), "mujoco")
-    assert [half["friction"] for half in found["halves"]] == [0.21, 0.21]
-    assert found["halves"][0]["errors_of_other_half"]["place_median_mm"] < 1e-6
+    fit = toss_study.friction(made(friction=0.21), "mujoco")
+    assert [half["friction"] for half in fit["halves"]] == [0.21, 0.21]
+    assert fit["halves"][0]["errors_of_other_half"]["place_median_mm"] < 1e-6
 
 
 def test_noise_of_velocities_is_found_from_the_flight(own: Tosses) -> None:
@@ -112,19 +112,19 @@ def test_faces_and_time_to_rest() -> None:
     assert tosses.face_up(np.full(4, np.nan)) == -1
     pos = np.zeros((40, 3))
     pos[:20, 0] = np.linspace(0.1, 0.0, 20)
-    whole = tosses.wholes([Path3(pos, np.tile([1.0, 0.0, 0.0, 0.0], (40, 1)))], 100.0)
-    assert whole.way_mm[0] == pytest.approx(100.0)
-    assert whole.turn_deg[0] == 0.0
-    assert whole.duration_s[0] == pytest.approx(0.18)  # then it is within 3 mm of its end
+    movement = tosses.wholes([Path3(pos, np.tile([1.0, 0.0, 0.0, 0.0], (40, 1)))], 100.0)
+    assert movement.way_mm[0] == pytest.approx(100.0)
+    assert movement.turn_deg[0] == 0.0
+    assert movement.duration_s[0] == pytest.approx(0.18)  # then it is within 3 mm of its end
 
 
 def test_a_toss_without_an_end_is_infinitely_far(own: Tosses) -> None:
     paths = [own.path(toss) for toss in range(N)]
     paths[0] = Path3(np.full_like(paths[0].pos, np.nan), np.full_like(paths[0].quat, np.nan))
-    found = tosses.errors(own, paths)
-    assert not found.right_face[0]
-    assert found.right_face[1:].all()
-    assert found.place_mm[0] == np.inf
+    errors = tosses.errors(own, paths)
+    assert not errors.right_face[0]
+    assert errors.right_face[1:].all()
+    assert errors.place_mm[0] == np.inf
 
 
 def test_rows_that_fail_say_so() -> None:

@@ -63,9 +63,9 @@ class Copy:
     def failing(self, *tests: str) -> Sequence[str]:
         """Names of the tests that fail."""
         done = self.run("-m", "pytest", "-q", "-p", "no:cacheprovider", *tests)
-        found = re.findall(r"^(?:FAILED|ERROR) \S+::(\S+)", done.stdout, flags=re.MULTILINE)
-        assert bool(found) == bool(done.returncode), done.stdout + done.stderr
-        return found
+        names = re.findall(r"^(?:FAILED|ERROR) \S+::(\S+)", done.stdout, flags=re.MULTILINE)
+        assert bool(names) == bool(done.returncode), done.stdout + done.stderr
+        return names
 
 
 @pytest.fixture

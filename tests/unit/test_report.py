@@ -143,18 +143,18 @@ def test_boxes_come_back_as_they_ended(run: Path) -> None:
     packed = box_blocks(runs, table)
     assert packed.drawn.tolist() == list(range(30))
     assert len(packed.blocks) == math.ceil(30 / WORLDS_PER_BLOCK)
-    found = {name: restored_column(column) for name, column in opened_block(packed.blocks["boxes-0"]).items()}
+    columns = {name: restored_column(column) for name, column in opened_block(packed.blocks["boxes-0"]).items()}
     boxes = runs[0].results.boxes.merge(table[["plan_id"]].reset_index(), on="plan_id")
     boxes = boxes.sort_values(["index", "box"])
-    pos = found["planned"].reshape(-1, 3) / 1e4 + found["moved"].reshape(-1, 3)
+    pos = columns["planned"].reshape(-1, 3) / 1e4 + columns["moved"].reshape(-1, 3)
     assert np.allclose(pos, boxes[["pos_x_m", "pos_y_m", "pos_z_m"]], rtol=0, atol=1e-4, equal_nan=True)
     turn = boxes[["quat_x", "quat_y", "quat_z"]].to_numpy()
-    assert np.allclose(found["turn"].reshape(-1, 3), turn, rtol=0, atol=1e-4, equal_nan=True)
-    assert np.allclose(np.expm1(found["force"]), boxes["max_top_force_n"], rtol=1e-3, equal_nan=True)
-    assert np.allclose(found["drop"], boxes["drop_s"], atol=1e-3, equal_nan=True)
-    items = json.loads(bytes(found["items"].astype(np.uint8)))
-    assert [items[int(kind)][:2] for kind in found["kind"]] == boxes[["item_id", "article"]].to_numpy().tolist()
-    assert found["count"].tolist() == table["n_boxes"].tolist()
+    assert np.allclose(columns["turn"].reshape(-1, 3), turn, rtol=0, atol=1e-4, equal_nan=True)
+    assert np.allclose(np.expm1(columns["force"]), boxes["max_top_force_n"], rtol=1e-3, equal_nan=True)
+    assert np.allclose(columns["drop"], boxes["drop_s"], atol=1e-3, equal_nan=True)
+    items = json.loads(bytes(columns["items"].astype(np.uint8)))
+    assert [items[int(kind)][:2] for kind in columns["kind"]] == boxes[["item_id", "article"]].to_numpy().tolist()
+    assert columns["count"].tolist() == table["n_boxes"].tolist()
 
 
 def restored_column(column: dict[str, Any]) -> Any:
@@ -166,8 +166,8 @@ def restored_column(column: dict[str, Any]) -> Any:
 
 def test_of_too_many_worlds_those_that_fall_are_kept(run: Path) -> None:
     runs = open_runs([run])
-    found, table = table_rows(runs, most=10)
-    assert (len(table), found.left_out) == (10, 20)
+    page_rows, table = table_rows(runs, most=10)
+    assert (len(table), page_rows.left_out) == (10, 20)
     assert (table["verdict"] != "stable").sum() == 9
     assert table["plan_id"].is_monotonic_increasing
     packed = box_blocks(runs, table, most=40)
@@ -177,9 +177,9 @@ def test_of_too_many_worlds_those_that_fall_are_kept(run: Path) -> None:
 
 def test_ten_thousand_plans_fit_into_a_mail(tmp_path: Path) -> None:
     runs = open_runs([scored(tmp_path, 100, n_boxes=44)])
-    found, table = table_rows(runs)
+    page_rows, table = table_rows(runs)
     bytes_a_box = sum(map(len, box_blocks(runs, table).blocks.values())) / table["n_boxes"].sum()
-    bytes_a_row = len(block(found.arrays)) / len(table)
+    bytes_a_row = len(block(page_rows.arrays)) / len(table)
     assert 10_003 * (43 * bytes_a_box + bytes_a_row) < 18e6, "of 20 MB"
 
 
@@ -221,7 +221,9 @@ def test_plans_won_and_lost_are_counted(tmp_path: Path) -> None:
 
     def of(name: str, outcomes: str) -> Path:
         made = {"s": standing, "f": fallen, "i": invalid}
-        return write_run(tmp_path / name, plans, [made[each](plan) for each, plan in zip(outcomes, plans, strict=True)])
+        return write_run(
+            tmp_path / name, plans, [made[letter](plan) for letter, plan in zip(outcomes, plans, strict=True)]
+        )
 
     one, two = of("one", "sssffi"), of("two", "ssffsf")
     runs = open_runs([one, two])
@@ -286,11 +288,11 @@ def test_largest_levels_are_below_every_failure() -> None:
     levels = [0.1, 0.2, 0.3, 0.4]
     rows = []
     for plan, direction, stands in (("a", 0, "ssfs"), ("a", 90, "ssss"), ("b", 0, "fsss"), ("b", 90, "ssif")):
-        verdicts = [{"s": "stable", "f": "unstable", "i": "invalid"}[each] for each in stands]
-        rows += [(plan, direction, *each) for each in zip(levels, verdicts, strict=True)]
+        verdicts = [{"s": "stable", "f": "unstable", "i": "invalid"}[letter] for letter in stands]
+        rows += [(plan, direction, *pair) for pair in zip(levels, verdicts, strict=True)]
     worlds = pd.DataFrame(rows, columns=["plan_id", "direction_deg", "level_g", "verdict"])
-    found = largest_survived(worlds.sample(frac=1, random_state=1), "level_g")
-    assert found["largest"].tolist() == [0.2, 0.4, 0.0, 0.2]
+    largest = largest_survived(worlds.sample(frac=1, random_state=1), "level_g")
+    assert largest["largest"].tolist() == [0.2, 0.4, 0.0, 0.2]
 
 
 def test_explained_variance_is_that_of_one_way_analysis() -> None:
@@ -330,8 +332,8 @@ def test_grids_have_their_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(rows, "MOST_OF_SWEEP", 11)
     html = page_of(folder)
     assert "has 12 worlds, too many for a table. It has one row a plan" in checked(html)
-    found, table = table_rows([opened])
-    assert found.summed_up == [opened]
+    page_rows, table = table_rows([opened])
+    assert page_rows.summed_up == [opened]
     assert info_of(html)["n"] == len(table) == worlds["plan_id"].nunique() == 2
     of_plan = worlds.groupby("plan_id")
     assert table.set_index("plan_id")["margin"].to_dict() == of_plan["margin"].min().to_dict()

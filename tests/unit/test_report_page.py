@@ -119,9 +119,9 @@ def test_a_click_shows_the_plan_in_3d_and_its_boxes(open_page: OpenPage, html: s
     _, counts = np.unique(picture.reshape(-1, 3) // 32, axis=0, return_counts=True)
     assert (counts > 40).sum() > 8, "boxes of several articles, lit from one side"
     opened.page.locator("table.boxes tbody tr").nth(11).click()
-    said = opened.page.locator(".card3d [role=status]").inner_text()
-    assert said.startswith("Box 11 – failed first: jam (item jam-11), 400 × 300 × 200 mm")
-    assert "dropped at 3.60 s" in said
+    status = opened.page.locator(".card3d [role=status]").inner_text()
+    assert status.startswith("Box 11 – failed first: jam (item jam-11), 400 × 300 × 200 mm")
+    assert "dropped at 3.60 s" in status
     opened.page.get_by_label("Colour by").select_option("moved")
     opened.settled()
     assert (np.abs(opened.pixels(".card3d canvas").astype(int) - picture).max(axis=2) > 24).mean() > 0.02

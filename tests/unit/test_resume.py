@@ -76,8 +76,8 @@ def simulate(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
 
 @pytest.mark.parametrize(("kind", "after"), [("score", 3), ("grid", 17), ("search", 11), ("sample", 6)])
 def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: Path) -> None:
-    whole = Counting()
-    expected = tables(simulate(kind, tmp_path / "whole", engine=whole))
+    first_engine = Counting()
+    expected = tables(simulate(kind, tmp_path / "whole", engine=first_engine))
     with pytest.raises(KeyboardInterrupt):
         simulate(kind, tmp_path / "run", engine=Counting(after), resume=True)
     before = load_run(tmp_path / "run").info
@@ -85,7 +85,7 @@ def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: P
     rest = Counting()
     results = simulate(kind, tmp_path / "run", engine=rest, resume=True)
     assert_same(results, expected)
-    assert 0 < rest.n_jobs < whole.n_jobs
+    assert 0 < rest.n_jobs < first_engine.n_jobs
     nothing = Counting()
     again = simulate(kind, tmp_path / "run", engine=nothing, resume=True)
     assert nothing.n_jobs == 0
@@ -265,8 +265,8 @@ def test_the_digest_of_ten_thousand_plans_is_quick() -> None:
 
 def test_shares_are_fixed_and_about_equal() -> None:
     ids = [f"{number:08}" for number in range(4_000)]
-    shards = [[each for each in ids if RunOptions(shard=f"{i}/4").takes(each)] for i in range(1, 5)]
-    assert sorted(each for shard in shards for each in shard) == ids
+    shards = [[plan_id for plan_id in ids if RunOptions(shard=f"{i}/4").takes(plan_id)] for i in range(1, 5)]
+    assert sorted(plan_id for shard in shards for plan_id in shard) == ids
     assert all(900 < len(shard) < 1_100 for shard in shards)
     assert shards[0][:3] == ["00000000", "00000007", "00000014"]
 
@@ -279,12 +279,12 @@ def test_merged_shards_are_the_run_without_shards(kind: str, tmp_path: Path) -> 
         simulate(kind, folder, shard=f"{number}/3")
     merged = petmjx.merge_runs(folders[::-1], tmp_path / "merged")
     assert_same(merged, expected)
-    whole = load_run(tmp_path / "whole")
-    assert merged.info["counts"] == whole.info["counts"]
-    assert merged.info["identity"] == whole.info["identity"]
+    full_run = load_run(tmp_path / "whole")
+    assert merged.info["counts"] == full_run.info["counts"]
+    assert merged.info["identity"] == full_run.info["identity"]
     assert [entry["shard"] for entry in merged.info["config"]["shards"]] == ["1/3", "2/3", "3/3"]
     for table in expected:
-        assert merged.units(table) == whole.units(table)
+        assert merged.units(table) == full_run.units(table)
     assert_same(simulate(kind, tmp_path / "merged", engine=Counting(0), resume=True), expected)
 
 
@@ -301,16 +301,16 @@ def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_p
     floating = [placement(), placement(corner=(0, 0, 900))]
     plans = {f"plan-{number}": [placement()] for number in range(6)}
     file.write_text(json.dumps({**plans, "odd": floating, "bad": []}))
-    whole = simulate("score", tmp_path / "whole", plans=file).info
+    full_info = simulate("score", tmp_path / "whole", plans=file).info
     folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
     for number, folder in enumerate(folders, 1):
         simulate("score", folder, shard=f"{number}/2", plans=file)
     merged = petmjx.merge_runs(folders, tmp_path / "merged").info
-    assert whole["counts"]["odd_plans"] == 1
+    assert full_info["counts"]["odd_plans"] == 1
     of_shards = [load_run(folder).info["counts"]["odd_plans"] for folder in folders]
     assert sorted(of_shards) == [0, 1]  # each counts its own
     assert {name: merged[name] for name in ("counts", "skipped", "warnings")} == {
-        name: whole[name] for name in ("counts", "skipped", "warnings")
+        name: full_info[name] for name in ("counts", "skipped", "warnings")
     }
 
 

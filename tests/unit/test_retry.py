@@ -46,9 +46,9 @@ def test_worlds_that_follow_from_results_are_simulated_too(takes_more: bool) -> 
     queue: list[World] = []
 
     def more() -> list[World]:
-        found = queue.copy()
+        next_worlds = queue.copy()
         queue.clear()
-        return found
+        return next_worlds
 
     seen = []
     for result in score_worlds([first], Simulation(), engine, more=more):
@@ -82,9 +82,9 @@ def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_th
     queue, worlds = [], worlds_failing(0, 0, 0, 0, 0)
 
     def more() -> list[World]:
-        found = queue.copy()
+        next_worlds = queue.copy()
         queue.clear()
-        return found
+        return next_worlds
 
     for result in score_worlds(worlds[:3], Simulation(), InSlices(), more=more):
         queue += worlds[3:] if result.world is worlds[2] else []
@@ -110,10 +110,10 @@ def test_what_looks_at_answers_is_waited_for_until_more_are_at_hand() -> None:
             progress.at_hand = 1
             if until():
                 return []
-            found = kept.copy()
+            answers = kept.copy()
             kept.clear()
-            went_on.append(len(found))
-            return found
+            went_on.append(len(answers))
+            return answers
 
     kept, went_on = list[Any](), list[int]()
     progress, worlds = Progress(), worlds_failing(0, 0, 0)
@@ -148,11 +148,11 @@ def test_invalid_worlds_run_again_as_one_batch_until_they_are_valid() -> None:
 
 def test_flags_of_an_engine_of_one_s_own_may_be_numbers() -> None:
     outcome = make_outcome(1, Verdict.STABLE, flags=int(Flag.SINKING))  # type: ignore[arg-type]
-    found = [each.number for each in ATTEMPTS if each.is_for(outcome, Simulation())]
-    assert found == [
-        each.number for each in ATTEMPTS if each.is_for(replace(outcome, flags=Flag.SINKING), Simulation())
+    numbers = [attempt.number for attempt in ATTEMPTS if attempt.is_for(outcome, Simulation())]
+    assert numbers == [
+        attempt.number for attempt in ATTEMPTS if attempt.is_for(replace(outcome, flags=Flag.SINKING), Simulation())
     ]
-    assert found
+    assert numbers
 
 
 def test_no_attempt_repeats_another() -> None:
@@ -263,5 +263,5 @@ def test_stiff_contacts_are_asked_about_what_they_can_answer_in_time(n_boxes: in
     """A large world keeps its verdict and says that contacts may be why; one without is always asked again."""
     leaning = make_outcome(n_boxes, Verdict.UNSTABLE, Reason.DROP, flags=Flag.SINKING)
     sunk = make_outcome(n_boxes, Verdict.INVALID, Reason.SINKING, flags=Flag.SINKING)
-    assert {each.number for each in ATTEMPTS[1:] if each.is_for(leaning, Simulation())} == asked
-    assert {each.number for each in ATTEMPTS[1:] if each.is_for(sunk, Simulation())} == {6, 7}
+    assert {attempt.number for attempt in ATTEMPTS[1:] if attempt.is_for(leaning, Simulation())} == asked
+    assert {attempt.number for attempt in ATTEMPTS[1:] if attempt.is_for(sunk, Simulation())} == {6, 7}

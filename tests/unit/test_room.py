@@ -31,9 +31,9 @@ def row(size: list[float], place: list[float], planned: list[float], **options: 
     along = np.column_stack([place, np.zeros(n)])
     middles = np.column_stack([planned, np.zeros(n)])
     given = {"beside": ~np.eye(n, dtype=bool), "movable": np.ones(n, bool), "reach_m": 0.3, **options}
-    (found,) = make_room(along[None], half[None], np.zeros((1, n)), middles, planned_half, **given)
-    assert not found[:, 1].any()
-    return found[:, 0]
+    (places,) = make_room(along[None], half[None], np.zeros((1, n)), middles, planned_half, **given)
+    assert not places[:, 1].any()
+    return places[:, 0]
 
 
 def test_boxes_that_find_room_stay_where_they_are() -> None:
@@ -45,21 +45,21 @@ def test_boxes_that_find_room_stay_where_they_are() -> None:
 
 def test_two_boxes_share_the_way_apart_and_one_that_stands_leaves_it_to_the_other() -> None:
     planned = [0.0, 1.0 + GAP_M]
-    found = row([1.002, 1.002], planned, planned)
-    np.testing.assert_allclose(found, [-0.001, 1.0 + GAP_M + 0.001], atol=KNOWN_M)
-    found = row([1.002, 1.002], planned, planned, movable=np.array([False, True]))
-    np.testing.assert_allclose(found, [0.0, 1.002 + GAP_M], atol=KNOWN_M)
+    places = row([1.002, 1.002], planned, planned)
+    np.testing.assert_allclose(places, [-0.001, 1.0 + GAP_M + 0.001], atol=KNOWN_M)
+    places = row([1.002, 1.002], planned, planned, movable=np.array([False, True]))
+    np.testing.assert_allclose(places, [0.0, 1.002 + GAP_M], atol=KNOWN_M)
     wide = [0.0, 1.003]  # in the plan 3 mm apart, drawn 1 mm into each other: then they are as far apart as boxes need
-    found = row([1.002, 1.002], [0.001, 1.002], wide)
-    np.testing.assert_allclose(found, [0.001 - (0.001 + CLEAR_M) / 2, 1.002 + (0.001 + CLEAR_M) / 2], atol=KNOWN_M)
+    places = row([1.002, 1.002], [0.001, 1.002], wide)
+    np.testing.assert_allclose(places, [0.001 - (0.001 + CLEAR_M) / 2, 1.002 + (0.001 + CLEAR_M) / 2], atol=KNOWN_M)
 
 
 def test_a_row_of_wide_boxes_spreads_from_its_middle() -> None:
     """By symmetry the middle box stays; each of the others then goes as far as all between it and the middle need."""
     n, wider = 7, 0.002
     planned = [k * (1.0 + GAP_M) for k in range(n)]
-    found = row([1.0 + wider] * n, planned, planned)
-    np.testing.assert_allclose(found - planned, (np.arange(n) - 3) * wider, atol=n * KNOWN_M)
+    places = row([1.0 + wider] * n, planned, planned)
+    np.testing.assert_allclose(places - planned, (np.arange(n) - 3) * wider, atol=n * KNOWN_M)
 
 
 def test_the_translations_are_the_least() -> None:
@@ -68,8 +68,8 @@ def test_the_translations_are_the_least() -> None:
     n = 9
     planned = np.arange(n) * (1.0 + GAP_M)
     drawn, size = planned + rng.normal(0.0, 0.002, n), 1.0 + rng.normal(0.0, 0.001, n)
-    taken = np.concatenate([[0.0], np.cumsum((size[1:] + size[:-1]) / 2 + GAP_M)])
-    expected = isotonic_regression(drawn - taken).x + taken
+    offsets = np.concatenate([[0.0], np.cumsum((size[1:] + size[:-1]) / 2 + GAP_M)])
+    expected = isotonic_regression(drawn - offsets).x + offsets
     assert np.abs(expected - drawn).max() > 0.001
     np.testing.assert_allclose(row(size.tolist(), drawn.tolist(), planned.tolist()), expected, atol=n * KNOWN_M)
 
@@ -84,8 +84,8 @@ def test_what_overlaps_in_the_plan_does_so_still_and_what_stands_above_is_left_a
 
 def corners(place: FloatArray, half: FloatArray, yaw: float) -> FloatArray:
     cos, sin = np.cos(yaw), np.sin(yaw)
-    own = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * half
-    return np.asarray(place + own @ np.array([[cos, sin], [-sin, cos]]))
+    outline = np.array([(x, y) for x in (-1, 1) for y in (-1, 1)]) * half
+    return np.asarray(place + outline @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def test_turned_boxes_are_apart_and_no_world_depends_on_another() -> None:
@@ -95,11 +95,11 @@ def test_turned_boxes_are_apart_and_no_world_depends_on_another() -> None:
     drawn = planned + rng.normal(0.0, 0.003, (4, 9, 2))
     halves, yaw = half + rng.normal(0.0, 0.001, (4, 9, 3)), rng.normal(0.0, 0.01, (4, 9))
     more = planned, half, ~np.eye(9, dtype=bool), np.ones(9, bool), 0.05
-    found = make_room(drawn, halves, yaw, *more)
+    places = make_room(drawn, halves, yaw, *more)
     for k in range(4):
         (alone,) = make_room(drawn[k : k + 1], halves[k : k + 1], yaw[k : k + 1], *more)
-        np.testing.assert_array_equal(alone, found[k])
-        outlines = [corners(found[k, box], halves[k, box, :2], yaw[k, box]) for box in range(9)]
+        np.testing.assert_array_equal(alone, places[k])
+        outlines = [corners(places[k, box], halves[k, box, :2], yaw[k, box]) for box in range(9)]
         for i in range(9):
             for j in range(i):
                 assert separation(outlines[i], outlines[j], (yaw[k, i], yaw[k, j])) > -KNOWN_M
@@ -158,5 +158,5 @@ def test_whether_boxes_that_appear_stand_follows_from_statics_in_any_contacts(
     for physics in ({}, {"timestep_s": 0.004}, {"solref": (0.04, 1.25)}):
         options = {"physics": physics} if physics else {}
         worlds = petmjx.score(plans, engine="mujoco", confidence=8, errors=errors, placing="exact", **options).worlds
-        found = dict(zip(zip(worlds["plan_id"], worlds["variant"], strict=True), worlds["verdict"], strict=True))
-        assert {key: found[key] == "stable" for key in sure} == {key: stands[key] for key in sure}
+        verdicts = dict(zip(zip(worlds["plan_id"], worlds["variant"], strict=True), worlds["verdict"], strict=True))
+        assert {key: verdicts[key] == "stable" for key in sure} == {key: stands[key] for key in sure}

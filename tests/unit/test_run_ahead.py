@@ -40,18 +40,18 @@ def test_items_come_in_order_from_a_thread_that_is_ahead() -> None:
     numbers = Numbers(20)
     ahead = run_ahead(numbers.all(), 3)
     assert numbers.made == 0
-    taken = [next(ahead)]
+    head = [next(ahead)]
     for _ in range(5):  # one was taken, three may wait, and one more is made
         assert numbers.ahead.acquire(timeout=5)
     assert not numbers.ahead.acquire(timeout=0.05)
-    assert [*taken, *ahead] == [*range(20)]
+    assert [*head, *ahead] == [*range(20)]
     assert numbers.closed_in == "petmjx-ahead"
 
 
 def test_an_error_comes_after_what_came_before_it() -> None:
-    taken: list[int] = []
+    numbers: list[int] = []
     with pytest.raises(MemoryError, match="none left"):
-        taken.extend(run_ahead(Numbers(5, MemoryError("none left")).all(), 10))
+        numbers.extend(run_ahead(Numbers(5, MemoryError("none left")).all(), 10))
     ahead = run_ahead(Numbers(5, MemoryError("none left")).all(), 10)
     assert [next(ahead) for _ in range(5)] == [*range(5)]
     with pytest.raises(MemoryError, match="none left"):
@@ -76,7 +76,7 @@ def test_an_error_holds_nothing_of_the_generator() -> None:
     try:
         with suppress(MemoryError):
             list(run_ahead(fails(), 1))
-        assert [each() for each in held] == [None]
+        assert [reference() for reference in held] == [None]
     finally:
         gc.enable()
 

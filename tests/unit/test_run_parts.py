@@ -32,8 +32,8 @@ from petmjx.results.writer import RunWriter
 
 def worlds_on_disk(folder: Path) -> int:
     """As run.json has them."""
-    found: int = json.loads((folder / "run.json").read_text())["counts"]["worlds"]
-    return found
+    n_worlds: int = json.loads((folder / "run.json").read_text())["counts"]["worlds"]
+    return n_worlds
 
 
 class Holding:
@@ -119,15 +119,15 @@ def test_a_part_is_written_after_a_while_though_no_world_follows(
 
 
 def test_run_json_says_finished_when_all_worlds_are_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = []
+    statuses = []
 
     def noted(entries: dict[str, Any], folder: Path) -> None:
-        said.append((entries["status"], entries["counts"]["worlds"]))
+        statuses.append((entries["status"], entries["counts"]["worlds"]))
         write_run_file(entries, folder)
 
     monkeypatch.setattr(info, "write_run_file", noted)
     write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
-    assert said == [("running", 0), ("running", 2), ("running", 3), ("finished", 3)]
+    assert statuses == [("running", 0), ("running", 2), ("running", 3), ("finished", 3)]
 
 
 def test_ctrl_c_keeps_whole_parts_and_says_how_many(tmp_path: Path) -> None:
@@ -193,8 +193,8 @@ def assert_has_whole(folder: Path, worlds: int) -> None:
 def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError):
         write_run(tmp_path, ids=("a",), end=RuntimeError("the engine\nbroke"))
-    said = load_run(tmp_path).info
-    assert (said["status"], said["error"], said["counts"]["worlds"]) == ("failed", "RuntimeError: the engine broke", 1)
+    info = load_run(tmp_path).info
+    assert (info["status"], info["error"], info["counts"]["worlds"]) == ("failed", "RuntimeError: the engine broke", 1)
 
 
 def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -227,8 +227,8 @@ def test_an_error_of_another_kind_in_the_last_part_is_told(tmp_path: Path, monke
     monkeypatch.setattr(Part, "worlds", no_room)
     with pytest.raises(MemoryError):
         write_run(tmp_path)
-    said = load_run(tmp_path).info
-    assert (said["status"], said["error"], said["counts"]["worlds"]) == ("failed", "MemoryError: no room", 0)
+    info = load_run(tmp_path).info
+    assert (info["status"], info["error"], info["counts"]["worlds"]) == ("failed", "MemoryError: no room", 0)
 
 
 def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

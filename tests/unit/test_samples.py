@@ -331,7 +331,7 @@ def test_boxes_that_find_no_place_are_named(tmp_path: Path) -> None:
     packed = dict(pack_orders(write(tmp_path / "orders.json", orders), on_left_out=left_out.append))
     assert {plan_id: len(plan) for plan_id, plan in packed.items()} == {"fits": 3, "some": 3}
     assert left_out == [LeftOut("some", 4, (2,)), LeftOut("none", 2, (1, 2))]
-    assert [str(each) for each in left_out] == [
+    assert [str(leftover) for leftover in left_out] == [
         "order some: 1 of 4 boxes is left out: item 2",
         "order none: 2 of 2 boxes are left out: items 1, 2",
     ]
@@ -348,7 +348,7 @@ def test_real_orders_are_packed(real_data: Path) -> None:
     left_out: list[LeftOut] = []
     packed = dict(pack_orders(path, on_left_out=left_out.append))
     assert list(packed) == list(ordered)
-    missing = {each.order_id: len(each.numbers) for each in left_out}
+    missing = {leftover.order_id: len(leftover.numbers) for leftover in left_out}
     assert {plan_id: ordered[plan_id] - len(plan) for plan_id, plan in packed.items() if plan_id in missing} == missing
     assert sum(missing.values()) == sum(ordered.values()) - sum(map(len, packed.values())) > 0
     for plan_id, plan in packed.items():
@@ -391,9 +391,9 @@ def test_bundled_set_is_what_its_generator_makes(tmp_path: Path) -> None:
 
 
 def test_bundled_set_is_read_without_a_complaint() -> None:
-    found = load_plans(bundled_path())
-    assert not found.skipped
-    sizes = sorted(plan.n_boxes for plan in found.plans)
+    plan_set = load_plans(bundled_path())
+    assert not plan_set.skipped
+    sizes = sorted(plan.n_boxes for plan in plan_set.plans)
     assert 22 <= len(sizes) <= 28
     assert sum(10 <= n <= 20 for n in sizes) >= 6
     assert sizes[-2] > 40

@@ -69,11 +69,11 @@ def test_rows_of_the_first_scenes_may_be_made_before(carrier: str) -> None:
     first, more = with_errors(sim, 3), make_scene(stack(3), Simulation(carrier=carrier))
     scenes = [*first, more, *first[:2], more]
     ready = rows_of(first, 28, sim)
-    whole = rows_of(scenes, 28, sim, spare=2)
+    rows = rows_of(scenes, 28, sim, spare=2)
     in_two = rows_of(scenes, 28, sim, spare=2, ready=ready)
     all_ready = rows_of(first, 28, sim, spare=2, ready=ready)
-    assert (len(whole["shape_half"][0]) == len(ready["shape_half"][0])) == (carrier == "footprint")
-    for name, values in whole.items():
+    assert (len(rows["shape_half"][0]) == len(ready["shape_half"][0])) == (carrier == "footprint")
+    for name, values in rows.items():
         np.testing.assert_array_equal(in_two[name], values, err_msg=name, strict=True)
     for name, values in rows_of(first, 28, sim, spare=2).items():
         np.testing.assert_array_equal(all_ready[name], values, err_msg=name, strict=True)
@@ -82,7 +82,7 @@ def test_rows_of_the_first_scenes_may_be_made_before(carrier: str) -> None:
 def test_groups_have_each_scene_once_and_only_those_alike() -> None:
     sim = Simulation()
     scenes = [*with_errors(sim, AT_A_TIME + 5, 7), make_scene(stack(3), sim), make_scene(stack(3), sim)]
-    found = list(groups(scenes))
-    assert sorted(number for numbers, _ in found for number in numbers) == [*range(len(scenes))]
-    assert sorted(len(numbers) for numbers, _ in found) == [2, 5, AT_A_TIME]
-    assert all(len({scenes[number].n_boxes for number in numbers}) == 1 for numbers, _ in found)
+    scene_groups = list(groups(scenes))
+    assert sorted(number for numbers, _ in scene_groups for number in numbers) == [*range(len(scenes))]
+    assert sorted(len(numbers) for numbers, _ in scene_groups) == [2, 5, AT_A_TIME]
+    assert all(len({scenes[number].n_boxes for number in numbers}) == 1 for numbers, _ in scene_groups)

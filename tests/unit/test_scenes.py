@@ -32,14 +32,14 @@ def _plans() -> list[Plan]:
 
 
 def _same(one: Any, other: Any) -> None:
-    for each in fields(one):
-        value, its = getattr(one, each.name), getattr(other, each.name)
+    for field in fields(one):
+        value, its = getattr(one, field.name), getattr(other, field.name)
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(its, value, strict=True)
         elif isinstance(value, Body):
             _same(value, its)
         else:
-            assert its == value, each.name
+            assert its == value, field.name
 
 
 @pytest.mark.parametrize(

@@ -37,19 +37,19 @@ def test_it_says_what_a_score_says_and_writes_nothing(monkeypatch: pytest.Monkey
     scorer.score(PLANS[2])  # what is read once
     for name in ("open", "mkdir", "rename"):
         monkeypatch.setattr(os, name, none)
-    found = scorer.score(PLANS)
+    results = scorer.score(PLANS)
     for table in ("worlds", "boxes", "attempts"):
-        pd.testing.assert_frame_equal(getattr(found, table), getattr(expected, table), check_exact=True)
-    assert found.worlds.verdict.tolist() == ["unstable", "stable", "stable", "unstable"]
-    assert found.worlds.plan_id.tolist()[-1] == "falls#2"
+        pd.testing.assert_frame_equal(getattr(results, table), getattr(expected, table), check_exact=True)
+    assert results.worlds.verdict.tolist() == ["unstable", "stable", "stable", "unstable"]
+    assert results.worlds.plan_id.tolist()[-1] == "falls#2"
 
 
 def test_several_threads_and_a_data_frame() -> None:
     with petmjx.Scorer(engine="mujoco", threads=1) as scorer, ThreadPoolExecutor(3) as pool:
-        each = list(pool.map(lambda plan: scorer.score(plan).worlds, PLANS))
-        whole = scorer.score(PLANS).worlds
-    for row, frame in enumerate(each):
-        pd.testing.assert_series_equal(frame.margin, whole.margin[row : row + 1].reset_index(drop=True))
+        frames = list(pool.map(lambda plan: scorer.score(plan).worlds, PLANS))
+        worlds = scorer.score(PLANS).worlds
+    for row, frame in enumerate(frames):
+        pd.testing.assert_series_equal(frame.margin, worlds.margin[row : row + 1].reset_index(drop=True))
     columns = {
         "plan_id": ["a", "a"],
         "article": "",
@@ -68,11 +68,11 @@ def test_arrays() -> None:
     for row, plan in enumerate(PLANS[:2]):
         size[row, : plan.n_boxes], corner[row, : plan.n_boxes] = plan.size_mm, plan.corner_mm
         mass[row, : plan.n_boxes] = plan.mass_kg
-    told, expected = scorer.tell(size_mm=size, corner_mm=corner, mass_kg=mass), scorer.score(PLANS[:2])
-    assert told.stable.tolist() == [False, True]
-    np.testing.assert_array_equal(told.margin, expected.worlds.margin)
-    np.testing.assert_array_equal(told.top_force_n[1].astype(np.float32), expected.boxes.rest_top_force_n[2:])
-    assert np.isnan(told.top_force_n[0, 2])
+    answer, expected = scorer.tell(size_mm=size, corner_mm=corner, mass_kg=mass), scorer.score(PLANS[:2])
+    assert answer.stable.tolist() == [False, True]
+    np.testing.assert_array_equal(answer.margin, expected.worlds.margin)
+    np.testing.assert_array_equal(answer.top_force_n[1].astype(np.float32), expected.boxes.rest_top_force_n[2:])
+    assert np.isnan(answer.top_force_n[0, 2])
 
 
 def test_what_is_wrong_is_one_line() -> None:

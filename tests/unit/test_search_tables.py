@@ -33,8 +33,8 @@ def summary(**axes: list[Any]) -> pd.DataFrame:
 
 
 def test_turns_of_film_are_in_the_tables(capsys: pytest.CaptureFixture[str]) -> None:
-    found = summary(wrap_turns=[1.0, 4.0, 16.0], friction_factor=[0.5, 0.5, 0.5])
-    for table in (answers_table(found), levels_table(found)):
+    searches = summary(wrap_turns=[1.0, 4.0, 16.0], friction_factor=[0.5, 0.5, 0.5])
+    for table in (answers_table(searches), levels_table(searches)):
         lines = printed(table, capsys).splitlines()
         rows = [line.split() for line in lines if "eumos" in line]
         assert [row[row.index("0") + 1] for row in rows] == ["1", "4", "16"]
@@ -43,15 +43,15 @@ def test_turns_of_film_are_in_the_tables(capsys: pytest.CaptureFixture[str]) -> 
 
 
 def test_tables_of_searches_without_such_axes_are_as_before(capsys: pytest.CaptureFixture[str]) -> None:
-    found = summary(wrap_turns=[4.0, 4.0])
-    assert "turns" not in printed(answers_table(found), capsys)
-    (row,) = (line for line in printed(levels_table(found), capsys).splitlines() if "eumos" in line)
+    searches = summary(wrap_turns=[4.0, 4.0])
+    assert "turns" not in printed(answers_table(searches), capsys)
+    (row,) = (line for line in printed(levels_table(searches), capsys).splitlines() if "eumos" in line)
     assert row.split()[1:4] == ["0", "2", "2"]
 
 
 def test_many_rows_are_counted(capsys: pytest.CaptureFixture[str]) -> None:
-    found = summary(friction_factor=[k / 10 for k in range(1, 61)])
-    text = printed(levels_table(found), capsys)
+    searches = summary(friction_factor=[k / 10 for k in range(1, 61)])
+    text = printed(levels_table(searches), capsys)
     assert "10 more in summary" in text
     assert text.count("eumos-40509") == 50
 
@@ -84,7 +84,7 @@ def test_film_secures_a_load(tmp_path: Path) -> None:
         "turns": (tilts + "wrap_turns = [1, 4]\n", False),
         "with none": (tilts + "wrap_turns = [0, 4]\n", True),
     }
-    for name, (text, said) in cases.items():
+    for name, (text, is_hopeless) in cases.items():
         (tmp_path / f"{name}.toml").write_text(text)
         lines = hopeless_profiles(load_sweep(tmp_path / f"{name}.toml", plans_given=True))
-        assert any("no unsecured load stays in place" in line for line in lines) == said, name
+        assert any("no unsecured load stays in place" in line for line in lines) == is_hopeless, name

@@ -148,8 +148,8 @@ def test_a_field_of_the_wrong_kind_is_found(worlds: Worlds, table: State) -> Non
 
 def test_states_are_cut_along_their_boxes_and_nothing_else(table: State) -> None:
     assert axis_sizes(narrow(table, 2)) == {"world": ROWS, "box": 2}
-    for whole, same in zip(jax.tree.leaves(table), jax.tree.leaves(narrow(table, WIDTH)), strict=True):
-        np.testing.assert_array_equal(whole, same)
+    for leaf, same in zip(jax.tree.leaves(table), jax.tree.leaves(narrow(table, WIDTH)), strict=True):
+        np.testing.assert_array_equal(leaf, same)
     assert axis_sizes(take_rows(table, jnp.array([3, 99]))) == {"world": 2, "box": WIDTH}
     # A record's box axis is its second in every field that has one.
     for kind in (Metrics, State):
@@ -161,14 +161,14 @@ def test_states_can_be_put_into_tables_for_other_numbers_of_boxes(table: State) 
     """Boxes that a state has no columns for stay as they are in the table; those without columns there are lost."""
     rows = jnp.array([5, 0, ROWS])
     anew = take_rows(jax.tree.map(lambda values: values + 1, table), jnp.arange(3))
-    found = put_resized(table, rows, narrow(anew, 2))
-    for before, new, after in zip(*(jax.tree.leaves(each) for each in (table, narrow(anew, 2), found)), strict=True):
+    resized = put_resized(table, rows, narrow(anew, 2))
+    for before, new, after in zip(*(jax.tree.leaves(tree) for tree in (table, narrow(anew, 2), resized)), strict=True):
         expected = np.array(before)
         for k, row in enumerate((5, 0)):
             expected[(row, *map(slice, new.shape[1:]))] = new[k]
         np.testing.assert_array_equal(after, expected)
-    cut, found = narrow(put_resized(table, rows, anew), 2), put_resized(narrow(table, 2), rows, anew)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(cut), strict=True):
+    cut, resized = narrow(put_resized(table, rows, anew), 2), put_resized(narrow(table, 2), rows, anew)
+    for one, other in zip(jax.tree.leaves(resized), jax.tree.leaves(cut), strict=True):
         np.testing.assert_array_equal(one, other)
 
 

@@ -142,7 +142,7 @@ def test_bisection_finds_the_level_to_the_tolerance_in_counted_evaluations(secti
     search = Bisection(levels, [STANDS] * len(limit), sections=sections)
     rounds = search_with(search, lambda item, level: level < limit[item])
     assert rounds <= most_rounds
-    assert sum(found.n_tests for found in search.items) <= len(limit) * most_rounds * sections
+    assert sum(answer.n_tests for answer in search.items) <= len(limit) * most_rounds * sections
     survived, failed = (
         np.array([answer(item) for item in range(len(limit))], dtype=float)  # None becomes NaN
         for answer in (search.largest_survived, search.first_failed)
@@ -153,14 +153,14 @@ def test_bisection_finds_the_level_to_the_tolerance_in_counted_evaluations(secti
     np.testing.assert_allclose(failed[inside] - survived[inside], 0.01)
     assert survived[-1] == 2.0
     assert np.isnan(failed[-1])
-    assert [found.box for found in search.items] == [0] * 42 + [-1]
-    assert [found.mode for found in search.items] == ["slide"] * 42 + [""]
-    assert all(found.monotone for found in search.items)
+    assert [answer.box for answer in search.items] == [0] * 42 + [-1]
+    assert [answer.mode for answer in search.items] == ["slide"] * 42 + [""]
+    assert all(answer.monotone for answer in search.items)
 
 
 def test_bisection_leaves_out_what_does_not_stand_at_rest() -> None:
     search = Bisection([0.0, 0.5, 1.0], [SLID, STANDS])
-    assert [found.stands_at_rest for found in search.items] == [False, True]
+    assert [answer.stands_at_rest for answer in search.items] == [False, True]
     assert search.next_tests(0) == []
     tests = search.next_tests(1)
     assert tests == [(1, 1), (1, 2)]
@@ -249,8 +249,8 @@ SETTLED = np.array([[0.2, 0.15, 0.25], [0.2, 0.15, 0.75]])
 
 def assess(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> dict[str, Any]:
     """EUMOS's columns, by their last words, of boxes that came to rest in these places."""
-    found = eumos_assessment(moved(pos, max_sway_m, dropped), SETTLED, HALF)
-    return {name.removeprefix("eumos_"): value for name, value in found.items()}
+    assessment = eumos_assessment(moved(pos, max_sway_m, dropped), SETTLED, HALF)
+    return {name.removeprefix("eumos_"): value for name, value in assessment.items()}
 
 
 def shifted(lower_m: list[float], upper_m: list[float]) -> np.ndarray:

@@ -67,8 +67,8 @@ def balances(scene: Scene, placed: int) -> bool:
             force[lower, :, k] -= wrench
     chosen = bearing.upper < placed
     matrix = force[:placed][:, :, chosen].reshape(3 * placed, -1)
-    wanted = bearing.weights[:placed, :3].ravel()
-    return bool(linprog(np.zeros(matrix.shape[1]), A_eq=matrix, b_eq=wanted, method="highs").status == 0)
+    weights = bearing.weights[:placed, :3].ravel()
+    return bool(linprog(np.zeros(matrix.shape[1]), A_eq=matrix, b_eq=weights, method="highs").status == 0)
 
 
 PILES = [bridging_pile(np.random.default_rng(seed)) for seed in range(N_PILES)]
@@ -77,16 +77,16 @@ PILES = [bridging_pile(np.random.default_rng(seed)) for seed in range(N_PILES)]
 def test_a_load_is_beyond_an_edge_only_if_nothing_balances_the_boxes() -> None:
     """60 random piles, complete and after each placement: the signs are a linear programme's over all forces."""
     by_plan = plan_edges(PILES, [scene.n_boxes for scene in PILES])
-    whole = [bool(np.nanmin(edges.by_load) >= 0) for edges in by_plan]
-    assert whole == [balances(scene, scene.n_boxes) for scene in PILES]
-    assert 0.2 * N_PILES < sum(whole) < 0.9 * N_PILES
-    held = [edges for edges, stands in zip(by_plan, whole, strict=True) if stands]
+    verdicts = [bool(np.nanmin(edges.by_load) >= 0) for edges in by_plan]
+    assert verdicts == [balances(scene, scene.n_boxes) for scene in PILES]
+    assert 0.2 * N_PILES < sum(verdicts) < 0.9 * N_PILES
+    held = [edges for edges, stands in zip(by_plan, verdicts, strict=True) if stands]
     assert min(np.nanmin(edges.least) for edges in held) >= 0
     while_built = [
         least.edge_m >= 0 for least in building_edges(bearings_of(PILES), [scene.n_boxes for scene in PILES])
     ]
     assert while_built == [all(balances(scene, k) for k in range(1, scene.n_boxes + 1)) for scene in PILES]
-    assert sum(while_built) < sum(whole)  # counterweights that come too late
+    assert sum(while_built) < sum(verdicts)  # counterweights that come too late
 
 
 def test_the_least_edge_is_as_large_as_forces_allow() -> None:
@@ -208,7 +208,7 @@ def test_edges_do_not_depend_on_the_unit_of_mass() -> None:
     """All masses a thousand times as large: the same edges."""
     for scene in PILES[:10]:
         heavier = replace(scene, mass=scene.mass * 1000)
-        light, heavy = (plan_edges([each], [scene.n_boxes])[0].by_load for each in (scene, heavier))
+        light, heavy = (plan_edges([pile], [scene.n_boxes])[0].by_load for pile in (scene, heavier))
         same_sign(light, heavy)
 
 

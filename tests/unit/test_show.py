@@ -57,8 +57,8 @@ def test_forces_that_round_to_zero_have_no_sign(tmp_path: Path) -> None:
     rest_n = np.array([-0.04, -0.06, -0.0])
     story = standing_story()
     boxes = replace(story.outcome.boxes, max_top_force_n=rest_n, rest_top_force_n=rest_n)
-    told = words_of(list(story_tables(replace(story, outcome=replace(story.outcome, boxes=boxes)))))
-    rows = {line.split()[0]: line.split()[-3:-1] for line in told if "most pressed" in line}
+    lines = words_of(list(story_tables(replace(story, outcome=replace(story.outcome, boxes=boxes)))))
+    rows = {line.split()[0]: line.split()[-3:-1] for line in lines if "most pressed" in line}
     assert rows == {"0": ["0.0", "0.0"], "1": ["-0.1", "-0.1"], "2": ["0.0", "0.0"]}
     run = load_run(written(tmp_path / "run", {"w": make_outcome(3, rest_top_force_n=np.full(3, -0.04))}))
     (row,) = (line for line in words_of(worlds_table(run.worlds, run.boxes)) if line.startswith("w "))
@@ -182,7 +182,7 @@ def test_a_long_id_ruins_no_table(width: int, tmp_path: Path) -> None:
     assert row[1:7] == ["2", "of", "3", "unstable", "drop", "-1.00"]
     assert row[9:12] == ["0.40", "4.0", "2.0"]
     other = written(tmp_path / "b", {LONG: make_outcome(), CHINESE: dropped_outcome()})
-    tables = [each for each in comparison_tables(compare_runs(path, other)) if isinstance(each, FittedTable)]
+    tables = [table for table in comparison_tables(compare_runs(path, other)) if isinstance(table, FittedTable)]
     lines = lines_of(tables, width)
     assert len(tables) >= 2
     assert max(cell_len(line) for line in lines) <= width
@@ -329,14 +329,14 @@ def test_a_terminal_gets_a_bar() -> None:
 
 def test_what_is_no_terminal_gets_lines() -> None:
     now = 0.0
-    said: list[str] = []
-    lines = ProgressLines(10_003, "plan", said.append, clock=lambda: now)
+    output: list[str] = []
+    lines = ProgressLines(10_003, "plan", output.append, clock=lambda: now)
     for now, done, message in (  # noqa: B007  # the clock reads it
         (1.0, 0, "compiling"), (9.9, 100, ""), (10.1, 0, "compiling\x1b"), (15.0, 1240, ""), (20.2, 2020, ""),
     ):  # fmt: skip
         lines.update(done, message)
     lines.end()
-    assert said == [
+    assert output == [
         "0 of 10,003 plans, compiling\\u001b\n",
         "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
         "2,020 of 10,003 plans, 100 plans/s, 1 min 20 s left\n",
@@ -371,13 +371,13 @@ def test_of_a_million_worlds_few_moments_are_kept() -> None:
 
 
 def test_lines_of_an_unknown_total() -> None:
-    said: list[str] = []
+    lines: list[str] = []
     console = Console(file=io.StringIO(), width=80)
     with progress(None, "world", console) as shown:
         shown.update(1)
-    said = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
-    assert len(said) == 1
-    assert said[0].startswith("1 world, ")
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert len(lines) == 1
+    assert lines[0].startswith("1 world, ")
 
 
 def test_lines_that_nobody_reads_stop_nothing() -> None:

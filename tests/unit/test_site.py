@@ -62,7 +62,7 @@ def test_links_lead_to_pages_or_to_the_repository() -> None:
     hooks = pytest.importorskip("tools.site_hooks", reason="the site's packages are not installed (extra: docs)")
 
     def link(text: str, source: str, uri: str) -> str:
-        return str(hooks.LINK.sub(lambda found: hooks.relinked(found, source, uri, "https://repository"), text))
+        return str(hooks.LINK.sub(lambda match: hooks.relinked(match, source, uri, "https://repository"), text))
 
     assert link("[rules.md](rules.md#x)", "docs/metrics.md", "metrics.md") == "[The rules of a run](rules.md#x)"
     assert link("[it](docs/sweeps.md)", "CHANGELOG.md", "CHANGELOG.md") == "[it](sweeps.md)"

@@ -70,9 +70,9 @@ def test_a_block_that_slides_has_its_kinetic_friction() -> None:
 
 
 def test_the_farthest_place_counts_not_the_last() -> None:
-    there = steady((0.8 * G, 0, 0), 0.3)
-    back = np.vstack([there, -2 * there, there])
-    assert slide_m(back, 0.5, G, DT) >= slide_m(there, 0.5, G, DT, enough_m=0.1) > 0.1
+    push = steady((0.8 * G, 0, 0), 0.3)
+    back = np.vstack([push, -2 * push, push])
+    assert slide_m(back, 0.5, G, DT) >= slide_m(push, 0.5, G, DT, enough_m=0.1) > 0.1
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_a_run_says_so_and_is_right(tmp_path: Path) -> None:
     assert results.info["warnings"] == [FORWARD]
     assert results.info["counts"]["odd_plans"] == 0
     verdicts = results.worlds.groupby("profile")["verdict"].unique()
-    assert {name: found.tolist() for name, found in verdicts.items()} == {
+    assert {name: values.tolist() for name, values in verdicts.items()} == {
         "en-12195-1-forward": ["unstable"],
         **{f"en-12195-1-{side}": ["stable"] for side in ("rearward", "left", "right")},
     }

@@ -67,13 +67,13 @@ def test_walls_that_walls_stand_on() -> None:
 
 def test_sheets_are_passed_through() -> None:
     """However many there are, and whichever box is named first."""
-    whole = (800.0, 600.0, 2.0)
-    assert met((0, 0, 0), (0, 0, 200, whole), (0, 0, 202))[0] == 1.0
-    assert met((0, 0, 204), (0, 0, 0), (0, 0, 200, whole), (0, 0, 202, whole))[1] == 1.0
-    assert met((0, 0, 0), (0, 0, 200, whole), (100, 0, 202))[0] == pytest.approx(600 / BASE)
+    sheet = (800.0, 600.0, 2.0)
+    assert met((0, 0, 0), (0, 0, 200, sheet), (0, 0, 202))[0] == 1.0
+    assert met((0, 0, 204), (0, 0, 0), (0, 0, 200, sheet), (0, 0, 202, sheet))[1] == 1.0
+    assert met((0, 0, 0), (0, 0, 200, sheet), (100, 0, 202))[0] == pytest.approx(600 / BASE)
     # a box that the sheet bears beside another one does not stand on that
-    assert met((0, 0, 0), (0, 0, 200, whole), (400, 0, 202))[0] == 1.0
-    assert walls_of(stacked((0, 0, 0, whole), (0, 0, 2)), None, None, 0.0).on_deck.tolist() == [True, True]
+    assert met((0, 0, 0), (0, 0, 200, sheet), (400, 0, 202))[0] == 1.0
+    assert walls_of(stacked((0, 0, 0, sheet), (0, 0, 2)), None, None, 0.0).on_deck.tolist() == [True, True]
 
 
 def test_walls_over_nothing() -> None:
@@ -95,10 +95,10 @@ def test_gaps_of_a_deck() -> None:
     y = np.sort(boards[:, :, 1], axis=0)
     gap = float(y[1, 0] - y[0, 1])
     plan = stacked((0, 0, 0, (200.0, 145.0, 100.0)), (0, 0, 100), (300, 0, 0, (200.0, 145 + gap + 20, 100.0)))
-    found = walls_of(plan, (1200.0, 800.0), boards, 0.0)
-    assert found.over_gaps[:2].tolist() == [0.0, 0.0]
-    assert found.over_gaps[2] == pytest.approx(2 * gap / (2 * (345 + gap + 20)))
-    assert found.on_deck.tolist() == [True, False, True]
+    walls = walls_of(plan, (1200.0, 800.0), boards, 0.0)
+    assert walls.over_gaps[:2].tolist() == [0.0, 0.0]
+    assert walls.over_gaps[2] == pytest.approx(2 * gap / (2 * (345 + gap + 20)))
+    assert walls.on_deck.tolist() == [True, False, True]
 
 
 # Strengths of runs.
@@ -145,26 +145,26 @@ def cases(repository: Path) -> Path:
 def test_the_patterns_of_a_pallet(cases: Path) -> None:
     """A column stays what it is, on tie sheets as well; one that is interlocked is overloaded."""
     plans = petmjx.load_plans(cases / "strength_patterns.csv")
-    found = petmjx.loads(petmjx.score(plans, engine="mujoco", threads=2), cases / "strength_articles.csv")
-    assert found.notes == ()
-    worlds = found.plans.set_index("plan_id")
+    loads = petmjx.loads(petmjx.score(plans, engine="mujoco", threads=2), cases / "strength_articles.csv")
+    assert loads.notes == ()
+    worlds = loads.plans.set_index("plan_id")
     assert worlds["n_unknown"].tolist() == [0, 0, 0]
     assert worlds["n_boxes"].to_dict() == {"column": 40, "interlocked": 38, "column-tie-sheets": 40}
     assert worlds["overloaded"].to_dict() == {"column": False, "interlocked": True, "column-tie-sheets": False}
-    factors = found.boxes.groupby("plan_id")["wall_factor"].min()
+    factors = loads.boxes.groupby("plan_id")["wall_factor"].min()
     assert factors[["column", "column-tie-sheets"]].tolist() == [1.0, 1.0]
     assert 0.5 <= factors["interlocked"] < 0.7
-    assert "tie" not in set(found.boxes["article"])
+    assert "tie" not in set(loads.boxes["article"])
     column = worlds.loc["column", "max_load_share"]
     assert worlds.loc["column-tie-sheets", "max_load_share"] == pytest.approx(column, rel=0.3)
 
 
 def test_a_sheet_is_no_box_of_unknown_strength() -> None:
-    found = loads_of(stacked((0, 0, 0), (0, 0, 200, (400.0, 300.0, 2.0)), (0, 0, 202)))
-    assert found.boxes["box"].tolist() == [0, 2]
-    (world,) = found.plans.to_dict("records")
+    loads = loads_of(stacked((0, 0, 0), (0, 0, 200, (400.0, 300.0, 2.0)), (0, 0, 202)))
+    assert loads.boxes["box"].tolist() == [0, 2]
+    (world,) = loads.plans.to_dict("records")
     assert (world["n_boxes"], world["n_unknown"], world["overloaded"]) == (2, 0, False)
-    assert found.notes == ()
+    assert loads.notes == ()
 
 
 def test_forces_of_a_drive_are_set_against_strength(tmp_path: Path) -> None:
@@ -184,8 +184,8 @@ def test_forces_of_a_drive_are_set_against_strength(tmp_path: Path) -> None:
     strength_n = 0.6 * weight_n / float(boxes["wall_factor"][behind])
     table = tmp_path / "articles.toml"
     table.write_text(f"[articles.carton]\nstrength_n = {strength_n}\n", encoding="utf-8")
-    found = petmjx.loads(results, table)
-    (world,) = found.plans.to_dict("records")
+    loads = petmjx.loads(results, table)
+    (world,) = loads.plans.to_dict("records")
     assert (world["overloaded"], world["overloaded_at_peak"], world["n_overloaded_at_peak"]) == (False, True, 1)
     assert (world["peak_box"], world["peak_article"]) == (behind, "carton")
     assert world["max_peak_share"] == pytest.approx(peak_n / (0.6 * weight_n), rel=1e-5)
@@ -196,8 +196,8 @@ def test_what_film_does_to_forces_at_rest_is_said(tmp_path: Path) -> None:
     sweep, out = tmp_path / "sweep.toml", tmp_path / "run"
     sweep.write_text('[axes]\nprofile = "eumos-40509"\nlevel = [0.2]\ndirection = ["+x"]\nwrap_turns = [0, 2]\n')
     results = petmjx.sweep(sweep, [stacked((0, 0, 0))], engine="mujoco", threads=1, carrier="euro-pallet", out=out)
-    said = [note for note in petmjx.loads(results).notes if "film" in note]
-    assert said == [
+    notes = [note for note in petmjx.loads(results).notes if "film" in note]
+    assert notes == [
         "film presses boxes together, and friction between them moves forces at rest from layer to layer after a drive"
     ]
     bare = petmjx.score([stacked((0, 0, 0))], engine="mujoco", threads=1, wrap={"turns": 2})

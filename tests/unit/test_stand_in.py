@@ -60,12 +60,12 @@ def in_run(number: int) -> Callable[[int, Simulation], Exception | None]:
 
 
 def at_attempt(number: int, of: Simulation) -> Callable[[int, Simulation], Exception | None]:
-    asked = ATTEMPTS[number - 1].apply_to_sim(of)
-    return lambda _, sim: RuntimeError("no") if sim == asked else None
+    attempt_sim = ATTEMPTS[number - 1].apply_to_sim(of)
+    return lambda _, sim: RuntimeError("no") if sim == attempt_sim else None
 
 
 def scored(
-    own: Scripted,
+    engine: Scripted,
     c_engine: Scripted,
     monkeypatch: pytest.MonkeyPatch,
     sim: Simulation | None = None,
@@ -77,7 +77,7 @@ def scored(
     monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
     progress = Progress()
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
-    results = list(score_worlds(worlds, sim or Simulation(), own, progress=progress))
+    results = list(score_worlds(worlds, sim or Simulation(), engine, progress=progress))
     assert sorted(result.world.plan.plan_id for result in results) == ["p0", "p1", "p2"]
     return results, list(progress.notes)
 
@@ -88,7 +88,7 @@ def test_what_an_engine_leaves_unanswered_goes_to_c_mujoco(monkeypatch: pytest.M
     assert notes == ["attempt 1: mjx-warp failed (RuntimeError: Warp CUDA error 901); 2 worlds: went to mujoco"]
 
 
-@pytest.mark.parametrize("number", [each.number for each in ATTEMPTS[1:] if not each.checks])
+@pytest.mark.parametrize("number", [attempt.number for attempt in ATTEMPTS[1:] if not attempt.checks])
 def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """C MuJoCo makes those that want double precision, and what another engine leaves unanswered.
 
@@ -97,10 +97,10 @@ def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: p
     sinks = number in (6, 7)
     sim = Simulation(attempts="soft" if number == 9 else "rigid")
     reason = Reason.SINKING if sinks else Reason.EXPLOSION
-    own, fails = Scripted("mjx-warp", never, reason), at_attempt(number, sim)
+    engine, fails = Scripted("mjx-warp", never, reason), at_attempt(number, sim)
     c_engine, kernel = Scripted("mujoco", fails, reason), Scripted("mjx-warp-cpu", fails, reason)
-    results, notes = scored(own, c_engine, monkeypatch, sim, kernel)
-    assert len(own.sims) == 1
+    results, notes = scored(engine, c_engine, monkeypatch, sim, kernel)
+    assert len(engine.sims) == 1
     failed = [result for result in results if result.outcome.reason is Reason.FAILED]
     assert {result.outcome.verdict for result in results} == {Verdict.INVALID}
     assert any(f"attempt {number}: mujoco failed" in note for note in notes)
@@ -110,7 +110,7 @@ def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: p
         assert "worlds were simulated again on mujoco, in double precision" in notes
     by_attempt = [(a.attempt, a.reason) for result in results for a in result.attempts]
     assert by_attempt.count((number, "failed")) == WORLDS
-    wants_doubles = {each.number for each in ATTEMPTS if each.doubles}
+    wants_doubles = {attempt.number for attempt in ATTEMPTS if attempt.doubles}
     assert all(a.engine == "mujoco" for result in results for a in result.attempts if a.attempt in wants_doubles)
     assert all(result.attempts[0].engine == "mjx-warp" for result in results)
     assert all(result.outcome.message for result in failed)
@@ -119,20 +119,20 @@ def test_an_error_in_any_further_attempt_ends_no_run(number: int, monkeypatch: p
 def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Before the engine of the run has answered the next world. The kernel on CPU threads makes them in stiffer
     contacts, and C MuJoCo the others; checks at half the timestep, of which there may be many, wait for a GPU."""
-    told: list[str] = []
+    engine_names: list[str] = []
     monkeypatch.setattr(making, "MOST_TOGETHER", 1)
 
     @dataclass
     class Telling(Scripted):
         def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
             for outcome in super().run(jobs, sim, progress):
-                told.append(self.name)
+                engine_names.append(self.name)
                 yield replace(outcome, boxes=replace(outcome.boxes, max_tilt_deg=np.array([15.0])))
 
-    own = Telling("mjx-warp", never, Reason.SINKING)
+    engine = Telling("mjx-warp", never, Reason.SINKING)
     kernel, c_engine = Telling("mjx-warp-cpu", never, Reason.SINKING), Telling("mujoco", never)
-    results, notes = scored(own, c_engine, monkeypatch, Simulation(check_timestep=True), kernel)
-    assert told == ["mjx-warp", "mjx-warp-cpu", "mujoco"] * WORLDS + ["mjx-warp"] * WORLDS
+    results, notes = scored(engine, c_engine, monkeypatch, Simulation(check_timestep=True), kernel)
+    assert engine_names == ["mjx-warp", "mjx-warp-cpu", "mujoco"] * WORLDS + ["mjx-warp"] * WORLDS
     made = [(1, "mjx-warp"), (6, "mjx-warp-cpu"), (7, "mujoco"), (8, "mjx-warp")]
     assert all([(a.attempt, a.engine) for a in result.attempts] == made for result in results)
     assert "worlds were simulated again on mjx-warp-cpu, in stiffer contacts" in notes
@@ -155,8 +155,8 @@ def test_worlds_with_errors_that_sank_and_drives_keep_to_the_gpu_in_stiffer_cont
         replace(nominal, job=replace(nominal.job, drive=drive)),
         replace(nominal, job=replace(nominal.job, keep_state=True)),
     ]
-    own = Scripted("mjx-warp", never, Reason.SINKING)
-    for result in score_worlds(worlds, Simulation(), own, attempts=ATTEMPTS[:6]):
+    engine = Scripted("mjx-warp", never, Reason.SINKING)
+    for result in score_worlds(worlds, Simulation(), engine, attempts=ATTEMPTS[:6]):
         again = "mjx-warp-cpu" if result.world is by_chance else "mjx-warp"
         assert [(a.attempt, a.engine) for a in result.attempts] == [(1, "mjx-warp"), (6, again)]
 
@@ -249,8 +249,8 @@ def test_of_a_plan_that_sinks_worlds_with_errors_are_not_simulated_beside_the_gp
     engines = {name: Scripted(name, never) for name in ("mujoco", "mjx-warp-cpu")}
     monkeypatch.setattr(attempts, "make_engine", engines.__getitem__)
     monkeypatch.setattr(attempts, "InProcess", lambda: AtOnce(engines.__getitem__))
-    own = Scripted("mjx-warp", never, Reason.SINKING)
-    made = petmjx.score([make_plan("p", HEAVY)], engine=own, confidence=4, placing="exact").attempts
+    engine = Scripted("mjx-warp", never, Reason.SINKING)
+    made = petmjx.score([make_plan("p", HEAVY)], engine=engine, confidence=4, placing="exact").attempts
     again = made[made["attempt"] == 6]
     assert again.set_index("variant")["engine"].to_dict() == {0: "mjx-warp-cpu"} | dict.fromkeys(
         range(1, 5), "mjx-warp"
@@ -258,9 +258,9 @@ def test_of_a_plan_that_sinks_worlds_with_errors_are_not_simulated_beside_the_gp
 
 
 def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> None:
-    own, c_engine = Scripted("mjx-warp", never), Scripted("mujoco", never)
-    results, notes = scored(own, c_engine, monkeypatch, Simulation(solver=Solver.CG))
-    assert own.sims == []
+    engine, c_engine = Scripted("mjx-warp", never), Scripted("mujoco", never)
+    results, notes = scored(engine, c_engine, monkeypatch, Simulation(solver=Solver.CG))
+    assert engine.sims == []
     assert {result.outcome.engine for result in results} == {"mujoco"}
     assert notes == ["worlds were simulated on mujoco: only it has the solver cg"]
 

@@ -87,9 +87,9 @@ class _Cluster:
 
     nodes: tuple[Node, ...] = (Node(2, 2),)
 
-    def __init__(self, said: queue.SimpleQueue[str]) -> None:
-        self.said = said
-        said.put("cluster")
+    def __init__(self, notes: queue.SimpleQueue[str]) -> None:
+        self.said = notes
+        notes.put("cluster")
 
     def close(self) -> None:
         self.said.put("closed")
@@ -121,8 +121,8 @@ def said(monkeypatch: pytest.MonkeyPatch) -> queue.SimpleQueue[str]:
     return notes
 
 
-def _heard(said: queue.SimpleQueue[str], most: int) -> list[str]:
-    return [said.get(timeout=5.0) for _ in range(most)]
+def _heard(notes: queue.SimpleQueue[str], most: int) -> list[str]:
+    return [notes.get(timeout=5.0) for _ in range(most)]
 
 
 @pytest.mark.parametrize(
@@ -174,11 +174,11 @@ def test_workers_of_a_run_whose_plans_are_wrong_are_ended(said: queue.SimpleQueu
 
 def test_what_workers_cannot_do_is_told_when_they_are_needed(said: queue.SimpleQueue[str]) -> None:
     for options, line in (({"workers": 1, "lanes": 3}, "lanes belong to"), ({"workers": 3}, "no room for 3 workers")):
-        asked = RunOptions(engine="mujoco", **options)
-        with starting(asked, None) as ahead:
+        run_options = RunOptions(engine="mujoco", **options)
+        with starting(run_options, None) as ahead:
             pass
         with pytest.raises(InputError, match=line):
-            of_workers.resolve_workers(asked, Work(Simulation(), [9]), MEASURED, ahead)
+            of_workers.resolve_workers(run_options, Work(Simulation(), [9]), MEASURED, ahead)
     assert _heard(said, 2) == ["cluster", "closed"]  # options are looked at before
     assert said.empty()
 

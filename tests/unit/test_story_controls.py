@@ -114,10 +114,10 @@ def test_forces_are_coloured_from_zero_to_the_largest_and_minus_zero_is_zero(ope
     force = story.history.top_force_n.copy()
     force[-1, :2] = -0.04, 7312.0
     boxes = replace(story.outcome.boxes, rest_top_force_n=np.array([-0.04, 0.0, -0.06]))
-    told = replace(
+    other_story = replace(
         story, history=replace(story.history, top_force_n=force), outcome=replace(story.outcome, boxes=boxes)
     )
-    opened = opened_story(open_page, told)
+    opened = opened_story(open_page, other_story)
     opened.page.select_option("#colour", "force")
     assert text(opened, "#legend").split() == ["force", "on", "top,", "N", "0", "7,310"]
     opened.page.select_option("#box", "0")

@@ -185,7 +185,7 @@ def test_blocks_are_read_as_they_were_written(open_page: OpenPage) -> None:
         f'<script type="application/octet-stream" id="block-all">{text_of_block}</script>'
         f'<script type="module">{script}</script>'
     )
-    found = json.loads(
+    arrays = json.loads(
         opened.page.evaluate(
             """async () => {
               const block = await window.reading;
@@ -194,8 +194,8 @@ def test_blocks_are_read_as_they_were_written(open_page: OpenPage) -> None:
             }"""
         )
     )
-    assert found["walk"]["shape"] == [40, 5]
-    back = np.array([np.nan if value is None else value for value in found["walk"]["values"]]).reshape(40, 5)
+    assert arrays["walk"]["shape"] == [40, 5]
+    back = np.array([np.nan if value is None else value for value in arrays["walk"]["values"]]).reshape(40, 5)
     assert back == pytest.approx(walk, abs=(np.nanmax(walk) - np.nanmin(walk)) / 65_534, nan_ok=True)
-    assert found["numbers"]["values"] == numbers.ravel().tolist()
-    assert found["exact"]["values"] == exact.tolist()
+    assert arrays["numbers"]["values"] == numbers.ravel().tolist()
+    assert arrays["exact"]["values"] == exact.tolist()

@@ -39,27 +39,27 @@ class Stream:
 
 @pytest.fixture
 def done(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[Any, ...]]]:
-    found: list[tuple[Any, ...]] = []
-    monkeypatch.setattr(Stream, "done", found, raising=False)
+    calls: list[tuple[Any, ...]] = []
+    monkeypatch.setattr(Stream, "done", calls, raising=False)
     main = Stream.__new__(Stream)
     main.name = "main"
 
     def launch(kernel: Any, inputs: list[Any], stream: Stream, **_: Any) -> None:
-        found.append((stream.name, kernel, *inputs))
+        calls.append((stream.name, kernel, *inputs))
 
     monkeypatch.setattr(wp, "get_device", Device)
     monkeypatch.setattr(wp, "get_stream", lambda _: main)
     monkeypatch.setattr(wp, "Stream", Stream)
     monkeypatch.setattr(wp, "launch", launch)
     streams._more_streams.cache_clear()
-    yield found
+    yield calls
     streams._more_streams.cache_clear()
 
 
 def test_the_second_kernel_begins_a_little_later_and_what_follows_waits_for_both(done: list[tuple[Any, ...]]) -> None:
     for again in range(2):
-        with side_by_side(2) as found:
-            done.append(("kernels", *(stream.name for stream in found if stream)))
+        with side_by_side(2) as pair:
+            done.append(("kernels", *(stream.name for stream in pair if stream)))
         second = "stream 0 of cuda:7"
         assert done[again == 0 :] == [
             (second, "waits for", "main"),

@@ -25,9 +25,9 @@ def test_names_of_submissions() -> None:
         ("2022-11-25_kagerer_o3dbpp-pct_O3dbp.json", "2022-11-25_kagerer_o3dbpp-pct_O3dbp.json", 1),
         ("Núñez_v2.1_O3DBP-3-2", "2026-02-03_Núñez_v2.1_O3DBP-3-2.json", 2),
     ):
-        found = parse_name(text, lambda: day)
-        assert found.file_name == name
-        assert found.choice == choice
+        submission = parse_name(text, lambda: day)
+        assert submission.file_name == name
+        assert submission.choice == choice
 
 
 @pytest.mark.parametrize(
@@ -46,17 +46,17 @@ def submit(plans: dict[str, Any], orders: dict[str, Any], task: str = "offline3d
     write(Path("plans.json"), plans)
     write(Path("orders.json"), orders)
     name = f"2026-02-03_doe_x_{task}"
-    asked = ("kpis", "plans.json", "--orders", "orders.json", "--leaderboard", name, "-o", "s")
+    command = ("kpis", "plans.json", "--orders", "orders.json", "--leaderboard", name, "-o", "s")
     if (Path("s") / f"{name}.json").exists():
-        assert run(*asked) == 2  # what is there is replaced only if asked
-    return run(*asked, "--overwrite")
+        assert run(*command) == 2  # what is there is replaced only if asked
+    return run(*command, "--overwrite")
 
 
 def test_a_submission_is_written_as_the_orders_have_it(real_data: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plans = json.loads((real_data / "packing_plan_5-bed-bpp.json").read_text())
     stripped = json.loads(json.dumps(plans))
-    for each in (item for plan in stripped.values() for item in plan):
-        del each["item"]["product_group"]
+    for entry in (item for plan in stripped.values() for item in plan):
+        del entry["item"]["product_group"]
     orders = json.loads((real_data / "5_bed-bpp.json").read_text())
     assert submit(dict(reversed(stripped.items())), orders) == 0
     file = Path("s/2026-02-03_doe_x_offline3dbp.json")
@@ -105,7 +105,7 @@ def test_the_sequence_of_online_tasks(capsys: pytest.CaptureFixture[str]) -> Non
     orders = {"A": order_for(items)}
 
     def packed(names: str) -> dict[str, Any]:
-        by_name = {each["item"]["id"]: each for each in items}
+        by_name = {entry["item"]["id"]: entry for entry in items}
         return {"A": [{**by_name[name], "flb_coordinates": [0, 0, 220 * n]} for n, name in enumerate(names)]}
 
     for names, task, code in (
@@ -131,12 +131,12 @@ def test_orders_are_numbered_as_they_were(real_data: Path) -> None:
 def test_boxes_without_names_are_submitted_as_the_items_that_they_are(capsys: pytest.CaptureFixture[str]) -> None:
     other = placement((0, 0, 440), (300, 200, 100), sequence=3, article="jam", id="7")
     plan = [*tower(2), other]
-    bare = [json.loads(json.dumps(each)) for each in plan]
-    for each in bare:
-        each["item"] |= {"article": "", "id": ""}
+    bare = [json.loads(json.dumps(entry)) for entry in plan]
+    for entry in bare:
+        entry["item"] |= {"article": "", "id": ""}
     assert submit({"A": bare}, {"A": order_for(plan)}) == 0
     (file,) = Path("s").glob("*_doe_x_offline3dbp.json")
-    items = [each["item"] for each in json.loads(file.read_text())["A"]]
+    items = [entry["item"] for entry in json.loads(file.read_text())["A"]]
     assert [(item["article"], item["id"]) for item in items] == [("donut-00101843", "00101843")] * 2 + [("jam", "7")]
     capsys.readouterr()
     bare[2]["item"]["weight/kg"] = 9

@@ -61,15 +61,15 @@ def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
     height_m = {plan.n_boxes: (plan.corner_mm + plan.size_mm)[:, 2].max() / 1000 for plan in plans}
     assert allowed_m == {n: pytest.approx(0.1 * height, rel=1e-3) for n, height in height_m.items()}
 
-    ended, whole = (
+    ended, full_run = (
         petmjx.sweep(write_sweep(tmp_path, text), plans, engine="mujoco") for text in (file.read_text(), QUICK + grid)
     )
     for column in ("verdict", "culprit", "first_sign_s", "eumos_passed"):
-        pd.testing.assert_series_equal(ended.worlds[column], whole.worlds[column])
+        pd.testing.assert_series_equal(ended.worlds[column], full_run.worlds[column])
     fell = (ended.worlds["flags"] & int(Flag.EARLY_STOP)) > 0
     assert (ended.worlds["reason"][fell] == "tilt").any()
-    assert (ended.worlds["n_steps"][fell] < whole.worlds["n_steps"][fell]).all()
-    assert whole.worlds["eumos_passed"].any()
+    assert (ended.worlds["n_steps"][fell] < full_run.worlds["n_steps"][fell]).all()
+    assert full_run.worlds["eumos_passed"].any()
 
 
 def test_tilting_tells_the_angle(tmp_path: Path) -> None:

@@ -279,8 +279,8 @@ def test_radial_force_ends_where_the_reference_ends() -> None:
     (variant,) = variants(plan)
     dt = sim.physics.timestep_s
     # Reference: 25,000 steps for 40 boxes, 16,250 for 26, where the chain is cut.
-    for each, total, nominal in zip(plan.plans, (25_000, 16_250), (11_000, 7_500), strict=True):
-        drive = plan.drive(each, variant)
+    for packing_plan, total, nominal in zip(plan.plans, (25_000, 16_250), (11_000, 7_500), strict=True):
+        drive = plan.drive(packing_plan, variant)
         assert drive is not None
         assert nominal + len(drive.excitation.samples) + int(drive.rest_s / dt) == total
         # The chain's own first offset: 2 s.
@@ -318,9 +318,9 @@ def test_estimates_count_placements_once(tmp_path: Path) -> None:
     one, many = (sweep_study(tmp_path, text.format(count=count)) for count in (2, 64))
     # 0.4 s of profile, and until the pallet is quiet
     assert many.work.steps - one.work.steps == pytest.approx([62 * (200 + 220)])
-    said = many.size(100.0)
-    assert said.startswith("64 worlds (1 plan × 64 variants) from 1 placement, about ")
+    estimate = many.size(100.0)
+    assert estimate.startswith("64 worlds (1 plan × 64 variants) from 1 placement, about ")
     also_nominal = sweep_study(tmp_path, "nominal = true\n" + text.format(count=64)).size(None)
     assert also_nominal.startswith("65 worlds (1 plan × 65 variants) from 2 placements, about ")
-    assert said.endswith(" steps, about 2 min")
+    assert estimate.endswith(" steps, about 2 min")
     assert many.size(100.0, recorded=48).endswith(" steps left, about 25 s")

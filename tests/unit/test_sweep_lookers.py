@@ -41,10 +41,10 @@ def test_placements_and_drives_have_the_same_processes_beside_them(
         begun.append(Lookers(1))
         return begun[0]
 
-    def counted(self: Lookers[Any], came: Any, *args: Any, **how: Any) -> Any:
+    def counted(self: Lookers[Any], outcomes: Any, *args: Any, **how: Any) -> Any:
         assert self is begun[0]
-        looks.append(len(came))
-        return exchanged(self, came, *args, **how)
+        looks.append(len(outcomes))
+        return exchanged(self, outcomes, *args, **how)
 
     monkeypatch.setattr("petmjx.sweeps.run.lookers_for", lookers_for)
     monkeypatch.setattr(Lookers, "exchanged", counted)

@@ -170,11 +170,11 @@ def test_bad_sweep_files_get_one_short_line_that_names_file_and_field(tmp_path: 
     path = sweep_file(tmp_path, text)
     with pytest.raises(InputError) as caught:
         load_sweep(path)
-    said = str(caught.value)
-    assert said.startswith(f"{path}: ")
-    assert message in said
-    assert said.isprintable()
-    assert len(said) - len(str(path)) < 450
+    error_line = str(caught.value)
+    assert error_line.startswith(f"{path}: ")
+    assert message in error_line
+    assert error_line.isprintable()
+    assert len(error_line) - len(str(path)) < 450
 
 
 def test_missing_plans_are_named(tmp_path: Path) -> None:

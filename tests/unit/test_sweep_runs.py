@@ -222,7 +222,7 @@ class _Rounds:
 def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path) -> None:
     """All tests are in one run of an engine that takes more while it runs; answers and worlds are those of rounds."""
     plans = [leaning("a"), leaning("b", 2, -100.0)]
-    found = {}
+    tables = {}
     for takes_more in (True, False):
         engine = _Rounds(takes_more)
         results = petmjx.sweep(write_sweep(tmp_path, SEARCH), plans, engine=engine)
@@ -230,8 +230,8 @@ def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path) -> 
         # one for the placements; of a search in rounds one for each of them
         assert (engine.runs == 2) == takes_more
         order = ["plan_id", "variant"]
-        found[takes_more] = results.worlds.sort_values(order).reset_index(drop=True), results.summary
-    for one, other in zip(*found.values(), strict=True):
+        tables[takes_more] = results.worlds.sort_values(order).reset_index(drop=True), results.summary
+    for one, other in zip(*tables.values(), strict=True):
         pd.testing.assert_frame_equal(
             one.drop(columns="wall_s", errors="ignore"), other.drop(columns="wall_s", errors="ignore")
         )

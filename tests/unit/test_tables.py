@@ -59,12 +59,12 @@ def frame_of(**changes: Any) -> pd.DataFrame:
     return frame
 
 
-def messages(found: PlanSet) -> list[str]:
-    return [str(skipped) for skipped in found.skipped]
+def messages(plan_set: PlanSet) -> list[str]:
+    return [str(skipped) for skipped in plan_set.skipped]
 
 
-def ids(found: PlanSet) -> list[str]:
-    return [plan.plan_id for plan in found]
+def ids(plan_set: PlanSet) -> list[str]:
+    return [plan.plan_id for plan in plan_set]
 
 
 def same(a: Plan, b: Plan) -> bool:
@@ -114,14 +114,14 @@ def plan_lists(draw: st.DrawFn) -> list[Plan]:
 @given(plan_lists(), st.permutations(FORMS))
 def test_no_form_loses_anything(plans: list[Plan], forms: list[str]) -> None:
     """From each form to the next, and through a data frame."""
-    found = PlanSet(plans)
+    plan_set = PlanSet(plans)
     for form in forms:
-        petmjx.save_plans(found.plans, form)
-        found = load_plans(form)
-        assert not found.skipped
-        assert all(map(same, found, plans))
-    again = load_plans(found.to_frame())
-    assert ids(again) == ids(found) == [plan.plan_id for plan in plans]
+        petmjx.save_plans(plan_set.plans, form)
+        plan_set = load_plans(form)
+        assert not plan_set.skipped
+        assert all(map(same, plan_set, plans))
+    again = load_plans(plan_set.to_frame())
+    assert ids(again) == ids(plan_set) == [plan.plan_id for plan in plans]
     assert all(map(same, again, plans))
 
 
@@ -139,27 +139,27 @@ def test_files_of_all_forms_in_a_folder() -> None:
     frame = load_plans("a.json")
     for name, form in (("C", "c.csv"), ("P", "p.parquet"), ("Z", "z.json.gz")):
         petmjx.save_plans([Plan.from_boxes(name, frame.to_frame())], form)
-    found = load_plans(".")
-    assert ids(found) == ["J", "C", "P", "Z"]
-    assert messages(found) == ["b.csv.gz: plan J: repeated plan id, first used in a.json"]
+    plan_set = load_plans(".")
+    assert ids(plan_set) == ["J", "C", "P", "Z"]
+    assert messages(plan_set) == ["b.csv.gz: plan J: repeated plan id, first used in a.json"]
 
 
 # What decides the packing order.
 
 
 def test_rows_come_in_any_order() -> None:
-    found = read(row("B", 2, z_mm=200), row("A", 0), row("B", 1), row("A", 1, z_mm=200, article="top"))
-    assert ids(found) == ["B", "A"]
-    assert [plan.corner_mm[:, 2].tolist() for plan in found] == [[0, 200], [0, 200]]
-    assert found.plans[1].articles == ("carton", "top")
-    assert found.notes == []
+    plan_set = read(row("B", 2, z_mm=200), row("A", 0), row("B", 1), row("A", 1, z_mm=200, article="top"))
+    assert ids(plan_set) == ["B", "A"]
+    assert [plan.corner_mm[:, 2].tolist() for plan in plan_set] == [[0, 200], [0, 200]]
+    assert plan_set.plans[1].articles == ("carton", "top")
+    assert plan_set.notes == []
 
 
 def test_a_gap_is_told_and_a_duplicate_refused() -> None:
-    found = read(row("A", 1), row("A", 3), row("B", 2), row("C", 7), row("C", 8), row("C", 7))
-    assert ids(found) == ["A", "B"]
-    assert found.notes == ["plans.csv: sequence has gaps in 2 plans (A, B); are rows missing?"]
-    assert messages(found) == ["plans.csv: plan C, rows 5 and 7: sequence 7 is there twice"]
+    plan_set = read(row("A", 1), row("A", 3), row("B", 2), row("C", 7), row("C", 8), row("C", 7))
+    assert ids(plan_set) == ["A", "B"]
+    assert plan_set.notes == ["plans.csv: sequence has gaps in 2 plans (A, B); are rows missing?"]
+    assert messages(plan_set) == ["plans.csv: plan C, rows 5 and 7: sequence 7 is there twice"]
 
 
 def test_orientation_swaps_length_and_width() -> None:
@@ -198,30 +198,30 @@ FAULTS = [
 
 @pytest.mark.parametrize(("changes", "fault"), FAULTS, ids=[fault for _, fault in FAULTS])
 def test_a_bad_row_costs_its_plan_alone(changes: dict[str, Any], fault: str) -> None:
-    found = read(row("good"), row("A", 1), row("A", **{"sequence": 2, **changes}), row("last"))
-    assert messages(found) == [f"plans.csv: plan A, row 4: {fault}"]
-    assert ids(found) == ["good", "last"]
+    plan_set = read(row("good"), row("A", 1), row("A", **{"sequence": 2, **changes}), row("last"))
+    assert messages(plan_set) == [f"plans.csv: plan A, row 4: {fault}"]
+    assert ids(plan_set) == ["good", "last"]
     with pytest.raises(petmjx.InputError, match="plan A, row 4: "):
         load_plans("plans.csv", strict=True)
 
 
 def test_all_that_is_missing_in_a_plan_is_named_at_once() -> None:
-    found = read(row(weight_kg=""), row(sequence=2, weight_kg="", x_mm=""), row("B"))
-    assert messages(found) == ["plans.csv: plan A: fields are missing: weight_kg in row 2 and 1 more, x_mm in row 3"]
+    plan_set = read(row(weight_kg=""), row(sequence=2, weight_kg="", x_mm=""), row("B"))
+    assert messages(plan_set) == ["plans.csv: plan A: fields are missing: weight_kg in row 2 and 1 more, x_mm in row 3"]
     plans = {"A": tower(3)}
     for placement, field in ((0, "weight/kg"), (2, "weight/kg"), (2, "sequence")):
         del plans["A"][placement]["item"][field]
     del plans["A"][2]["orientation"]
-    found = load_plans(write(Path("plans.json"), plans))
-    assert messages(found) == [
+    plan_set = load_plans(write(Path("plans.json"), plans))
+    assert messages(plan_set) == [
         "plans.json: plan A: fields are missing: weight/kg in placement 0 and 1 more, sequence in placement 2, "
         "orientation in placement 2"
     ]
 
 
 def test_all_columns_that_are_missing_are_named_at_once() -> None:
-    found = read("A,1", header="plan_id,order")
-    assert messages(found) == [
+    plan_set = read("A,1", header="plan_id,order")
+    assert messages(plan_set) == [
         "plans.csv: columns sequence, article, length_mm, width_mm, height_mm, weight_kg, x_mm, y_mm and z_mm are "
         "missing; there are: plan_id, order"
     ]
@@ -261,45 +261,45 @@ def test_spellings_and_marks_of_other_programs() -> None:
 
 def test_large_numbers_beside_bad_ones() -> None:
     largest = 2**63 - 1
-    found = read(row("A", largest), row("B", "x"), row("C", 2**63), row("D", "3.0"), row("E", 2**60 + 1))
-    assert {plan.plan_id: plan.sequence.tolist() for plan in found} == {"D": [3], "E": [2**60 + 1]} | (
-        {"A": [largest]} if len(found) == 3 else {}
+    plan_set = read(row("A", largest), row("B", "x"), row("C", 2**63), row("D", "3.0"), row("E", 2**60 + 1))
+    assert {plan.plan_id: plan.sequence.tolist() for plan in plan_set} == {"D": [3], "E": [2**60 + 1]} | (
+        {"A": [largest]} if len(plan_set) == 3 else {}
     )
     frame = frame_of(sequence=np.array([2**63 - 1, 2**63, 5], dtype="uint64"), plan_id=list("ABC"))
-    found = load_plans(frame)
-    assert {plan.plan_id: plan.sequence.tolist() for plan in found} == {"A": [largest], "C": [5]}
-    assert messages(found) == ["data frame: plan B, row 1: sequence is too large, got 9223372036854775808"]
+    plan_set = load_plans(frame)
+    assert {plan.plan_id: plan.sequence.tolist() for plan in plan_set} == {"A": [largest], "C": [5]}
+    assert messages(plan_set) == ["data frame: plan B, row 1: sequence is too large, got 9223372036854775808"]
 
 
 def test_a_limit_keeps_the_notes_of_what_was_taken() -> None:
-    found = read(row("A", 5), row("B"), limit=1)
-    assert ids(found) == ["A"]
-    assert found.notes == ["plans.csv: sequence has gaps in 1 plan (A); are rows missing?"]
+    plan_set = read(row("A", 5), row("B"), limit=1)
+    assert ids(plan_set) == ["A"]
+    assert plan_set.notes == ["plans.csv: sequence has gaps in 1 plan (A); are rows missing?"]
 
 
 def test_ids_of_any_kind() -> None:
     odd = ["00100408", " a ", "<b>&amp;", "😀", 'say ""no""', "a, b", "line\nbreak", "=1+1"]
-    found = read(*[row(f'"{name}"') for name in odd])
-    assert ids(found) == [name.replace('""', '"') for name in odd]
+    plan_set = read(*[row(f'"{name}"') for name in odd])
+    assert ids(plan_set) == [name.replace('""', '"') for name in odd]
 
 
 def test_damaged_csv() -> None:
-    found = read(row("A"), row("B") + ",7", row("C"), "C,2", row("D"), b"E,1,\xff,1,1,1,1,0,0,0,0", b"\xff,1", "")
-    assert ids(found) == ["A", "D"]
-    assert messages(found) == [
+    plan_set = read(row("A"), row("B") + ",7", row("C"), "C,2", row("D"), b"E,1,\xff,1,1,1,1,0,0,0,0", b"\xff,1", "")
+    assert ids(plan_set) == ["A", "D"]
+    assert messages(plan_set) == [
         'plans.csv: plan E, row 7: article is not UTF-8 text ("ÿ" in Windows-1252): save the file as UTF-8',
         'plans.csv: plan \\xff, row 8: plan_id is not UTF-8 text ("ÿ" in Windows-1252): save the file as UTF-8',
         "plans.csv: plan B, row 3: has 12 fields instead of 11",
         "plans.csv: plan C, row 5: has 2 fields instead of 11",
     ]
-    found = read(row("A"), row("B").replace("carton", '"carton'), row("C"), row("D", weight_kg=0))
-    assert ids(found) == ["A", "C"]
-    assert messages(found) == [
+    plan_set = read(row("A"), row("B").replace("carton", '"carton'), row("C"), row("D", weight_kg=0))
+    assert ids(plan_set) == ["A", "C"]
+    assert messages(plan_set) == [
         "plans.csv: plan B, row 3: has an unclosed quotation mark",
         "plans.csv: plan D, row 5: weight_kg must be > 0, got 0",
     ]
-    found = read(row("A"), row("", weight_kg=0), row("B"))
-    assert messages(found) == ["plans.csv: row 3: plan_id is missing"]
+    plan_set = read(row("A"), row("", weight_kg=0), row("B"))
+    assert messages(plan_set) == ["plans.csv: row 3: plan_id is missing"]
 
 
 @pytest.mark.parametrize(
@@ -325,19 +325,19 @@ def test_files_of_which_nothing_can_be_used(text: str, message: str) -> None:
 
 
 def test_files_that_end_too_early() -> None:
-    whole = "\n".join([HEADER, *(row(f"P{i // 40}", i % 40 + 1, article=f"c{i}") for i in range(8000))]) + "\n"
-    packed = gzip.compress(whole.encode())
+    text = "\n".join([HEADER, *(row(f"P{i // 40}", i % 40 + 1, article=f"c{i}") for i in range(8000))]) + "\n"
+    packed = gzip.compress(text.encode())
     Path("plans.csv.gz").write_bytes(packed[: len(packed) // 2])
-    found = load_plans("plans.csv.gz")
-    first, last = messages(found)
+    plan_set = load_plans("plans.csv.gz")
+    first, last = messages(plan_set)
     assert first == "plans.csv.gz: the gzip data is cut off; plans up to there are read"
-    assert last == f"plans.csv.gz: plan P{len(found)}: the file ends inside this plan; truncated?"
-    assert all(plan.n_boxes == 40 for plan in found)
+    assert last == f"plans.csv.gz: plan P{len(plan_set)}: the file ends inside this plan; truncated?"
+    assert all(plan.n_boxes == 40 for plan in plan_set)
     for cut in (f"{row('A')}\n{row('B')}\nB,2,car", f"{row('A')}\n{row('B')}\nB"):
         Path("plans.csv").write_text(f"{HEADER}\n{cut}")
-        found = load_plans("plans.csv")
-        assert ids(found) == ["A"]
-        assert messages(found) == ["plans.csv: plan B: the file ends inside this plan; truncated?"]
+        plan_set = load_plans("plans.csv")
+        assert ids(plan_set) == ["A"]
+        assert messages(plan_set) == ["plans.csv: plan B: the file ends inside this plan; truncated?"]
 
 
 def test_damaged_parquet() -> None:
@@ -363,9 +363,9 @@ def test_no_damage_ends_in_a_traceback(data: st.DataObject) -> None:
             st.sampled_from([b"", b'"', b",", b"\n", b"\xff", b"nan", b"1e999", b"\r"])
         )
     Path("plans.csv").write_bytes(text)
-    found = load_plans("plans.csv")
-    assert len(found) + len(found.skipped) > 0
-    for plan in found:
+    plan_set = load_plans("plans.csv")
+    assert len(plan_set) + len(plan_set.skipped) > 0
+    for plan in plan_set:
         assert np.isfinite(plan.size_mm).all()
         assert (plan.mass_kg > 0).all()
 

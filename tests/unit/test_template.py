@@ -68,19 +68,19 @@ def test_overrides_are_what_mujoco_compiles(physics: str, held: bool, boards: in
         for name in (*PER_BODY, *PER_GEOM):
             if name not in fields:
                 continue
-            found, expected = np.asarray(fields[name][lane])[: used[name]], getattr(exact, name)
+            actual, expected = np.asarray(fields[name][lane])[: used[name]], getattr(exact, name)
             if name == "body_subtreemass":  # that of the world counts boxes of the padding as well
-                found, expected = found[1:], expected[1:]
+                actual, expected = actual[1:], expected[1:]
             if name == "body_inertia":  # MuJoCo sorts the axes
-                found, expected = np.sort(found), np.sort(expected)
+                actual, expected = np.sort(actual), np.sort(expected)
             if name in (
                 "geom_pos",
                 "geom_size",
                 "geom_aabb",
                 "geom_rbound",
             ):  # the plane's is infinite or has no meaning
-                found, expected = found[1:], expected[1:]
-            np.testing.assert_allclose(found.reshape(expected.shape), expected, rtol=ROUNDING, atol=1e-7, err_msg=name)
+                actual, expected = actual[1:], expected[1:]
+            np.testing.assert_allclose(actual.reshape(expected.shape), expected, rtol=ROUNDING, atol=1e-7, err_msg=name)
         pairs = same_pairs(base, exact)
         assert len(pairs) == exact.npair
         for pair, its_pair in pairs:

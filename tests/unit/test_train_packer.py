@@ -85,19 +85,19 @@ def trained(monkeypatch: pytest.MonkeyPatch, out: Path, *stops: int) -> Any:
     out.mkdir(exist_ok=True)
     state = None
     for updates in stops:
-        asked = plan(updates=updates)
-        state = train.Training(asked, out, Here(), labeller.Labeller(out, {})).run(time.monotonic() + 600, 1)
+        training_plan = plan(updates=updates)
+        state = train.Training(training_plan, out, Here(), labeller.Labeller(out, {})).run(time.monotonic() + 600, 1)
     return state
 
 
 def test_a_training_that_stops_goes_on_with_the_same_bits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    whole = trained(monkeypatch, tmp_path / "whole", 3)
+    full = trained(monkeypatch, tmp_path / "whole", 3)
     parts = trained(monkeypatch, tmp_path / "parts", 1, 2, 3)
-    assert parts.update == whole.update == 3
-    for name, values in whole.search.arrays.items():
+    assert parts.update == full.update == 3
+    for name, values in full.search.arrays.items():
         assert (parts.search.arrays[name] == values).all(), name
-    assert (parts.taste.learned == whole.taste.learned).all()
-    assert (parts.head.learned == whole.head.learned).all()
+    assert (parts.taste.learned == full.taste.learned).all()
+    assert (parts.head.learned == full.head.learned).all()
     for name in ("learned.npz", "labels-1.npz"):
         assert (tmp_path / "parts" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes(), name
     curves = [
@@ -121,9 +121,9 @@ def test_what_is_played_is_what_is_counted() -> None:
     placed = pack_learned(order.items, (length, width), 5)
     top = max(box.corner_mm[2] + box.item.height_mm for box in placed)
     volume = sum(box.item.volume_m3 for box in placed) * 1e9
-    found = rollouts.validated(0, published(), 5)
-    assert found.utilisation == pytest.approx(volume / (length * width * top))
-    assert found.left_out == pytest.approx(1 - volume / 1e9 / sum(item.volume_m3 for item in order.items))
+    measures = rollouts.validated(0, published(), 5)
+    assert measures.utilisation == pytest.approx(volume / (length * width * top))
+    assert measures.left_out == pytest.approx(1 - volume / 1e9 / sum(item.volume_m3 for item in order.items))
     linear = published().taste.linear
     candidates = np.array([linear, -linear])
     same, other = rollouts.outcomes((0, 0, 0), published(), candidates)
@@ -148,11 +148,11 @@ def test_the_search_climbs() -> None:
 def test_the_head_learns_what_decides() -> None:
     from head import fit
 
-    head, said = fit(labels(np.random.default_rng(1), 4000), 0, 150)
-    assert said["all"]["brier"] < 0.85 * said["all"]["brier_of_a_constant"]
-    assert said["all"]["ece"] < 0.08  # 0.05 to 0.063 with three seeds; of a head that believes all placements 0.22
-    assert said["all"]["auc"] > 0.8
-    assert sum(row["placements"] for row in said["usual"]["reliability"]) == said["usual"]["placements"]
+    head, report = fit(labels(np.random.default_rng(1), 4000), 0, 150)
+    assert report["all"]["brier"] < 0.85 * report["all"]["brier_of_a_constant"]
+    assert report["all"]["ece"] < 0.08  # 0.05 to 0.063 with three seeds; of a head that believes all placements 0.22
+    assert report["all"]["auc"] > 0.8
+    assert sum(row["placements"] for row in report["usual"]["reliability"]) == report["usual"]["placements"]
     assert head.scores(np.eye(1, len(NAMES))).item() > head.scores(-np.eye(1, len(NAMES))).item()
 
 

@@ -52,11 +52,11 @@ def some_motion(looks: int, rng: np.random.Generator, drift_m_s: float = 0.0) ->
 def on_c(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
     """Which boxes tremble after each look, in C's rule."""
     rule = QuietRule(SIM, SCENE)
-    found = []
+    flags = []
     for pose, velocity in zip(poses, velocities, strict=True):
         rule.look(pose, velocity, has_failed=False)
-        found.append(rule.trembling.which(BOXES).tolist())
-    return found
+        flags.append(rule.trembling.which(BOXES).tolist())
+    return flags
 
 
 @functools.cache
@@ -69,26 +69,26 @@ def on_mjx(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
     worlds = upload_worlds([Job(SCENE)], 1, BOXES, {}, SIM)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
     state = state._replace(status=jnp.array([Status.RUNNING], jnp.int32))
-    yes, found = jnp.array([True]), []
+    yes, flags = jnp.array([True]), []
     for pose, velocity in zip(poses, velocities, strict=True):
         state = state._replace(qpos=jnp.asarray(pose, jnp.float32)[None], qvel=jnp.asarray(velocity, jnp.float32)[None])
         state, _ = _count_quiet()(state, worlds, yes, yes)
-        found.append((np.asarray(state.trembles)[0] == 1).tolist())
-    return found
+        flags.append((np.asarray(state.trembles)[0] == 1).tolist())
+    return flags
 
 
 @pytest.mark.parametrize("find", [on_c, on_mjx])
 def test_a_box_that_goes_to_and_fro_and_gets_nowhere_trembles(find: Any) -> None:
-    found = find(*some_motion(2 * PERIOD + 1, np.random.default_rng(3)))
-    assert found[: 2 * PERIOD] == [[False] * BOXES] * (2 * PERIOD)  # what lands is not measured
-    assert found[-1] == [True, False, False, True]
+    flags = find(*some_motion(2 * PERIOD + 1, np.random.default_rng(3)))
+    assert flags[: 2 * PERIOD] == [[False] * BOXES] * (2 * PERIOD)  # what lands is not measured
+    assert flags[-1] == [True, False, False, True]
 
 
 @pytest.mark.parametrize("find", [on_c, on_mjx])
 def test_a_box_that_walks_meanwhile_does_not_tremble(find: Any) -> None:
     walks = 1.1 * SIM.quiet.slow_m_s
-    found = find(*some_motion(2 * PERIOD + 1, np.random.default_rng(3), walks))
-    assert found[-1] == [False, False, False, True]
+    flags = find(*some_motion(2 * PERIOD + 1, np.random.default_rng(3), walks))
+    assert flags[-1] == [False, False, False, True]
 
 
 def test_the_engines_agree_on_what_trembles() -> None:
@@ -97,9 +97,9 @@ def test_the_engines_agree_on_what_trembles() -> None:
     # one that trembles, walks from some time on, and trembles again
     poses[2 * PERIOD + 9 : 3 * PERIOD, SHAKEN, 1] += np.linspace(0, 0.002, PERIOD - 9)
     poses[3 * PERIOD :, SHAKEN, 1] += 0.002
-    found = on_c(poses, velocities)
-    assert found == on_mjx(poses, velocities)
-    assert [found[n * PERIOD][SHAKEN] for n in range(5)] == [False, False, True, False, True]
+    flags = on_c(poses, velocities)
+    assert flags == on_mjx(poses, velocities)
+    assert [flags[n * PERIOD][SHAKEN] for n in range(5)] == [False, False, True, False, True]
 
 
 def test_what_trembles_is_not_waited_for() -> None:

@@ -87,9 +87,9 @@ def test_changes_of_plans_keep_what_they_should() -> None:
 def test_verdicts_are_compared_plan_by_plan() -> None:
     plans = [make_plan("tower", stack(3)), make_plan("low", stack(1))]
     names = ["masses ± 2 %", "order of the boxes in memory (static)"]
-    found = {name: (before, after) for name, before, after in sensitivity(plans, names, engine="mujoco", threads=1)}
-    assert list(found) == names
-    for before, after in found.values():
+    tables = {name: (before, after) for name, before, after in sensitivity(plans, names, engine="mujoco", threads=1)}
+    assert list(tables) == names
+    for before, after in tables.values():
         assert list(after.index) == list(before.index)
         assert (after.verdict == "stable").all()
 
@@ -112,8 +112,8 @@ def test_a_pose_balances_or_not(overhang_mm: float, stands: bool) -> None:
     """A box whose centre is 30 mm beyond the edge: the moment of its weight there, over half its shorter side."""
     scene = make_scene([((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (overhang_mm, 0, 200), 2.0)])
     quat = np.tile([1.0, 0.0, 0.0, 0.0], (2, 1))
-    found = left_over(scene, PHYSICS["pallet"], scene.target, quat)
+    residual = left_over(scene, PHYSICS["pallet"], scene.target, quat)
     if stands:
-        assert found <= 1e-6
+        assert residual <= 1e-6
     else:
-        assert BALANCED < found < 0.2
+        assert BALANCED < residual < 0.2

@@ -225,9 +225,9 @@ def test_many_worlds_are_made_together_as_each_alone(monkeypatch: pytest.MonkeyP
         PlacementChange(drop_height_mm=NORMAL_5, shifts_from_release=True),
     )
     variants = [Variant(k, changes[k // 5], replicate=k) for k in range(20)]
-    for variant, found in zip(variants, apply_all(scene, "a", variants, 4), strict=True):
+    for variant, varied_scene in zip(variants, apply_all(scene, "a", variants, 4), strict=True):
         alone = apply(scene, "a", variant, 4)
         for name in ("half_size", "mass", "target", "start_pos", "start_quat", "friction"):
-            np.testing.assert_array_equal(getattr(found, name), getattr(alone, name), err_msg=name)
-        assert found.placing == alone.placing
-        assert (found is scene) == (variant.placement == UNCHANGED)
+            np.testing.assert_array_equal(getattr(varied_scene, name), getattr(alone, name), err_msg=name)
+        assert varied_scene.placing == alone.placing
+        assert (varied_scene is scene) == (variant.placement == UNCHANGED)

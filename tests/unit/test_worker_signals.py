@@ -44,16 +44,18 @@ def test_a_signal_ends_a_command_with_workers_and_it_goes_on_without(
     assert f"interrupted: {done} of 150 plans {are} done" in stderr
     assert interrupted.info["status"] == "interrupted"
     assert 0 < done < 150
-    whole = petmjx.score(plans, out=tmp_path / "o", engine="mujoco", resume=True)
-    assert len(whole.worlds) == 150
+    results = petmjx.score(plans, out=tmp_path / "o", engine="mujoco", resume=True)
+    assert len(results.worlds) == 150
 
 
 def test_a_signal_while_ray_starts_leaves_nothing(tmp_path: Path) -> None:
     plans = write(tmp_path / "plans.json", {"p": TOWER})
     command = [sys.executable, "-m", "petmjx", "score", str(plans), "--engine", "mujoco", "--out", str(tmp_path / "o")]
     with tempfile.TemporaryDirectory(prefix="t", dir="/tmp") as short:
-        own = {**os.environ, "TMPDIR": short}
-        with subprocess.Popen([*command, "--workers", "1"], stderr=subprocess.PIPE, text=True, env=own) as child:
+        environment = {**os.environ, "TMPDIR": short}
+        with subprocess.Popen(
+            [*command, "--workers", "1"], stderr=subprocess.PIPE, text=True, env=environment
+        ) as child:
             wait_for(lambda: any(Path(short).iterdir()))
             time.sleep(0.5)
             child.send_signal(signal.SIGTERM)
@@ -61,7 +63,7 @@ def test_a_signal_while_ray_starts_leaves_nothing(tmp_path: Path) -> None:
         assert child.returncode == 143
         assert stderr == "petmjx: interrupted: before the first plan was finished; nothing was written\n"
         assert not any(Path(short).iterdir())
-        assert not [each for each in Path("/proc").glob("[0-9]*/cmdline") if short in _text(each)]
+        assert not [process for process in Path("/proc").glob("[0-9]*/cmdline") if short in _text(process)]
 
 
 def _text(path: Path) -> str:

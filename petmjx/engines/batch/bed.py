@@ -149,11 +149,11 @@ def bed_of(
     at, sides_a, sides_b = axes @ apart, edges_a @ axes.T, edges_b @ axes.T
     around = jnp.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
     corners, kept = at + around @ sides_a, jnp.ones(4, bool)
-    whole = sides_b[0, 0] * sides_b[1, 1] - sides_b[0, 1] * sides_b[1, 0]
-    way = jnp.where(whole < 0, -1.0, 1.0)
+    full_area = sides_b[0, 0] * sides_b[1, 1] - sides_b[0, 1] * sides_b[1, 0]
+    way = jnp.where(full_area < 0, -1.0, 1.0)
     for side, sign in ((sides_b[1], 1.0), (sides_b[1], -1.0), (sides_b[0], 1.0), (sides_b[0], -1.0)):
         across = sign * way * jnp.array([side[1], -side[0]])
-        corners, kept = _cut(corners, kept, across, jnp.abs(whole))
+        corners, kept = _cut(corners, kept, across, jnp.abs(full_area))
     rise_a, rise_b = -axes @ out_a / (out_a @ normal), -axes @ out_b / (out_b @ normal)
     slope, depth = rise_a - rise_b, apart @ normal - rise_a @ at
     common, _, _ = _moments(corners, kept)

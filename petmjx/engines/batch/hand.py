@@ -72,8 +72,8 @@ def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Si
     lowered = state.lowered_from != NEVER
     since = state.step - state.lowered_from
     is_down = lowered & ((since >= patience) | (slow & (since >= LOWERING_STEPS)))
-    taken = state.step - state.carried_from
-    arrived = ~lowered & (taken >= state.carried_steps + jnp.where(slow, 0, patience))
+    elapsed = state.step - state.carried_from
+    arrived = ~lowered & (elapsed >= state.carried_steps + jnp.where(slow, 0, patience))
     short = _length(state.way_end - _of(state.qpos, box)[:, :3])
     falls = arrived & _of(worlds.falls, box) & (short <= AT_PLACE_M)
     opens, lowers = where & (is_down | falls), where & arrived & ~falls
@@ -99,8 +99,8 @@ def wrenches(state: State, worlds: Worlds, sim: Simulation) -> Float[Array, "wor
     inertia = mass / 3.0 * ((equal**2).sum(-1, keepdims=True) - equal**2)
     most, weight = worlds.hand_force[:, None], mass * jnp.array([[0.0, 0.0, gravity]])
     rate, damping = rate_1_s(timestep), lowering_rate_1_s(timestep)
-    taken, steps = state.step - state.carried_from, jnp.maximum(state.carried_steps, 1)
-    before, now, after = (_progress(taken + k, steps)[:, None] for k in (-1, 0, 1))
+    elapsed, steps = state.step - state.carried_from, jnp.maximum(state.carried_steps, 1)
+    before, now, after = (_progress(elapsed + k, steps)[:, None] for k in (-1, 0, 1))
     way = state.way_end - state.way_begin
     ahead = state.way_begin + now * way - pose[:, :3]
     lag = (now - before) / timestep * way - vel[:, :3]
@@ -198,9 +198,9 @@ def _limited(vector: Vector, most: Float[Array, "world 1"]) -> Vector:
     return jnp.where(length <= most, vector, vector * (most / jnp.maximum(length, 1e-30)))
 
 
-def _rotation_vectors(quat: Float[Array, "world 4"], wanted: Float[Array, "world 4"]) -> Vector:
+def _rotation_vectors(quat: Float[Array, "world 4"], target_quat: Float[Array, "world 4"]) -> Vector:
     """Rotations from one orientation to another, in the axes of the first, rad; for small angles."""
-    w, u, v = quat[:, :1], quat[:, 1:], wanted[:, 1:]
-    real = w * wanted[:, :1] + (u * v).sum(-1, keepdims=True)
-    imaginary = w * v - wanted[:, :1] * u - jnp.cross(u, v)
+    w, u, v = quat[:, :1], quat[:, 1:], target_quat[:, 1:]
+    real = w * target_quat[:, :1] + (u * v).sum(-1, keepdims=True)
+    imaginary = w * v - target_quat[:, :1] * u - jnp.cross(u, v)
     return jnp.where(real >= 0, 2.0, -2.0) * imaginary

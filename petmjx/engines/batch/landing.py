@@ -60,18 +60,18 @@ def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, sim: Simula
     rows_d = rows.efc_D.at[three].multiply(stiffer[:, None])
 
     old = data.qvel.at[-6 * n :].set(jnp.where((left > 0)[:, None], before, speeds).reshape(-1))
-    came = -jacobian @ old
+    approach = -jacobian @ old
     usual, step_s = jnp.array([physics.restitution, physics.landing_s]), physics.timestep_s
     surface = landing.surface[contact.geom]
     of_pair = landing.pair[surface[:, 0], surface[:, 1]]
     share, landing_s = jnp.where(of_pair == USUAL, usual[None], of_pair).T
     fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
-    energy = jnp.maximum((share * came) ** 2 + 2 * fall * (depth - AT_REST * physics.solimp[2]), 0.0)
+    energy = jnp.maximum((share * approach) ** 2 + 2 * fall * (depth - AT_REST * physics.solimp[2]), 0.0)
     opening = jnp.where(share > 0, jnp.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2, 0.0)
     enough = (closing + opening) / step_s
-    most = (1 + share) * came / landing_s
+    most = (1 + share) * approach / landing_s
     rigid = contact.solimp[:, 1] >= physics.solimp[1] * (1 - 1e-6)
-    acts = lands & rigid & (came > FAST_M_S) & (enough > 0)
+    acts = lands & rigid & (approach > FAST_M_S) & (enough > 0)
     pulls = rows.efc_aref.at[row].set(jnp.where(acts, jnp.minimum(enough, most), rows.efc_aref[row]))
     return data.tree_replace({"_impl.efc_aref": pulls, "_impl.efc_D": rows_d}), landing._replace(
         left=left, before=before

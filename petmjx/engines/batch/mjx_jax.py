@@ -205,15 +205,15 @@ def alike_jobs(jobs: Sequence[Job]) -> list[list[int]]:
     their beginning or all from a settled state, all with boxes that appear at their places or none, on carriers of as
     many boards, all with boxes that give or none, all wrapped or none, and of similar size: 1 to 4 boxes, 5 to 8, 9 to
     16, …."""
-    found: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
+    indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):
         size = ((job.scene.n_boxes - 1) // GRANULE).bit_length()
         drive = job.drive.excitation.kind if job.drive is not None else None
         boards, begun = len(job.scene.carrier.half_size), isinstance(job.start, State)
         scene = job.scene
         key = (size, boards, drive, begun, scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
-        found.setdefault(key, []).append(index)
-    return [found[key] for key in sorted(found, key=lambda key: -key[0])]
+        indices_by_key.setdefault(key, []).append(index)
+    return [indices_by_key[key] for key in sorted(indices_by_key, key=lambda key: -key[0])]
 
 
 def _load(jobs: Sequence[Job], some: list[int], room: int, capacity: int, sim: Simulation) -> Batch:

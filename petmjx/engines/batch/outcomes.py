@@ -26,14 +26,14 @@ def outcomes(picked: Sequence[Picked], jobs: Sequence[Job], sim: Simulation, rec
     """Outcomes of rows of a table that ``pick`` has picked, with their histories; job i has row i."""
     clock = Clock(sim.physics.timestep_s)
     for batch in picked:
-        state, found = batch.on_host()
-        yield from _outcomes(batch.rows, state, found, jobs, clock, sim, recorder)
+        state, measured = batch.on_host()
+        yield from _outcomes(batch.rows, state, measured, jobs, clock, sim, recorder)
 
 
 def _outcomes(
     rows: NDArray[np.int64],
     host: State,
-    found: Measured,
+    measured: Measured,
     jobs: Sequence[Job],
     clock: Clock,
     sim: Simulation,
@@ -47,7 +47,7 @@ def _outcomes(
         drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)
         boxes = BoxMetrics.measured(
             n,
-            **of_boxes(m, found, i, n, driven),
+            **of_boxes(m, measured, i, n, driven),
             dropped=np.asarray(drops >= 0),
             drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
             pos=job.scene.middles(pose[:, :3], pose[:, 3:]),

@@ -45,8 +45,8 @@ class Picked(NamedTuple):
             array: NDArray[Any] = words.view(kind.dtype).reshape(kind.shape)
             return array
 
-        found: tuple[State, Measured] = jax.tree.map(next_of, self.kinds)
-        return found
+        arrays: tuple[State, Measured] = jax.tree.map(next_of, self.kinds)
+        return arrays
 
 
 @partial(jax.jit, static_argnames="sim")

@@ -58,7 +58,7 @@ class Recorder:
         self._jobs, self._sim = jobs, sim
         timestep_s = sim.physics.timestep_s
         intervals = [None if job.record is None else job.record.interval_s for job in jobs]
-        steps = [0 if each is None else max(seconds_to_steps(each, timestep_s), 1) for each in intervals]
+        steps = [0 if interval is None else max(seconds_to_steps(interval, timestep_s), 1) for interval in intervals]
         self.every = np.array(steps, np.int32)
         self._found: dict[int, list[Frames]] = {row: [] for row in np.flatnonzero(self.every).tolist()}
 
@@ -75,8 +75,8 @@ class Recorder:
     def add_trail(self, trail: Trail) -> None:
         """The frames among the steps of a chunk."""
         rows = list(self._found)
-        taken: list[Any] = [np.asarray(values)[:, rows] for values in trail]
-        some = Trail(*taken)
+        columns: list[Any] = [np.asarray(values)[:, rows] for values in trail]
+        some = Trail(*columns)
         regular = (some.number >= 0) & (some.number % self.every[rows] == 0) & (some.placed > 0)
         due = np.asarray(some.ran & (regular | some.fresh | (some.status != Status.RUNNING)))
         for column, row in enumerate(rows):
@@ -100,17 +100,17 @@ class Recorder:
             world: its last state: one row, on the host.
             time_s: the time after a step.
         """
-        found = self._found.pop(row, None)
-        if found is None:
+        frames = self._found.pop(row, None)
+        if frames is None:
             return None
         job = self._jobs[row]
         if isinstance(job.start, State):
-            found.insert(0, _of_state(job, job.start))
+            frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
-        if not found or found[-1].step[-1] != last.step[0]:
-            found.append(last)  # given up by the host
+        if not frames or frames[-1].step[-1] != last.step[0]:
+            frames.append(last)  # given up by the host
         parts: dict[str, Any] = {
-            name: np.concatenate([getattr(part, name) for part in found]) for name in Frames._fields
+            name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }
         driven_from = None if world.driven_from == NEVER else int(world.driven_from)
         pose = parts["pose"].astype(np.float64)

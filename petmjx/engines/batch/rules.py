@@ -108,10 +108,10 @@ class Rules:
         if not self.carries:
             return placed
         timestep_s = self.sim.physics.timestep_s
-        taken: State = jax.lax.cond(
+        next_state: State = jax.lax.cond(
             where.any(), lambda: hand.take_up(placed, worlds, where, timestep_s), lambda: placed
         )
-        return taken
+        return next_state
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
         """How far the support of each box is from its planned height, m; 0 where it has none."""
@@ -226,7 +226,7 @@ class Rules:
         violent_since = jnp.where(counts, since, state.violent_since)
         exploded = counts & violent & (state.step - since >= landing) & (not self.driven)
 
-        found = Sample(
+        new_sample = Sample(
             step=state.step,
             pos=pos,
             tilt=tilt,
@@ -241,7 +241,7 @@ class Rules:
             rested=standing & resting[:, None],
             rests=resting,
         )
-        metrics = m.with_sample(found, worlds, driven=self.driven)._replace(
+        metrics = m.with_sample(new_sample, worlds, driven=self.driven)._replace(
             culprit=culprit,
             sign_step=jnp.where(signs, state.step, m.sign_step),
             sign_placed=jnp.where(signs & (sample | look), state.placed, m.sign_placed),

@@ -154,7 +154,7 @@ def measured(
     )
 
 
-def of_boxes(metrics: Metrics, found: Measured, row: int, n: int, driven: bool) -> dict[str, FloatArray]:
+def of_boxes(metrics: Metrics, measured: Measured, row: int, n: int, driven: bool) -> dict[str, FloatArray]:
     """Fields of ``petmjx.metrics.spec.BoxMetrics``: of the n boxes of the world in this row, from records on the host.
     Poses and times, which need the scene and the clock, are not among them."""
 
@@ -162,11 +162,11 @@ def of_boxes(metrics: Metrics, found: Measured, row: int, n: int, driven: bool) 
         return np.asarray(values[row, :n], np.float64)
 
     return {
-        "shift_m": doubles(found.shift),
-        "max_tilt_deg": doubles(found.max_tilt),
+        "shift_m": doubles(measured.shift),
+        "max_tilt_deg": doubles(measured.max_tilt),
         "max_lin_acc": doubles(metrics.max_lin_acc),
         "max_ang_acc": doubles(metrics.max_ang_acc),
-        "max_top_force_n": doubles(found.max_top_force),
-        "rest_top_force_n": doubles(found.rest_force),
+        "max_top_force_n": doubles(measured.max_top_force),
+        "rest_top_force_n": doubles(measured.rest_force),
         "max_sway_m": doubles(metrics.max_sway) if driven else np.full(n, np.nan),
     }

@@ -162,8 +162,8 @@ def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
 
 def take_rows(record: Record, rows: Int[Array, " row"]) -> Record:
     """Rows of a record, in order; out-of-range rows give some valid row."""
-    taken: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
-    return taken
+    selected: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
+    return selected
 
 
 @partial(jax.jit, static_argnames=("all_placed", "rest_steps"))

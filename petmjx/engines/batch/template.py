@@ -154,10 +154,10 @@ def override_fields(
             fields["geom_friction"][:, model.pair_geom1], fields["geom_friction"][:, model.pair_geom2]
         )
         surface = jnp.concatenate([jnp.zeros((n_worlds, 1), jnp.int32), worlds.shape_surface], axis=1)
-        own = worlds.pair_friction[
+        pair_friction = worlds.pair_friction[
             jnp.arange(n_worlds)[:, None], surface[:, model.pair_geom1], surface[:, model.pair_geom2]
         ]
-        sliding = jnp.where(own == LARGER, partners[..., 0], own)
+        sliding = jnp.where(pair_friction == LARGER, partners[..., 0], pair_friction)
         fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])].at[..., :2].set(sliding[..., None])
         if gives:
             fields |= laws(worlds, model, inv_translation, physics)

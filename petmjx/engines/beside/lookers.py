@@ -83,7 +83,7 @@ class Lookers(Generic[Key]):
 
     def exchanged(
         self,
-        came: Sequence[tuple[Key, Outcome]],
+        keyed_outcomes: Sequence[tuple[Key, Outcome]],
         jobs: Sequence[Job],
         sim: Simulation,
         *,
@@ -97,20 +97,20 @@ class Lookers(Generic[Key]):
             wait: for all outcomes.
             until: whether there is something else to do: what has not been looked at by then follows in later calls.
         """
-        if came:
-            self._begin([key for key, _ in came], ([outcome for _, outcome in came], jobs, sim))
+        if keyed_outcomes:
+            self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))
         for looker in self._lookers.copy():
             self._take(looker, wait=False)
         while wait and not until() and (busy := [looker for looker in self._lookers if looker.unanswered]):
             self._take(busy[0], wait=True, until=until)
-        found, self._found = self._found, []
-        return found
+        finished, self._found = self._found, []
+        return finished
 
     def _begin(self, keys: list[Key], look: Look) -> None:
         """Begin a look. Waits where too many have not been answered."""
         large = any(outcome.state is not None or outcome.history is not None for outcome in look[0])
         while self._lookers and not large:
-            looker = min(self._lookers, key=lambda each: len(each.unanswered))
+            looker = min(self._lookers, key=lambda candidate: len(candidate.unanswered))
             if len(looker.unanswered) < MOST_WAITING:
                 outcomes, jobs, sim = look
                 # states are of no use there, and for those of a GPU it would have to import JAX

@@ -59,12 +59,12 @@ class Answer:
 def main() -> None:
     """Answer tasks from standard input on standard output, in any order, until the input ends."""
     tasks, answers = own_pipes(NICE)
-    own, writing = threading.local(), threading.Lock()
+    thread_state, writing = threading.local(), threading.Lock()
 
     def answer(task: Task) -> None:
-        found = _answer(task, vars(own))
+        reply = _answer(task, vars(thread_state))
         try:
-            data = pickle.dumps(found)
+            data = pickle.dumps(reply)
         except Exception as error:
             data = pickle.dumps(Answer(task.number, None, one_line(error)))
         with writing, suppress(BrokenPipeError):

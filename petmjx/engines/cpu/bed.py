@@ -114,14 +114,14 @@ class Beds:
         beds = np.arange(len(begin))
         if not ((length == POINTS_PER_BED) & flat & (area > 0)).all():
             beds = np.flatnonzero(flat & (area > 0))
-            wanted = np.ones(count, np.intp)
+            repeats = np.ones(count, np.intp)
             for first, contacts, is_bed, some in zip(begin, length, flat, area > 0, strict=True):
                 if is_bed:
-                    wanted[first : first + contacts] = 0
-                    wanted[first] = POINTS_PER_BED * some
-            if not _take(model, data, np.repeat(np.arange(count), wanted)):
+                    repeats[first : first + contacts] = 0
+                    repeats[first] = POINTS_PER_BED * some
+            if not _take(model, data, np.repeat(np.arange(count), repeats)):
                 return  # MuJoCo counts it as a warning, and the world overflows
-            begin = (np.cumsum(wanted) - wanted)[begin[beds]]
+            begin = (np.cumsum(repeats) - repeats)[begin[beds]]
         rows, contact = begin[:, None] + np.arange(POINTS_PER_BED), data.contact
         contact.pos[rows] = points[beds]
         contact.dist[rows] = contact.includemargin[rows] - depth[beds]

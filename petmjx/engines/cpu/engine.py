@@ -75,7 +75,7 @@ class MujocoEngine(Engine):
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
-        begun, said = 0, ""
+        begun, last_line = 0, ""
         running: dict[int, Budget] = {}
         pending: set[Future[tuple[Outcome, float]]] = set()
         with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
@@ -87,7 +87,7 @@ class MujocoEngine(Engine):
                         pending.add(pool.submit(_simulate, begun, job, sim, stop, timeout_s, running))
                         begun += 1
                     finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
-                    said = _say(progress, said, "" if finished else _oldest(running))
+                    last_line = _say(progress, last_line, "" if finished else _oldest(running))
                     if not finished and progress.pauses:
                         yield None  # type: ignore[misc]  # who asked for pauses takes it
                     outcomes = [future.result() for future in finished]
@@ -109,14 +109,14 @@ def _oldest(running: Mapping[int, Budget]) -> str:
     return ""
 
 
-def _say(progress: Progress, said: str, words: str) -> str:
+def _say(progress: Progress, last_line: str, words: str) -> str:
     """Show how far a world is, unless something else is to be said. Returns what is shown.
 
     Args:
         said: what was shown before; ``words``: what there is to show now.
     """
-    if progress.message != said:
-        return said
+    if progress.message != last_line:
+        return last_line
     progress.message = words
     return words
 

@@ -115,9 +115,9 @@ def _limited(vector: FloatArray, most: float) -> FloatArray:
     return vector if length <= most else vector * (most / length)
 
 
-def _rotation_vector(quat: FloatArray, wanted: FloatArray) -> FloatArray:
+def _rotation_vector(quat: FloatArray, target_quat: FloatArray) -> FloatArray:
     """(3,) rotation from one orientation to another, in the axes of the first, rad; for small angles."""
     w, u = quat[0], quat[1:]
-    real = w * wanted[0] + u @ wanted[1:]
-    imaginary = w * wanted[1:] - wanted[0] * u - np.cross(u, wanted[1:])
+    real = w * target_quat[0] + u @ target_quat[1:]
+    imaginary = w * target_quat[1:] - target_quat[0] * u - np.cross(u, target_quat[1:])
     return np.asarray(2.0 * (imaginary if real >= 0 else -imaginary))

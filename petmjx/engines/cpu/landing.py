@@ -115,9 +115,9 @@ class Landings:
         normal_z = np.asarray(contact.frame)[these, 2]
         surface = self._surfaces(live.geom_bodies)[geoms]
         of_pair = self._table[surface[:, 0], surface[:, 1]]
-        wanted = pull(closing, -speeds[row], depth, normal_z, of_pair, physics)
-        acts = lands & np.isfinite(wanted)
-        data.efc_aref[row[acts]] = wanted[acts]
+        acceleration = pull(closing, -speeds[row], depth, normal_z, of_pair, physics)
+        acts = lands & np.isfinite(acceleration)
+        data.efc_aref[row[acts]] = acceleration[acts]
 
     def _surfaces(self, geom_bodies: NDArray[np.integer]) -> NDArray[np.intp]:
         """(ngeom,) surfaces of geoms."""

@@ -263,9 +263,9 @@ class LiveWorld:
         scene, physics = self.scene, self._sim.physics
         end, quat = rest + course.lift[box], course.quat[box]
         planned, pose = end + course.offset[box], self.pose[:box]
-        own = reach(quat[None], scene.half_size[box, None])[0]
+        box_reach = reach(quat[None], scene.half_size[box, None])[0]
         reaches = reach(pose[:, 3:], scene.half_size[:box])
-        begin = free_begin(planned, own, pose[:, :3], reaches, most_aside_m(scene.placing))
+        begin = free_begin(planned, box_reach, pose[:, :3], reaches, most_aside_m(scene.placing))
         steps = int(course.steps[box])
         if steps and (begin != planned).any():
             length = float(np.linalg.norm(begin - end))
@@ -366,8 +366,8 @@ class LiveWorld:
 
     def contact_bodies(self) -> NDArray[np.intp]:
         """(ncon, 2) the partners of each contact of the last step: boxes, ``CARRIER`` or ``FLOOR``."""
-        found: NDArray[np.intp] = self.geom_bodies[np.reshape(self.data.contact.geom, (-1, 2))]
-        return found
+        bodies: NDArray[np.intp] = self.geom_bodies[np.reshape(self.data.contact.geom, (-1, 2))]
+        return bodies
 
     @property
     def carrier_pose(self) -> FloatArray:

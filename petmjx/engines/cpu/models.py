@@ -165,6 +165,6 @@ class _Template:
         model.geom_friction[:] = friction
         one, two = model.pair_geom1, model.pair_geom2
         larger = np.maximum(friction[one], friction[two])
-        own = filled_up(scene.pair_friction)[surface[one], surface[two]]
-        sliding = np.where(own == LARGER, larger[:, 0], own)
+        pair_friction = filled_up(scene.pair_friction)[surface[one], surface[two]]
+        sliding = np.where(pair_friction == LARGER, larger[:, 0], pair_friction)
         model.pair_friction[:] = np.column_stack([sliding, sliding, larger[:, 1], larger[:, 2], larger[:, 2]])

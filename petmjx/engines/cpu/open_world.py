@@ -76,9 +76,9 @@ class OpenWorld(WorldRun):
         twin = self.fork(grows=self.paused)
         twin.put(scene)
         twin.go_on()
-        found = twin.read()
+        reading = twin.read()
         twin._live.give_back()
-        return found
+        return reading
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
         """Go on to the end of a world that has boxes: the rest window and, if there is one, the drive.

@@ -63,8 +63,8 @@ class MujocoWorlds(OpenWorlds):
             scene = self._blank.with_box(self._scenes[world], boxes, row)
             return self._worlds[world].tried(scene), scene
 
-        found = self._each(lambda each: tried(*each), enumerate(worlds))
-        return Readings.of([reading for reading, _ in found], [scene for _, scene in found])
+        trials = self._each(lambda pair: tried(*pair), enumerate(worlds))
+        return Readings.of([reading for reading, _ in trials], [scene for _, scene in trials])
 
     def _try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
@@ -75,14 +75,14 @@ class MujocoWorlds(OpenWorlds):
             return twin.finish(number, drive)
 
         numbered = zip(range(len(worlds)), worlds, scenes, drives, strict=True)
-        return self._each(lambda each: end(*each), numbered)
+        return self._each(lambda pair: end(*pair), numbered)
 
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         def end(number: int, world: int, drive: Drive | None) -> Outcome:
             return self._worlds[world].fork().finish(number, drive)
 
         numbered = zip(range(len(worlds)), worlds, drives, strict=True)
-        return self._each(lambda each: end(*each), numbered)
+        return self._each(lambda pair: end(*pair), numbered)
 
     def _begin(self, scene: Scene) -> OpenWorld:
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)

@@ -57,9 +57,9 @@ def minimum_degree(joined: NDArray[np.bool_]) -> list[int]:
     neighbours = {node: set(np.flatnonzero(row).tolist()) - {node} for node, row in enumerate(joined)}
     order: list[int] = []
     while neighbours:
-        node = min(neighbours, key=lambda each: (len(neighbours[each]), each))
+        node = min(neighbours, key=lambda candidate: (len(neighbours[candidate]), candidate))
         order.append(node)
         clique = neighbours.pop(node)
-        for each in clique:
-            neighbours[each] = (neighbours[each] | clique) - {each, node}
+        for member in clique:
+            neighbours[member] = (neighbours[member] | clique) - {member, node}
     return order

@@ -69,10 +69,10 @@ class SoftWorld(LiveWorld):
         self._v_of = self._first_v + first_v[self._soft, None] + np.arange(3 * COUNT)
         self._rigid_q = self._first_q + first_q[self._rigid, None] + np.arange(7)
         self._rigid_v = self._first_v + first_v[self._rigid, None] + np.arange(6)
-        names = [point_name(box_name(box), each) for box in self._soft.tolist() for each in range(COUNT)]
-        self._point_bodies = np.array([self.model.body(each).id for each in names], np.intp).reshape(-1, COUNT)
+        names = [point_name(box_name(box), point) for box in self._soft.tolist() for point in range(COUNT)]
+        self._point_bodies = np.array([self.model.body(name).id for name in names], np.intp).reshape(-1, COUNT)
         names = [box_name(box) for box in self._rigid.tolist()]
-        self._rigid_bodies = np.array([self.model.body(each).id for each in names], np.intp)
+        self._rigid_bodies = np.array([self.model.body(name).id for name in names], np.intp)
         self._home = self.model.body_pos[self._point_bodies]
         self._points = np.array([points_of(scene.half_size[box]) for box in self._soft]).reshape(-1, COUNT, 3)
         self._weight = shares()[None, :, None]
@@ -86,14 +86,14 @@ class SoftWorld(LiveWorld):
 
     def _now(self) -> FloatArray:
         """(s, 27, 3) points of the soft boxes after the last step, m."""
-        found: FloatArray = self._home + self.data.qpos[self._q_of].reshape(-1, COUNT, 3)
-        return found
+        points: FloatArray = self._home + self.data.qpos[self._q_of].reshape(-1, COUNT, 3)
+        return points
 
     def _joined(self, soft: FloatArray, rigid: FloatArray) -> FloatArray:
         """(capacity, k) rows of all boxes."""
-        found = np.empty((self.capacity, rigid.shape[-1]))
-        found[self._soft], found[self._rigid] = soft, rigid
-        return found
+        rows = np.empty((self.capacity, rigid.shape[-1]))
+        rows[self._soft], rows[self._rigid] = soft, rigid
+        return rows
 
     def _fit(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(s, 3) centres of the soft boxes whose points are here, m, and (s, 3, 3) how they are turned."""
@@ -164,9 +164,9 @@ class SoftWorld(LiveWorld):
 
     def contact_bodies(self) -> NDArray[np.intp]:
         contact = self.data.contact
-        geom, flex = (np.reshape(each, (-1, 2)) for each in (contact.geom, contact.flex))
-        found: NDArray[np.intp] = np.where(geom >= 0, self.geom_bodies[geom], np.append(self._soft, 0)[flex])
-        return found
+        geom, flex = (np.reshape(ids, (-1, 2)) for ids in (contact.geom, contact.flex))
+        bodies: NDArray[np.intp] = np.where(geom >= 0, self.geom_bodies[geom], np.append(self._soft, 0)[flex])
+        return bodies
 
     def top_forces(self) -> FloatArray:
         total, data = np.zeros(self.capacity), self.data
@@ -209,7 +209,7 @@ class SoftWorld(LiveWorld):
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
         if self._sim.physics.falls_into_place:
             return 0.0
-        found = [float(self.carrier_pose[2] - scene.carrier.pos[2])] if low[box, 2] <= TOUCH_M else []
+        rises = [float(self.carrier_pose[2] - scene.carrier.pos[2])] if low[box, 2] <= TOUCH_M else []
         poses, points = self.pose, self._now()
         for below in range(box):
             sides = [shared(low[[below, box], axis], high[[below, box], axis])[0, 1] for axis in range(2)]
@@ -224,8 +224,8 @@ class SoftWorld(LiveWorld):
             plane = np.linalg.lstsq(np.column_stack([np.ones(len(top)), top[:, :2]]), top[:, 2], rcond=None)[0]
             corners = np.column_stack([np.maximum(low[below], low[box]), np.minimum(high[below], high[box])])[:2]
             heights = [plane @ (1.0, x, y) for x in corners[0] for y in corners[1]]
-            found.append(max(heights) - float(low[box, 2]))
-        return max(found, default=0.0)
+            rises.append(max(heights) - float(low[box, 2]))
+        return max(rises, default=0.0)
 
     def set_box_forces(self, force_n: FloatArray) -> None:
         self.data.xfrc_applied[self._point_bodies, :3] = self._weight * force_n[self._soft, None]

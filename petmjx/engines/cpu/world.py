@@ -149,8 +149,8 @@ class WorldRun:
         recorder = self._recorder
         while recorder is not None and (frame := recorder.next_after(self._step)) < target:
             count = frame - self._step
-            self._step += (taken := self._take_steps(count))
-            if taken < count:
+            self._step += (n_steps := self._take_steps(count))
+            if n_steps < count:
                 return
             recorder.look(self._step, self._live)
         self._step += self._take_steps(target - self._step)
@@ -158,10 +158,10 @@ class WorldRun:
     def _take_steps(self, count: int) -> int:
         """Take steps; returns how many: fewer where the world's time is up before."""
         acts = self._drive is not None and self._drive.acts(self._step)
-        taken = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
-        if taken < count:
+        n_steps = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
+        if n_steps < count:
             self._flags |= Flag.EARLY_STOP if self._begun and self._metrics.has_failed else Flag.TIMEOUT
-        return taken
+        return n_steps
 
     # ------------------------------------------------------------------ events
 

@@ -82,8 +82,8 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
         finally:  # also after an error: then the memory of all blocks is freed
             clock.numpy()[0] = 1  # the kernels' own memory
             wait(running)
-        for each in running:
-            each.result()
+        for future in running:
+            future.result()
 
 
 MOST_THREADS: Final = 1024

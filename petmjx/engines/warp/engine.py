@@ -279,9 +279,9 @@ class MjxWarpEngine(Engine):
             group, queues = self._load(run, jobs, len(left.jobs) if left is not None else 0, rows, course)
         emitted = np.zeros(len(group.table.status), bool)
         if left is not None:
-            own = len(jobs) - len(left.jobs)
-            emitted[own : len(jobs)] = left.emitted
-            group.table = left.put_into(group.table, own)
+            n_own = len(jobs) - len(left.jobs)
+            emitted[n_own : len(jobs)] = left.emitted
+            group.table = left.put_into(group.table, n_own)
         return group, queues, emitted
 
     def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: Course) -> tuple[Group, Queues]:
@@ -289,10 +289,10 @@ class MjxWarpEngine(Engine):
         may go on for long."""
         run = replace(run, needs=run.needs.of_sizes(jobs))
         group = self._load_group(run, jobs, rows, course.ahead)
-        queues, own = Queues(run.needs.sizes, size_of, len(group.table.status)), len(jobs) - n_left
+        queues, n_own = Queues(run.needs.sizes, size_of, len(group.table.status)), len(jobs) - n_left
         if n_left:
-            queues.add(jobs[own:], own, run.sim)
-        queues.add(jobs[:own], 0, run.sim)
+            queues.add(jobs[n_own:], n_own, run.sim)
+        queues.add(jobs[:n_own], 0, run.sim)
         return group, queues
 
     def _leaving(self, course: Course, begun: Begun, rest: NDArray[np.int64], rows: int) -> Left:
@@ -314,12 +314,12 @@ class MjxWarpEngine(Engine):
     def _take(self, group: Group, numbers: list[int], queues: Queues, course: Course) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
-        taken = list(takewhile(group.fits, course.groups.waiting(free)))
-        if not taken:
+        fitting = list(takewhile(group.fits, course.groups.waiting(free)))
+        if not fitting:
             return False
-        queues.add(taken, len(group.jobs), group.run.sim)
-        for first in range(0, len(taken), MORE_AT_ONCE):
-            some = taken[first : first + MORE_AT_ONCE]
+        queues.add(fitting, len(group.jobs), group.run.sim)
+        for first in range(0, len(fitting), MORE_AT_ONCE):
+            some = fitting[first : first + MORE_AT_ONCE]
             width, run = group.table.qpos.shape[1], group.run
             made = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
             group.add(some, *made)
@@ -369,7 +369,7 @@ class MjxWarpEngine(Engine):
                             raise  # each size alone may have room
                         return None
                 self._drop()  # programs of other sizes may be what takes the memory: once more without them
-                lanes = sum(each.blocks for each in fleets)
+                lanes = sum(fleet.blocks for fleet in fleets)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
                 self._kept[launches] = (key, rollout)

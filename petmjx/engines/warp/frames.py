@@ -37,8 +37,8 @@ def room_for(group: Group, blocks: int) -> dict[str, jax.Array]:
     n_worlds, n_boxes = group.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(group.recorder.every))
-    wanted = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))
-    n_frames = 1 if group.recorder.idle else max(wanted, FRAMES_PER_BLOCK * blocks)
+    needed = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))
+    n_frames = 1 if group.recorder.idle else max(needed, FRAMES_PER_BLOCK * blocks)
     room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, n_worlds).items()}
     room["every"][: len(group.jobs)] = group.recorder.every
     placed: dict[str, jax.Array] = jax.device_put(room)

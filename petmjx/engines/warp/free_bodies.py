@@ -152,5 +152,5 @@ def _collect(frames: dict[str, jax.Array], steps: NDArray[np.int32], poses: Floa
     world, step, pose = (np.asarray(firsts[name])[:used] for name in ("of", "step", "pose"))
     pose = pose[:, : poses.shape[2]]
     column = np.minimum(np.searchsorted(steps, step), len(steps) - 1)
-    asked = (steps[column] == step) & np.isfinite(pose).all(axis=(1, 2))
-    poses[world[asked], column[asked]] = pose[asked]
+    due = (steps[column] == step) & np.isfinite(pose).all(axis=(1, 2))
+    poses[world[due], column[due]] = pose[due]

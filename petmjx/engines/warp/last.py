@@ -77,11 +77,11 @@ def expected_last(
         running: worlds that go on.
         lanes: worlds at the same time.
     """
-    taken = steps > 0
-    ended = taken & ~running
+    begun = steps > 0
+    ended = begun & ~running
     # thousands of worlds may have taken more steps than an int32 holds
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
-    rest = ((order >= 0).sum() - taken.sum()) * mean / lanes  # steps of a lane, until none waits
+    rest = ((order >= 0).sum() - begun.sum()) * mean / lanes  # steps of a lane, until none waits
     long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
     most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
     return jnp.zeros_like(long).at[rows].set(most > 0)

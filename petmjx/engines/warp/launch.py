@@ -109,8 +109,8 @@ class Launch:
     @property
     def tile_words(self) -> int:
         """Of the tile in a block's shared memory, numbers of four bytes; 0: it has none."""
-        own = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
-        return self.worlds * (self.shared_words + own)
+        newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
+        return self.worlds * (self.shared_words + newton_words)
 
     @classmethod
     def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
@@ -125,16 +125,16 @@ class Launch:
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
         panels = most_panels(size.most_boxes)
-        own = newton.own_bytes(panels, size.worlds)
+        newton_bytes = newton.own_bytes(panels, size.worlds)
         most = device.max_shared_memory_per_block // size.per_sm - newton.DRIVER_BYTES
         traits = hands, gives, wraps
         if size.worlds > 1:
-            room = most - TILE_BYTES * size.threads - size.worlds * own
+            room = most - TILE_BYTES * size.threads - size.worlds * newton_bytes
             if room < 0:
                 return cls.of(replace(size, threads=size.threads // 2, worlds=size.worlds // 2), *traits)
             words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2
         else:
-            words = min(size.shared_bytes, most - own) // 4
+            words = min(size.shared_bytes, most - newton_bytes) // 4
         blocks = size.per_sm * device.sm_count
         return cls(blocks, size.threads, size.per_sm, words, panels, *traits, size.worlds, size.pause_after)
 
@@ -144,7 +144,7 @@ def kernel(launch: Launch) -> Any:
     """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
-    hands, gives, wraps, lands = (int(each) for each in (launch.hands, launch.gives, launch.wraps, launch.lands))
+    hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))
 
     def march(
         # Model:

@@ -135,7 +135,7 @@ class March:
     def load(self) -> None:
         """Compile the kernels, at the same time, or take them from Warp's cache."""
         kernels = [kernel(fleet.launch) for fleet in self.fleets] + own_kernels(len(self.fleets))
-        modules = list(dict.fromkeys(each.module for each in kernels))
+        modules = list(dict.fromkeys(kernel.module for kernel in kernels))
         wp.force_load(wp.get_device(), modules, max_workers=len(modules))
 
     def __call__(
@@ -158,10 +158,10 @@ class March:
             in_out_argnames=list(_CHANGED),
         )
         changed = call(self.id, *(given[name] for name in _INPUTS | _CHANGED))
-        found = dict(zip(_CHANGED, changed, strict=True))
-        after = {name: found.get(name, values) for name, values in state.items()}
-        kept = {name: found[_of_frames(name)] for name in frames}
-        return after, found["workspace"], kept, {name: found[name] for name in counts}
+        outputs = dict(zip(_CHANGED, changed, strict=True))
+        after = {name: outputs.get(name, values) for name, values in state.items()}
+        kept = {name: outputs[_of_frames(name)] for name in frames}
+        return after, outputs["workspace"], kept, {name: outputs[name] for name in counts}
 
     def launch(self, arrays: dict[str, Any]) -> None:
         """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""

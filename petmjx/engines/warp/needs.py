@@ -72,7 +72,7 @@ class Needs:
     def __or__(self, other: Needs) -> Needs:
         """Those of both."""
         widest = {
-            size: max(each.widths.get(size, 0) for each in (self, other)) for size in {*self.widths, *other.widths}
+            size: max(needs.widths.get(size, 0) for needs in (self, other)) for size in {*self.widths, *other.widths}
         }
         kinds = (self.hands or other.hands, self.gives or other.gives, self.wraps or other.wraps)
         return Needs(widest, *kinds)

@@ -117,13 +117,13 @@ def told_of(state: State, rows: Int[Array, " row"]) -> Told:
     return take_rows(Told.of(state), rows)
 
 
-def readings_of(told: Told, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
+def readings_of(report: Told, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
     """Of the first worlds of what is told.
 
     Args:
         half_size, target: (m, k, 3) of their boxes, m.
     """
-    state: Told = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(told))
+    state: Told = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(report))
     width = half_size.shape[1]
     placed = np.asarray(state.placed, np.int64)
     beyond = np.arange(width) >= placed[:, None]

@@ -116,8 +116,8 @@ class WarpWorlds(OpenWorlds):
             rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
             begun = self._jitted_put(forks, rows, more)
         state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
-        told = told_of(state, uploaded(np.arange(padded, dtype=np.int32)))
-        return readings_of(told, *before.with_next(boxes), self._sim)
+        report = told_of(state, uploaded(np.arange(padded, dtype=np.int32)))
+        return readings_of(report, *before.with_next(boxes), self._sim)
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
         if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
@@ -138,9 +138,9 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(settled.state, jobs, batch)
 
     def _readings(self, worlds: Sequence[int]) -> Readings:
-        told = told_of(self.open.state, self._rows(worlds))
+        report = told_of(self.open.state, self._rows(worlds))
         stacks = self._scenes.stacks(worlds)
-        return readings_of(told, stacks.half_size, stacks.target, self._sim)
+        return readings_of(report, stacks.half_size, stacks.target, self._sim)
 
     @property
     def _appears(self) -> bool:
@@ -153,11 +153,11 @@ class WarpWorlds(OpenWorlds):
     def _read(self, worlds: Sequence[int]) -> list[Reading]:
         state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
         flags = Told.of(state).flags_now(self._sim)
-        found = []
+        readings = []
         for world in worlds:
             k = int(state.placed[world])
             pose = np.asarray(state.qpos[world, :k], np.float64)
-            found.append(
+            readings.append(
                 Reading(
                     time_s=clock.time_s(max(int(state.step[world]), 0)),
                     ended=bool(state.status[world] == Status.FINISHED),
@@ -171,7 +171,7 @@ class WarpWorlds(OpenWorlds):
                     dropped=np.asarray(state.metrics.drop_step[world, :k]) >= 0,
                 )
             )
-        return found
+        return readings
 
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         self.go_on()
@@ -226,11 +226,11 @@ class WarpWorlds(OpenWorlds):
 
     def _know(self, scenes: Sequence[Scene]) -> None:
         """Take kernels that know all that these scenes have."""
-        found = self._traits
+        traits = self._traits
         for scene in scenes:
-            found |= Traits.of(scene)
-        if found != self._traits:
-            self._traits = found
+            traits |= Traits.of(scene)
+        if traits != self._traits:
+            self._traits = traits
             self._make_simulator()
 
     def _constants(self, scenes: Sequence[Scene], rows: int) -> Worlds:

@@ -95,8 +95,8 @@ class Rollout:
         progress.world_steps += counts["steps"]
         extra = progress.extra
         sums = {"seconds": self._last_end - began, "steps": counts["steps"], "iterations": counts["iterations"]}
-        for what, amount in sums.items():
-            extra[f"march {what}"] = extra.get(f"march {what}", 0) + amount
+        for quantity, amount in sums.items():
+            extra[f"march {quantity}"] = extra.get(f"march {quantity}", 0) + amount
         extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
         extra["march contacts"] = max(extra.get("march contacts", 0), counts["contacts"])
         return looked_at[: len(group.jobs)], ended

@@ -55,9 +55,9 @@ def outcomes_of(rounds: Generator[Round], sim: Simulation, progress: Progress, *
 
     def counted() -> Generator[Round]:
         with closing(rounds):
-            for each in rounds:
-                count(sum(len(batch.rows) for batch in each.picked))  # a slice that waits may have none
-                yield each
+            for next_round in rounds:
+                count(sum(len(batch.rows) for batch in next_round.picked))  # a slice that waits may have none
+                yield next_round
 
     try:
         with closing(counted() if waits else run_ahead(counted(), MOST_AHEAD)) as each_slice:

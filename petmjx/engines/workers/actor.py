@@ -120,12 +120,12 @@ class Worker:
         ended: list[BaseException] = []
         runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, ended), daemon=True)
         runner.start()
-        going, said = True, ""
+        going, last_message = True, ""
         while going:
-            came, going = _gather(news)
-            outcomes = _looked_at(came, jobs, sim, lookers, wait=not going)
-            if outcomes or not going or progress.message != said:
-                said = progress.message
+            new_outcomes, going = _gather(news)
+            outcomes = _looked_at(new_outcomes, jobs, sim, lookers, wait=not going)
+            if outcomes or not going or progress.message != last_message:
+                last_message = progress.message
                 # a copy: the engine writes into it meanwhile
                 so_far = replace(progress, extra=dict(progress.extra))
                 yield pickle.dumps(Report(outcomes, so_far, ended[0] if ended else None))
@@ -178,13 +178,13 @@ def _looked_at(
     Args:
         wait: for all of them.
     """
-    found: list[tuple[None, Outcome]] = []
+    keyed_outcomes: list[tuple[None, Outcome]] = []
     for first in range(0, len(outcomes), MOST_TOGETHER):
         some = outcomes[first : first + MOST_TOGETHER]
-        asked = [jobs[outcome.job] for outcome in some]
-        found += lookers.exchanged([(None, outcome) for outcome in some], asked, sim, wait=False)
-    found += lookers.exchanged([], [], sim, wait=wait)
-    return [outcome for _, outcome in found]
+        some_jobs = [jobs[outcome.job] for outcome in some]
+        keyed_outcomes += lookers.exchanged([(None, outcome) for outcome in some], some_jobs, sim, wait=False)
+    keyed_outcomes += lookers.exchanged([], [], sim, wait=wait)
+    return [outcome for _, outcome in keyed_outcomes]
 
 
 def _sendable(error: BaseException) -> BaseException:

@@ -208,11 +208,11 @@ def _check_reachable(address: str) -> None:
     if address == AUTO:
         return
     try:
-        with socket.create_connection((host.strip("[]"), int(port)), timeout=REACH_S) as there:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=REACH_S) as connection:
             if os.environ.get("RAY_USE_TLS", "0") not in ("", "0"):
                 return
-            there.sendall(_HTTP2_HELLO)
-            answer = there.makefile("rb").read(len(_HTTP2_SETTINGS))
+            connection.sendall(_HTTP2_HELLO)
+            answer = connection.makefile("rb").read(len(_HTTP2_SETTINGS))
     except TimeoutError as error:
         raise InputError(f"ray: no cluster at {address} (no answer within {REACH_S:g} s)") from error
     except (OSError, ValueError, OverflowError) as error:
@@ -260,7 +260,7 @@ class Cluster:
     def nodes(self) -> list[Node]:
         """The machines of the cluster that are alive."""
         resources = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
-        return [Node(int(each.get("CPU", 0)), int(each.get("GPU", 0))) for each in resources]
+        return [Node(int(resource.get("CPU", 0)), int(resource.get("GPU", 0))) for resource in resources]
 
     def check(self) -> None:
         """Raises PetmjxError if the Ray that this process has started is dead: nothing starts it again. The machines of

@@ -89,14 +89,14 @@ class Deal:
         share = self._cost_left / (PIECES * self._slots)
         total = np.cumsum(self._costs[self._pending[:MOST_JOBS]])
         count = max(int(np.searchsorted(total, share, side="right")), 1)
-        taken, self._pending = self._pending[:count], self._pending[count:]
-        return taken
+        chunk, self._pending = self._pending[:count], self._pending[count:]
+        return chunk
 
     def _next_equal(self) -> list[int]:
         chunks = math.ceil(len(self._pending) / self._size)
-        taken = self._pending[::chunks]
+        chunk = self._pending[::chunks]
         del self._pending[::chunks]
-        return taken
+        return chunk
 
     def answered(self, job: int) -> None:
         """A job has its outcome.

@@ -65,16 +65,16 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         return [Place(cpus=1, gpus=share)] * number
     if workers == AUTO:
         sizes = [(node.cpus, threads or node.cpus) for node in nodes if node.cpus]
-        cpus = [each for whole, each in sizes for _ in range(whole // each)]
+        cpus = [part for total, part in sizes for _ in range(total // part)]
         fit = bool(cpus)
     else:
-        each = threads or _share(nodes, int(workers))
-        cpus = [each] * int(workers)
-        fit = sum(node.cpus // each for node in nodes) >= len(cpus)
+        worker_cpus = threads or _share(nodes, int(workers))
+        cpus = [worker_cpus] * int(workers)
+        fit = sum(node.cpus // worker_cpus for node in nodes) >= len(cpus)
     if not fit:
-        asked = "a worker" if workers == AUTO else counted(int(workers), "worker")
-        raise InputError(f"workers: no room for {asked} of {counted(threads or 1, 'CPU')}; {_has(nodes)}")
-    return [Place(cpus=each, slots=each if engine == "mujoco" else 1) for each in cpus]
+        crew = "a worker" if workers == AUTO else counted(int(workers), "worker")
+        raise InputError(f"workers: no room for {crew} of {counted(threads or 1, 'CPU')}; {_has(nodes)}")
+    return [Place(cpus=count, slots=count if engine == "mujoco" else 1) for count in cpus]
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
@@ -89,12 +89,12 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
     if workers == AUTO:
         return None
     number = int(workers)
-    each = _sharing(gpus, number)
-    if each > MOST_SHARING:
+    per_gpu = _sharing(gpus, number)
+    if per_gpu > MOST_SHARING:
         return f"at most {MOST_SHARING} share a GPU, so {number} have no room; {_has(nodes)}"
     if number > gpus and number % gpus:
         return f"{number} cannot share {gpus} GPUs evenly, {number - number % gpus} can; {_has(nodes)}"
-    if sum(min(node.cpus, each * node.gpus) for node in nodes) < number:
+    if sum(min(node.cpus, per_gpu * node.gpus) for node in nodes) < number:
         return f"no room for {counted(number, 'worker')} of 1 CPU beside the GPUs; {_has(nodes)}"
     return None
 
@@ -102,8 +102,8 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
 def threads_beside(nodes: Sequence[Node], workers: int) -> int:
     """The fewest CPU threads that each of so many workers with GPUs has, where a machine has as many of them as its
     GPUs have room for."""
-    each = _sharing(sum(node.gpus for node in nodes), workers)
-    return min(node.cpus // min(each * node.gpus, workers) for node in nodes if node.gpus)
+    per_gpu = _sharing(sum(node.gpus for node in nodes), workers)
+    return min(node.cpus // min(per_gpu * node.gpus, workers) for node in nodes if node.gpus)
 
 
 def _sharing(gpus: int, workers: int) -> int:
@@ -114,7 +114,7 @@ def _sharing(gpus: int, workers: int) -> int:
 def _share(nodes: Sequence[Node], workers: int) -> int:
     """The most CPUs with which so many workers fit, each of them on one node; at least 1."""
     most = max(sum(node.cpus for node in nodes) // workers, 1)
-    return next((each for each in range(most, 1, -1) if sum(node.cpus // each for node in nodes) >= workers), 1)
+    return next((share for share in range(most, 1, -1) if sum(node.cpus // share for node in nodes) >= workers), 1)
 
 
 def _has(nodes: Sequence[Node]) -> str:

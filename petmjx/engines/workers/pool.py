@@ -207,7 +207,7 @@ class WorkerPool(Engine):
                     if isinstance(report, Report):
                         hand.working = True
                         yield from self._take(hand, hand.streams[ref], report, deal, progress)
-                        progress.compile_s = compiled_s + max(each.compile_s for each in self._hands)
+                        progress.compile_s = compiled_s + max(hand.compile_s for hand in self._hands)
                     elif report is None:
                         missing = set(hand.streams.pop(ref).chunk.jobs) & deal.unanswered
                         if missing:
@@ -274,7 +274,7 @@ class WorkerPool(Engine):
             error: raised if there are no others, or none has died, after ``most`` tries.
         """
         self._false_starts += 1
-        spare = self._deaths > 0 and any(each.ready for each in self._hands)
+        spare = self._deaths > 0 and any(hand.ready for hand in self._hands)
         if not spare and self._false_starts >= most:
             raise error
         self._kill(hand)
@@ -360,5 +360,5 @@ class WorkerPool(Engine):
         if waiting:
             of = f"{len(waiting)} of {counted(len(self._hands), 'worker')}"
             parts += [f"starting {of}" if seconds < START_S else f"waiting until the cluster has room for {of}"]
-        said = {hand.said for hand in self._hands if hand.streams and hand.said}
-        return "; ".join(parts + sorted(said))
+        messages = {hand.said for hand in self._hands if hand.streams and hand.said}
+        return "; ".join(parts + sorted(messages))

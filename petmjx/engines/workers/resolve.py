@@ -123,15 +123,15 @@ def resolve_workers(
 
 def _joined(options: RunOptions) -> Cluster:
     """The cluster of a run whose options are usable."""
-    asked = str(options.engine)
-    if asked != AUTO:
-        check_options(asked, **options_of(asked, options))
+    engine = str(options.engine)
+    if engine != AUTO:
+        check_options(engine, **options_of(engine, options))
     return Cluster(options.ray)
 
 
 def _chosen(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> tuple[str, str, float | None]:
     """The engine's name, why, and the expected time in s."""
-    workers, asked = options.asked_workers, str(options.engine)
+    workers, engine = options.asked_workers, str(options.engine)
     assert workers is not None
     threads = sum(node.cpus for node in nodes)
     if options.threads is not None and workers != AUTO:
@@ -146,8 +146,8 @@ def _chosen(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) ->
     def why_no_kernel() -> str | None:
         return "not chosen for workers"  # each would compile the kernels
 
-    name, reason = asked, "as asked for"
-    if asked == AUTO:
+    name, reason = engine, "as asked for"
+    if engine == AUTO:
         name, reason = choose(seconds, threads, used, why_no_gpu, why_no_kernel)
     return name, reason, seconds.get(name)
 
@@ -162,11 +162,11 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
     """A pool whose workers begin to start."""
     assert options.asked_workers is not None
     limits = options_of(name, options)
-    found = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
+    worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
     if name == "mujoco":
         limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
     elif name == "mjx-warp-cpu":
-        limits["threads"] = min(place.cpus for place in found)
+        limits["threads"] = min(place.cpus for place in worker_places)
     # on CPUs all threads simulate
-    threads = threads_beside(cluster.nodes, len(found)) if name == "mjx-warp" else 0
-    return WorkerPool(Recipe(name, limits), found, cluster, most_lookers(threads))
+    threads = threads_beside(cluster.nodes, len(worker_places)) if name == "mjx-warp" else 0
+    return WorkerPool(Recipe(name, limits), worker_places, cluster, most_lookers(threads))

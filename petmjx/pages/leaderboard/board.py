@@ -92,9 +92,9 @@ class Board:
             "pairs": self.found.pairs,
             "sentences": self.found.sentences,
             "plans_sha256": self.digests,
-            "stories": [vars(each) for each in self.told],
-            "simulated_again": [each.to_dict() for each in self.samples],
-            "refused": [{"packer": each.packer, "why": each.refusal} for each in self.samples if each.refusal],
+            "stories": [vars(story) for story in self.told],
+            "simulated_again": [sample.to_dict() for sample in self.samples],
+            "refused": [{"packer": sample.packer, "why": sample.refusal} for sample in self.samples if sample.refusal],
             "notes": self.notes,
         }
 
@@ -102,7 +102,7 @@ class Board:
     def notes(self) -> list[str]:
         """Reasons to doubt the board, one line each."""
         lost = [entry.name for entry in self.entries if entry.name not in self.digests]
-        lines = [each.refusal or each.note for each in self.samples if each.refusal or each.note]
+        lines = [sample.refusal or sample.note for sample in self.samples if sample.refusal or sample.note]
         lines += self.found.notes
         if not self.orders:
             lines.append(
@@ -190,9 +190,9 @@ def _rating(board: Board) -> Markup:
 def _again_in_words(board: Board) -> Content:
     """Which entries came as runs, and how many of their plans were simulated again."""
     parts = [
-        f"{counted(len(each.replays), 'plan')} of {printable(each.packer)}"
-        for each in board.samples
-        if each.replays and not each.refusal
+        f"{counted(len(sample.replays), 'plan')} of {printable(sample.packer)}"
+        for sample in board.samples
+        if sample.replays and not sample.refusal
     ]
     if not parts:
         return None
@@ -209,11 +209,11 @@ def _luck(board: Board) -> Markup:
 
 
 def _measures(board: Board) -> Markup:
-    whole = board.found.packers[board.found.packers["size"] == ALL_SIZES].set_index("packer")
-    columns = [name for name in _MEANS if name in whole and whole[name].notna().any()]
+    means = board.found.packers[board.found.packers["size"] == ALL_SIZES].set_index("packer")
+    columns = [name for name in _MEANS if name in means and means[name].notna().any()]
     rows: list[list[Content]] = []
     for name in board.rating["packer"]:
-        values = [whole.loc[name, column] for column in columns]
+        values = [means.loc[name, column] for column in columns]
         cells = [format(value, _MEANS[column][1]) for column, value in zip(columns, values, strict=True)]
         rows.append([name, *cells])
     kpis = " KPIs are those of BED-BPP." if any(column in KPIS for column in columns) else ""
@@ -226,14 +226,14 @@ def _told_list(board: Board) -> Content:
         return None
     rows: list[list[Content]] = []
     for name in board.rating["packer"]:
-        links = [joined(_link(each, each.plan_id), " ") for each in board.told if each.packer == name]
+        links = [joined(_link(story, story.plan_id), " ") for story in board.told if story.packer == name]
         rows.append([name, joined(*links)])
     hint = "Each is a page to play: what happened to one plan, simulated again exactly as it was rated."
     return joined(element("p", hint, class_="hint"), table(["packer", "plans"], rows, texts=2, class_="stories"))
 
 
-def _link(told: Told, text: str) -> Markup:
-    return element("a", text, href=quote(told.file), class_=f"mark {told.verdict}")
+def _link(story: Told, text: str) -> Markup:
+    return element("a", text, href=quote(story.file), class_=f"mark {story.verdict}")
 
 
 def _orders(board: Board) -> Content:
@@ -242,14 +242,14 @@ def _orders(board: Board) -> Content:
     differ = verdicts[verdicts.nunique(axis=1) > 1]
     if differ.empty:
         return None
-    pages = {(each.packer, each.plan_id): each for each in board.told}
+    pages = {(story.packer, story.plan_id): story for story in board.told}
     rows: list[list[Content]] = []
     for plan_id, row in differ.head(MOST_ORDERS).iterrows():
         cells: list[Content] = []
         for name in names:
-            told, verdict = pages.get((name, str(plan_id))), str(row[name])
-            said = "no plan" if verdict == MISSING else verdict
-            cells.append(_link(told, said) if told else element("span", said, class_=f"mark {verdict}"))
+            board_story, verdict = pages.get((name, str(plan_id))), str(row[name])
+            label = "no plan" if verdict == MISSING else verdict
+            cells.append(_link(board_story, label) if board_story else element("span", label, class_=f"mark {verdict}"))
         rows.append([str(plan_id), *cells])
     more = len(differ) - MOST_ORDERS
     rest = element("p", f"{counted(more, 'order')} more.", class_="hint") if more > 0 else None

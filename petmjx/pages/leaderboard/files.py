@@ -79,7 +79,7 @@ class BoardFolder:
         self._overwrite = overwrite or bool(self._before.get(UNFINISHED))
         if before is None and folder.is_dir():
             with writing(folder):
-                first = min((each.name for each in folder.iterdir()), default=None)
+                first = min((path.name for path in folder.iterdir()), default=None)
             if first is not None:
                 raise InputError(
                     f"{printable(str(folder))}: has {shown(first)} in it; name a new folder for the leaderboard"
@@ -144,7 +144,7 @@ def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
         return
     listed = board.get(FILES)
     if listed is None:
-        pages = [each.get("file") for each in _tables(board.get("stories"))]
+        pages = [story.get("file") for story in _tables(board.get("stories"))]
         plans = board.get("plans_sha256")
         names = list(plans) if isinstance(plans, dict) else []
         listed = [PAGE, DATA, ORDERS, *(f"{PLANS}/{name}.json" for name in names), *pages]
@@ -154,7 +154,7 @@ def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _tables(value: Any) -> list[dict[str, Any]]:
-    return [each for each in value if isinstance(each, dict)] if isinstance(value, list) else []
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
 
 
 def _is_a_board_file(name: str) -> bool:

@@ -89,9 +89,9 @@ def leaderboard(
     source = None if orders is None else path_of(orders, "orders")
     if baselines and source is None:
         raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack them")
-    if baselines and (taken := next((name for name in paths if name in PACKERS), None)):
+    if baselines and (clash := next((name for name in paths if name in PACKERS), None)):
         raise InputError(
-            f"{taken}: {option('--baselines')} has a packer of this name; give yours another, as NAME=PATH"
+            f"{clash}: {option('--baselines')} has a packer of this name; give yours another, as NAME=PATH"
         )
     keeps_orders = source is not None and not _is_same(source, folder / ORDERS)
     packed = [*(PACKERS if baselines else ()), *paths]
@@ -153,11 +153,11 @@ def _rated(
     opened({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
-    wanted = None if orders is None else {order_id for order_id, _ in read_orders(orders, lambda error: None)}
+    order_ids = None if orders is None else {order_id for order_id, _ in read_orders(orders, lambda error: None)}
     samples = {
         entry.name: Sample(entry.name, "", exact=True)
         if entry.scored
-        else sample_entry(entry, replays, sim, run_options, wanted)
+        else sample_entry(entry, replays, sim, run_options, order_ids)
         for entry in entries
     }
     while True:
@@ -165,18 +165,20 @@ def _rated(
         if not left:
             lines = "; ".join(sample.refusal for sample in samples.values())
             raise InputError(f"no packer is left to rate: {lines}")
-        found = comparison_of({entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders)
-        told, seen = _stories(left, found, folder / STORIES, stories)
+        comparison = comparison_of({entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders)
+        board_stories, seen = _stories(left, comparison, folder / STORIES, stories)
         samples |= {name: samples[name].with_replays(more) for name, more in seen.items()}
         if not any(samples[entry.name].refusal for entry in left):
             kept = [sample for name, sample in samples.items() if sample.replays or sample.fault]
-            return _Rated(left, found, told, sim, [each for each in kept if each.engine or each.refusal])
+            return _Rated(
+                left, comparison, board_stories, sim, [sample for sample in kept if sample.engine or sample.refusal]
+            )
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
     """The options of the board: those given; else those of its runs, if all have the same."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
-    if of_simulation or not isinstance(settings[0], Mapping) or any(each != settings[0] for each in settings):
+    if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
     return Simulation.read(settings[0])
 
@@ -207,24 +209,24 @@ def _digest(file: Path) -> str:
 
 
 def _stories(
-    entries: Sequence[Entry], found: PackerComparison, folder: Path, most: int
+    entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[Told], dict[str, list[Replay]]]:
     """Tell some plans of each packer, each simulated again as its run did. Also what that says of the verdicts of each
     packer's run."""
     folder.mkdir(exist_ok=True)
-    told: list[Told] = []
+    stories: list[Told] = []
     seen: dict[str, list[Replay]] = {}
-    claimed = found.plans.set_index(["packer", "plan_id"])["verdict"]
+    claimed = comparison.plans.set_index(["packer", "plan_id"])["verdict"]
     for number, entry in enumerate(entries, start=1):
-        for plan_id in worth_telling(found, entry.name, entry.plans)[:most]:
+        for plan_id in worth_telling(comparison, entry.name, entry.plans)[:most]:
             story = tell(plan_id, entry.run, plans=[entry.plans[plan_id]])
-            file = folder / f"{number}-{sum(each.packer == entry.name for each in told) + 1}.html"
+            file = folder / f"{number}-{sum(earlier.packer == entry.name for earlier in stories) + 1}.html"
             with whole_file(file) as page:
                 page.write_text(story_page(story), encoding="utf-8", errors="backslashreplace")
-            told.append(Told(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
+            stories.append(Told(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
             replay = Replay.of(plan_id, str(claimed[entry.name, plan_id]), story.outcome)
             seen.setdefault(entry.name, []).append(replay)
-    return told, seen
+    return stories, seen
 
 
 def worth_telling(found: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:

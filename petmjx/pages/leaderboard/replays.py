@@ -83,8 +83,8 @@ class Sample:
 
     def with_replays(self, more: Collection[Replay]) -> Sample:
         """With further plans; one that is there already counts once."""
-        known = {each.plan_id for each in self.replays}
-        return replace(self, replays=(*self.replays, *(each for each in more if each.plan_id not in known)))
+        known = {replay.plan_id for replay in self.replays}
+        return replace(self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in known)))
 
     @property
     def refusal(self) -> str:
@@ -93,8 +93,8 @@ class Sample:
         A verdict that is not near a threshold is wrong if it comes from the same engine, and if it is one of several
         that come from another engine. Of verdicts that are near one, more than half must be the run's.
         """
-        differing = [each for each in self.replays if each.differs]
-        firm = [each for each in differing if not each.near]
+        differing = [replay for replay in self.replays if replay.differs]
+        firm = [replay for replay in differing if not replay.near]
         most = 2 * len(differing) > len(self.replays) and len(differing) > 1
         if not (self.fault or len(firm) > 1 or (firm and self.exact) or most):
             return ""
@@ -111,7 +111,7 @@ class Sample:
     @property
     def note(self) -> str:
         """A line on verdicts that differ and prove nothing; "" where there is none."""
-        differing = [each.plan_id for each in self.replays if each.differs]
+        differing = [replay.plan_id for replay in self.replays if replay.differs]
         if not differing or self.refusal:
             return ""
         verb = "has" if len(differing) == 1 else "have"
@@ -120,8 +120,8 @@ class Sample:
 
     def to_dict(self) -> dict[str, Any]:
         """As plain values."""
-        differing = [each.plan_id for each in self.replays if each.differs]
-        plans = [each.plan_id for each in self.replays]
+        differing = [replay.plan_id for replay in self.replays if replay.differs]
+        plans = [replay.plan_id for replay in self.replays]
         return {"packer": self.packer, "engine": self.engine, "plans": plans, "differ": differing}
 
 
@@ -145,15 +145,15 @@ def sample_entry(
     worlds = entry.run.worlds
     worlds = worlds[worlds["variant"] == 0].set_index("plan_id")
     counted_ids = [name for name in worlds.index if wanted is None or name in wanted]
-    if counted_ids and not (found := [name for name in counted_ids if name in entry.plans]):
+    if counted_ids and not (kept_ids := [name for name in counted_ids if name in entry.plans]):
         return replace(sample, fault="its plans were not found again, so none can be simulated again")
     if not counted_ids or not most:
         return sample
-    if wrong := [name for name in found if worlds.at[name, "n_boxes"] != entry.plans[name].n_boxes]:
+    if wrong := [name for name in kept_ids if worlds.at[name, "n_boxes"] != entry.plans[name].n_boxes]:
         boxes = counted(entry.plans[wrong[0]].n_boxes, "box", "boxes")
-        said = f"{worlds.at[wrong[0], 'n_boxes']:,} in the run"
-        return replace(sample, fault=f"plan {shown(wrong[0])} has {boxes}, and {said}")
-    claimed = worlds.loc[found, "verdict"].to_dict()
+        run_count = f"{worlds.at[wrong[0], 'n_boxes']:,} in the run"
+        return replace(sample, fault=f"plan {shown(wrong[0])} has {boxes}, and {run_count}")
+    claimed = worlds.loc[kept_ids, "verdict"].to_dict()
     drawn = _drawn(claimed)
     for _ in range(2):
         chosen, drawn = drawn[:most], drawn[most:]
@@ -164,7 +164,7 @@ def sample_entry(
         sample = replace(sample, engine=used, exact=exact).with_replays(
             [_replay(name, claimed[name], rows.loc[name]) for name in chosen if name in rows.index]
         )
-        if not drawn or sample.refusal or not any(each.differs for each in sample.replays):
+        if not drawn or sample.refusal or not any(replay.differs for replay in sample.replays):
             break
     return sample
 
@@ -183,10 +183,12 @@ def _drawn(claimed: Mapping[str, str]) -> list[str]:
 def _simulate(plans: Sequence[Any], sim: Simulation, options: RunOptions, engine: Any) -> Any:
     """Score plans; where the run's engine cannot run here, on ``mujoco``."""
     named = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
-    for each in dict.fromkeys((named, "mujoco")):
+    for candidate in dict.fromkeys((named, "mujoco")):
         try:
-            return simulate(partial(Nominal, sim), sim, list(plans), RunOptions(engine=each, threads=options.threads))
+            return simulate(
+                partial(Nominal, sim), sim, list(plans), RunOptions(engine=candidate, threads=options.threads)
+            )
         except EngineUnavailable:
-            if each == "mujoco" or "engine" in options.model_fields_set:
+            if candidate == "mujoco" or "engine" in options.model_fields_set:
                 raise
     raise AssertionError("mujoco runs everywhere")

@@ -100,9 +100,9 @@ def _files(run: ReportRun) -> Content:
     plans = run.results.plans
     if plans.empty:
         return "unknown"
-    each = plans["source"].value_counts(sort=False)
+    counts = plans["source"].value_counts(sort=False)
     items = [
-        element("li", f"{source or 'plans given in Python'}: {counted(int(n), 'plan')}") for source, n in each.items()
+        element("li", f"{source or 'plans given in Python'}: {counted(int(n), 'plan')}") for source, n in counts.items()
     ]
     more = element("li", f"{len(items) - MOST_LINES:,} more files") if len(items) > MOST_LINES else NOTHING
     return element("ul", *items[:MOST_LINES], more)

@@ -107,8 +107,8 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
     for at, part in table.groupby("run", sort=True):
         run = runs[int(at)]
         sim = simulation_of(run.info)
-        wanted = (*KEY, "box", "item_id", "article", *_NUMBERS)
-        boxes = rows_of_worlds(run.results, "boxes", part[KEY], wanted).sort_values([*KEY, "box"], kind="stable")
+        columns = (*KEY, "box", "item_id", "article", *_NUMBERS)
+        boxes = rows_of_worlds(run.results, "boxes", part[KEY], columns).sort_values([*KEY, "box"], kind="stable")
         places = boxes.reset_index().groupby(KEY, sort=False).indices
         numbers = boxes[[*_NUMBERS]].to_numpy(np.float64)
         names = list(zip(boxes["item_id"], boxes["article"], strict=True))
@@ -125,9 +125,9 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
     """The options of a run; the defaults where it does not say them, or has them in the form of an older petmjx."""
-    said = info.get("config", {}).get("simulation")
+    settings = info.get("config", {}).get("simulation")
     try:
-        return Simulation.read(said) if isinstance(said, Mapping) else Simulation()
+        return Simulation.read(settings) if isinstance(settings, Mapping) else Simulation()
     except InputError:
         return Simulation()
 

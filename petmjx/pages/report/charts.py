@@ -202,17 +202,17 @@ def stacked(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]
     for at, (name, parts) in enumerate(rows):
         y = at * TALL_ROW
         marks.append(_row_name(name, y + 13))
-        whole = sum(count for _, count, _ in parts) or 1
+        total = sum(count for _, count, _ in parts) or 1
         left = 0.0
         for class_, count, meaning in parts:
             if not count:
                 continue
-            wide = WIDTH * count / whole
-            said = f"{count:,}"
-            inside = element("text", said, x=left + wide / 2, y=y + 31, text_anchor="middle", class_="on")
+            wide = WIDTH * count / total
+            label = f"{count:,}"
+            inside = element("text", label, x=left + wide / 2, y=y + 31, text_anchor="middle", class_="on")
             rect = element("rect", x=left, y=y + 18, width=max(wide - 1, 0.5), height=18, class_=f"fill {class_}")
-            fits = wide > (LETTER + 2) * len(said)
-            marks.append(element("g", element("title", f"{said} {meaning}"), rect, inside if fits else None))
+            fits = wide > (LETTER + 2) * len(label)
+            marks.append(element("g", element("title", f"{label} {meaning}"), rect, inside if fits else None))
             left += wide
     return drawing(title, WIDTH, len(rows) * TALL_ROW + 4, *marks)
 
@@ -262,9 +262,9 @@ def rose(title: str, directions_deg: FloatArray, quantiles: Mapping[str, FloatAr
     for at, angle in enumerate(turn.tolist()):
         value = float(np.nan_to_num(quantiles["middle"][at]))
         radius = reach * min(value / top, 1.0)
-        told = element("title", f"{directions_deg[at]:g}°: median {three_digits(value)} {unit}")
+        tooltip = element("title", f"{directions_deg[at]:g}°: median {three_digits(value)} {unit}")
         x, y = centre + radius * math.cos(angle), centre - radius * math.sin(angle)
-        marks.append(element("circle", told, cx=x, cy=y, r=4, class_="dot"))
+        marks.append(element("circle", tooltip, cx=x, cy=y, r=4, class_="dot"))
     for ring in range(1, ROSE_RINGS + 1):
         radius = reach * ring / ROSE_RINGS
         label = f"{three_digits(top * ring / ROSE_RINGS)} {unit if ring == ROSE_RINGS else ''}".strip()

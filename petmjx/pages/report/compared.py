@@ -37,8 +37,8 @@ def compared(runs: Sequence[ReportRun]) -> Markup:
         drawn, differences = _won_and_lost(runs, common)
         parts += [element("div", _rates(runs, common), drawn, class_="charts"), differences]
     if len(runs) == 2:
-        found = compare_runs(runs[0].results, runs[1].results, packers=True)
-        parts.append(_two(runs, found, common.index.get_level_values("plan_id").nunique()))
+        comparison = compare_runs(runs[0].results, runs[1].results, packers=True)
+        parts.append(_two(runs, comparison, common.index.get_level_values("plan_id").nunique()))
     return joined(*parts)
 
 
@@ -88,8 +88,8 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
         ]
         rows.append((f"{runs[a].name} – {runs[b].name}", parts))
         low, high = (f"{100 * bound:+.1f}".replace("-", "−") for bound in newcombe_interval(counts))
-        said = f"{100 * counts.difference:+.1f}".replace("-", "−") if counts.n else "–"
-        differences.append([f"{runs[b].name} − {runs[a].name}", said, f"{low} to {high}"])
+        difference = f"{100 * counts.difference:+.1f}".replace("-", "−") if counts.n else "–"
+        differences.append([f"{runs[b].name} − {runs[a].name}", difference, f"{low} to {high}"])
     key = element(
         "p",
         *(
@@ -116,30 +116,30 @@ def paired(a: pd.Series, b: pd.Series) -> PairedCounts:
     judged = (a != Verdict.INVALID.value) & (b != Verdict.INVALID.value)
     stands_a, stands_b = (verdicts[judged] == Verdict.STABLE.value for verdicts in (a, b))
     counts = (stands_a & stands_b, stands_a & ~stands_b, ~stands_a & stands_b, ~stands_a & ~stands_b)
-    return PairedCounts(*(int(each.sum()) for each in counts))
+    return PairedCounts(*(int(mask.sum()) for mask in counts))
 
 
-def _two(runs: Sequence[ReportRun], found: Comparison, n_plans: int) -> Markup:
+def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
     """Confusion of verdicts, and flips side by side. ``n_plans`` are in both runs, if with other boxes."""
     a, b = (run.name for run in runs)
-    rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in found.confusion.iterrows()]
-    agree = percent(found.agreement) if found.agreement is not None else "–"
-    caption = f"Verdicts: {found.n_agree:,} of {counted(found.n_common, 'world')} agree ({agree})"
-    notes = [element("li", note) for note in found.notes]
-    said = ""
-    if found.n_not_stable:
-        said = f"Of {counted(found.n_not_stable, 'world')} that neither calls stable, {found.same_reason:,} have the "
-        said += "same reason"
-        said += "." if found.other_plans else f" and {found.same_culprit:,} the same first box."
-    differ = _how_plans_differ(len(found.other_plans), n_plans)
+    rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in pair.confusion.iterrows()]
+    agree = percent(pair.agreement) if pair.agreement is not None else "–"
+    caption = f"Verdicts: {pair.n_agree:,} of {counted(pair.n_common, 'world')} agree ({agree})"
+    notes = [element("li", note) for note in pair.notes]
+    text = ""
+    if pair.n_not_stable:
+        text = f"Of {counted(pair.n_not_stable, 'world')} that neither calls stable, {pair.same_reason:,} have the "
+        text += "same reason"
+        text += "." if pair.other_plans else f" and {pair.same_culprit:,} the same first box."
+    differ = _how_plans_differ(len(pair.other_plans), n_plans)
     return joined(
         element("h3", f"{a} (a) against {b} (b)"),
         element("p", differ, class_="hint") if differ else NOTHING,
         element("ul", *notes, class_="lines warn") if notes else NOTHING,
-        table([f"{a} ↓ {b} →", *map(str, found.confusion.columns)], rows, caption=caption),
-        element("p", said) if said else NOTHING,
-        _only(found, a, b),
-        _flips(runs, found),
+        table([f"{a} ↓ {b} →", *map(str, pair.confusion.columns)], rows, caption=caption),
+        element("p", text) if text else NOTHING,
+        _only(pair, a, b),
+        _flips(runs, pair),
     )
 
 
@@ -151,17 +151,17 @@ def _how_plans_differ(n_other: int, n_plans: int) -> str:
     return f"{n_other:,} of {counted(n_plans, 'plan')} {'is' if n_other == 1 else 'are'} not the same in both runs."
 
 
-def _only(found: Comparison, a: str, b: str) -> Markup:
-    said = [
+def _only(pair: Comparison, a: str, b: str) -> Markup:
+    parts = [
         f"{counted(len(frame), 'world')} only in {name}"
-        for name, frame in ((a, found.only_a), (b, found.only_b))
+        for name, frame in ((a, pair.only_a), (b, pair.only_b))
         if len(frame)
     ]
-    return element("p", "; ".join(said) + ".", class_="hint") if said else NOTHING
+    return element("p", "; ".join(parts) + ".", class_="hint") if parts else NOTHING
 
 
-def _flips(runs: Sequence[ReportRun], found: Comparison) -> Markup:
-    flips = found.flips
+def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
+    flips = pair.flips
     if flips.empty:
         return element("p", "No verdict flipped.")
     rows: list[list[Content]] = []
@@ -173,14 +173,14 @@ def _flips(runs: Sequence[ReportRun], found: Comparison) -> Markup:
         cells += [_margin(row[f"margin_{side}"]) for side in "ab"]
         rows.append(cells)
     a, b = (run.name for run in runs)
-    said = f"Flipped verdicts ({len(flips):,})"
-    said += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if found.other_plans else found.flips_within  # says how alike two simulations of one plan are
+    caption = f"Flipped verdicts ({len(flips):,})"
+    caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
+    within = None if pair.other_plans else pair.flips_within  # says how alike two simulations of one plan are
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )
     return joined(
-        table(["plan", a, b, f"margin, {a}", f"margin, {b}"], rows, caption=said, texts=3),
+        table(["plan", a, b, f"margin, {a}", f"margin, {b}"], rows, caption=caption, texts=3),
         element("p", note, " A click shows both in 3D, side by side.", class_="hint"),
     )
 

@@ -63,8 +63,8 @@ class Quantity:
 
     def limit(self, thresholds: Thresholds) -> float | None:
         """The threshold of this metric, in the unit of the label."""
-        found = {"max_shift_m": thresholds.shift_m * MM_PER_M, "max_tilt_deg": thresholds.tilt_deg}
-        return found.get(self.column)
+        limits = {"max_shift_m": thresholds.shift_m * MM_PER_M, "max_tilt_deg": thresholds.tilt_deg}
+        return limits.get(self.column)
 
 
 SHIFT: Final = Quantity("max_shift_m", "Shift", "largest shift, mm", MM_PER_M, 0.5, "< 1")
@@ -110,9 +110,9 @@ def distributions(run: ReportRun) -> Markup:
     return joined(*parts)
 
 
-def _histogram(metric: Quantity, worlds: pd.DataFrame, limits: Thresholds, what: str) -> Markup:
+def _histogram(metric: Quantity, worlds: pd.DataFrame, limits: Thresholds, y_label: str) -> Markup:
     values = metric.of(worlds)
-    frame = Frame(f"{metric.title}: histogram", metric.scale(values), Scale(0, 1), metric.label, what)
+    frame = Frame(f"{metric.title}: histogram", metric.scale(values), Scale(0, 1), metric.label, y_label)
     histogram(frame, values, worlds["verdict"], ORDER, metric.limit(limits))
     _limit(frame, metric, limits)
     missing = int(values.isna().sum())
@@ -150,11 +150,11 @@ def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
     judged = worlds[(worlds["verdict"] != Verdict.INVALID.value) & size.of(worlds).notna()]
     x = size.of(judged).to_numpy(np.float64)
     stands = (judged["verdict"] == Verdict.STABLE.value).to_numpy()
-    found = np.array(list(_grouped(x, stands))).reshape(-1, 4)
+    groups = np.array(list(_grouped(x, stands))).reshape(-1, 4)
     title = f"Share that stands against {size.title}"
     frame = Frame(title, size.across(size.of(worlds)), Scale(0, 1), size.label, "stand", y_percent=True)
-    middle, share, low, high = found.T
-    missing = np.full(len(found), np.nan)
+    middle, share, low, high = groups.T
+    missing = np.full(len(groups), np.nan)
     share_curve(frame, middle, share, *((low, high) if one_each else (missing, missing)))
     return figure(
         title, frame.svg(), ("Band: Wilson 95 %; " if one_each else "") + "points: groups of about equal size."

@@ -181,11 +181,11 @@ def _came_out(run: ReportRun) -> Markup:
 def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     """Sections that some runs have: name, title, content."""
     title = "How sure are the verdicts?" if run.kind is Kind.CONFIDENCE else "Answers of the sweep"
-    found = [("answers", title, sweep_answers(run))]
+    sections = [("answers", title, sweep_answers(run))]
     if run.kind is not Kind.SEARCH:  # its worlds say where it looked, and not how pallets do
-        found.append(("distributions", "Shift, tilt, force, time", distributions(run)))
-        found.append(("first", "What fails first", first_boxes(run)))
-    return [each for each in found if each[2]]
+        sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
+        sections.append(("first", "What fails first", first_boxes(run)))
+    return [section for section in sections if section[2]]
 
 
 def _table_section(notes: Sequence[str]) -> Markup:

@@ -38,17 +38,17 @@ def find_plans_again(run: RunResults, given: Sequence[Path] = ()) -> FoundPlans:
         records = Manifest.read(run.parts, run.info).plans
     except InputError as error:
         return FoundPlans({}, str(error))
-    wanted = set(run.worlds["plan_id"].unique())
-    found = find_plans(run, records, wanted, list(given) or None)
-    return FoundPlans(found.plans, _note(found, len(wanted)))
+    plan_ids = set(run.worlds["plan_id"].unique())
+    plans_again = find_plans(run, records, plan_ids, list(given) or None)
+    return FoundPlans(plans_again.plans, _note(plans_again, len(plan_ids)))
 
 
-def _note(found: PlansAgain, wanted: int) -> str:
-    not_found = len(found.missing) + len(found.changed)
+def _note(plans_again: PlansAgain, n_plans: int) -> str:
+    not_found = len(plans_again.missing) + len(plans_again.changed)
     if not not_found:
         return ""
-    why = [f"{counted(len(found.changed), 'plan')} changed since"] if found.changed else []
-    if found.gone:
-        why.append(f"gone: {first_names(found.gone, MOST_FILES_NAMED)}")
-    told = f" ({'; '.join(why)})" if why else ""
-    return f"{counted(not_found, 'plan')} of {wanted:,} not found again{told}"
+    why = [f"{counted(len(plans_again.changed), 'plan')} changed since"] if plans_again.changed else []
+    if plans_again.gone:
+        why.append(f"gone: {first_names(plans_again.gone, MOST_FILES_NAMED)}")
+    reasons = f" ({'; '.join(why)})" if why else ""
+    return f"{counted(not_found, 'plan')} of {n_plans:,} not found again{reasons}"

@@ -64,14 +64,14 @@ def replays(
 
 def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
     """(rows of the table,) poses that were recorded of each world."""
-    found = np.zeros(len(table), dtype=np.int64)
+    counts = np.zeros(len(table), dtype=np.int64)
     for at, run in enumerate(runs):
         if not run.results.parts.files("frames"):
             continue
         frames = run.results.frames.groupby(KEY)["n_placed"].sum().rename("poses")
         rows = np.flatnonzero(table["run"] == at)
-        found[rows] = table.iloc[rows][KEY].merge(frames, on=KEY, how="left")["poses"].fillna(0).to_numpy(np.int64)
-    return found
+        counts[rows] = table.iloc[rows][KEY].merge(frames, on=KEY, how="left")["poses"].fillna(0).to_numpy(np.int64)
+    return counts
 
 
 def _frames(history: History) -> dict[str, NDArray[Any] | Packed]:

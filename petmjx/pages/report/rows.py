@@ -138,19 +138,21 @@ def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
 
 def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
     """Two runs' worlds with the column ``OTHER``: the same world's verdict in the other run, "" where it has none."""
-    found = []
+    tables = []
     for one, two in zip(frames, runs[::-1], strict=True):
         other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
-        found.append(one.assign(**{OTHER: other.to_numpy()}))
-    return found
+        tables.append(one.assign(**{OTHER: other.to_numpy()}))
+    return tables
 
 
-def _add_parameters(rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, wanted: Callable[[str], bool]) -> None:
+def _add_parameters(
+    rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
+) -> None:
     """Columns that sweeps add: parameters of variants, or what became of them."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     known = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
-        if not wanted(name) or name not in frame or name in known or frame[name].nunique() == 0:
+        if not condition(name) or name not in frame or name in known or frame[name].nunique() == 0:
             continue
         unit = units.get(name, "")
         label = name.removesuffix(f"_{unit}").replace("_", " ")
@@ -191,7 +193,7 @@ def _add_texts(rows: Rows, key: str, label: str, values: pd.Series, kind: str = 
     rows.arrays[key] = whole(places.astype(np.int64))
 
 
-def _add_choice(rows: Rows, key: str, label: str, values: pd.Series, wanted: bool, meaning: str = "") -> None:
+def _add_choice(rows: Rows, key: str, label: str, values: pd.Series, is_shown: bool, meaning: str = "") -> None:
     """A column whose values are chosen from a list; empty texts are no value."""
-    if wanted and (values.fillna("") != "").any():
+    if is_shown and (values.fillna("") != "").any():
         _add_texts(rows, key, label, values.where(values != ""), "choice", meaning)

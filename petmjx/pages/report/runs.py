@@ -79,36 +79,36 @@ class ReportRun:
         plans = self.found.plans
         codes, plan_ids = pd.factorize(worlds["plan_id"])
         nothing = float("nan"), float("nan")
-        sizes = [_height_and_mass(plans[each]) if each in plans else nothing for each in plan_ids.tolist()]
+        sizes = [_height_and_mass(plans[plan_id]) if plan_id in plans else nothing for plan_id in plan_ids.tolist()]
         height_m, mass_kg = np.array(sizes).reshape(-1, 2)[codes].T
         first = self._first_articles(worlds["culprit"], codes, plan_ids.tolist())
         return worlds.assign(height_m=height_m, mass_kg=mass_kg, first_article=first)
 
     def _first_articles(self, culprit: pd.Series, codes: NDArray[np.int64], plan_ids: list[str]) -> NDArray[np.object_]:
         """(worlds,) what the first box is of; ``codes``: places of their plans in ``plan_ids``."""
-        found = np.full(len(codes), "", dtype=object)
+        first_articles = np.full(len(codes), "", dtype=object)
         falls = np.flatnonzero(culprit.notna().to_numpy())
         of_plan = self.articles({plan_ids[code] for code in np.unique(codes[falls]).tolist()})
         lists = [of_plan.get(plan_id, ()) for plan_id in plan_ids]
-        counts = np.array([len(each) for each in lists], dtype=np.int64)
-        flat = np.array([article for each in lists for article in each], dtype=object)
+        counts = np.array([len(articles) for articles in lists], dtype=np.int64)
+        flat = np.array([article for articles in lists for article in articles], dtype=object)
         falls = falls[counts[codes[falls]] > 0]
         starts = np.cumsum(counts) - counts
-        found[falls] = flat[starts[codes[falls]] + culprit.iloc[falls].to_numpy(np.int64)]
-        return found
+        first_articles[falls] = flat[starts[codes[falls]] + culprit.iloc[falls].to_numpy(np.int64)]
+        return first_articles
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
         """The articles of plans' boxes in packing order; where neither plans nor boxes are there, a plan has none."""
-        found: dict[str, Sequence[str]] = {
+        articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.found.plans.items() if plan_id in plan_ids
         }
-        missing = {*plan_ids} - {*found}
+        missing = {*plan_ids} - {*articles_by_plan}
         if missing and self.results.keeps_boxes:
             worlds = self.results.worlds[KEY]
             first = worlds[worlds["plan_id"].isin(missing)].drop_duplicates("plan_id")
             boxes = rows_of_worlds(self.results, "boxes", first, ("plan_id", "article"))
-            found |= {str(plan_id): rows.tolist() for plan_id, rows in boxes.groupby("plan_id")["article"]}
-        return found
+            articles_by_plan |= {str(plan_id): rows.tolist() for plan_id, rows in boxes.groupby("plan_id")["article"]}
+        return articles_by_plan
 
     @cached_property
     def axes(self) -> list[str]:

@@ -92,12 +92,12 @@ class Scale:
             return [(at * step, _label(at * step, step)) for at in range(first, last + 1)]
         decades = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
         thin = max(1, math.ceil(len(decades) / MOST_TICKS))
-        found = [(10.0**power, f"{10.0**power:g}") for power in decades if power % thin == 0]
+        ticks = [(10.0**power, f"{10.0**power:g}") for power in decades if power % thin == 0]
         if self.lowest:
             apart = math.log10(self.high / self.low) / 12
-            found = [(value, text) for value, text in found if math.log10(value / self.low) > apart]
-            found.insert(0, (self.low, self.lowest))
-        return found
+            ticks = [(value, text) for value, text in ticks if math.log10(value / self.low) > apart]
+            ticks.insert(0, (self.low, self.lowest))
+        return ticks
 
 
 def round_step(step: float) -> float:
@@ -165,7 +165,7 @@ class Frame:
         scale = self.y if across else self.x
         if not scale.low <= value <= scale.high:
             return
-        (px,), (py,) = (np.atleast_1d(each) for each in self.at(value, value))
+        (px,), (py,) = (np.atleast_1d(coordinate) for coordinate in self.at(value, value))
         ends = (LEFT, py, self.width - RIGHT, py) if across else (px, TOP, px, self.height - BOTTOM)
         names = ("x1", "y1", "x2", "y2")
         self.add(element("line", **dict(zip(names, map(float, ends), strict=True)), class_="limit"))

@@ -63,7 +63,7 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
     matters = importance(worlds, run.axes, summary)
     if len(matters) > 1:
         charts.append(_importance_chart(matters))
-    charts += [_rose_figure(*each) for each in _grid_roses(run)]
+    charts += [_rose_figure(*arguments) for arguments in _grid_roses(run)]
     return element("div", *charts, class_="charts")
 
 
@@ -75,9 +75,9 @@ def _listed(summary: pd.DataFrame, axis: str) -> bool:
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
     """Shares along a numeric axis: with the run's own interval over random draws, else with one over plans."""
-    own, plans = (_rows(frame, axis) for frame in (summary, over_plans))
-    drawn = bool(own["low"].notna().all())
-    rows = own if drawn else plans
+    draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
+    drawn = bool(draws["low"].notna().all())
+    rows = draws if drawn else plans
     x = rows["value"].astype("float64").to_numpy()
     order = np.argsort(x)
     unit = run.results.units("worlds").get(axis, "")
@@ -140,17 +140,17 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
             shares = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "share"]
             spread = shares.max() - shares.min()
         rows.append({"axis": axis, "spread": spread, "explained": explained(stands, keys)})
-    found = pd.DataFrame(rows, columns=["axis", "spread", "explained"])
-    return found.sort_values("explained", ascending=False, ignore_index=True)
+    table = pd.DataFrame(rows, columns=["axis", "spread", "explained"])
+    return table.sort_values("explained", ascending=False, ignore_index=True)
 
 
 def explained(values: pd.Series, keys: pd.Series) -> float:
     """Correlation ratio η² of values in groups: variance between groups over all variance; NaN without any."""
-    whole = float(((values - values.mean()) ** 2).sum())
-    if whole <= 0:
+    total = float(((values - values.mean()) ** 2).sum())
+    if total <= 0:
         return float("nan")
     groups = values.groupby(keys).agg(["mean", "size"])
-    return float((groups["size"] * (groups["mean"] - values[keys.notna()].mean()) ** 2).sum()) / whole
+    return float((groups["size"] * (groups["mean"] - values[keys.notna()].mean()) ** 2).sum()) / total
 
 
 def _importance_chart(matters: pd.DataFrame) -> Markup:
@@ -204,9 +204,9 @@ def _rose_figure(title: str, unit: str, largest: pd.DataFrame, top: float) -> Ma
     def at(share: float) -> FloatArray:
         return np.asarray(by.quantile(share).reindex(directions), dtype=np.float64)
 
-    found = {"low": at(0.25), "middle": at(0.5), "high": at(0.75)}
-    reach = ROSE_RINGS * round_step(float(np.nanmax(found["high"], initial=top / 10)) / ROSE_RINGS)
-    picture = rose(title, directions, found, reach, unit)
+    quantiles = {"low": at(0.25), "middle": at(0.5), "high": at(0.75)}
+    reach = ROSE_RINGS * round_step(float(np.nanmax(quantiles["high"], initial=top / 10)) / ROSE_RINGS)
+    picture = rose(title, directions, quantiles, reach, unit)
     n = counted(int(largest["plan_id"].nunique()), "plan")
     return figure(f"{title} by direction", picture, f"{ROSE} {n}; tested up to {top:g} {unit}.")
 
@@ -257,7 +257,7 @@ def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -
     values = {axis: explained(levels["largest"], keys) for axis, keys in axes.items()}
     rows = [
         Bar(axis, 0.0 if pd.isna(value) else value, percent(value))
-        for axis, value in sorted(values.items(), key=lambda each: -np.nan_to_num(each[1]))
+        for axis, value in sorted(values.items(), key=lambda entry: -np.nan_to_num(entry[1]))
     ]
     note = f"Part of the variance of the largest {name} between the values of that axis (η²)."
     yield figure("Which axis matters most", bars("Which axis matters most", rows), note)
@@ -299,14 +299,15 @@ def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
     histogram(frame, known["share"].astype("float64"), known["verdict"], [verdict.value for verdict in Verdict])
     tosses = summary.loc[summary["coin_toss"].astype(bool), "plan_id"].tolist()
     links = [
-        element("li", element("a", str(each), href=f"#{plan_link(run, str(each))}")) for each in tosses[:MOST_NAMED]
+        element("li", element("a", str(plan_id), href=f"#{plan_link(run, str(plan_id))}"))
+        for plan_id in tosses[:MOST_NAMED]
     ]
     more = element("li", f"{len(tosses) - MOST_NAMED:,} more") if len(tosses) > MOST_NAMED else NOTHING
-    said = f"{counted(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: one half is in the 95 % interval."
+    line = f"{counted(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: one half is in the 95 % interval."
     missed, fell = (int(summary[name].sum()) if name in summary else 0 for name in ("n_not_placed", "n_fell"))
     why = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."
     return joined(
-        element("p", said),
+        element("p", line),
         element("p", why) if missed else NOTHING,
         element("ul", *links, more, class_="names") if tosses else NOTHING,
         element("div", figure(frame.title, frame.svg(), "Coloured by the verdict without errors."), class_="charts"),

@@ -93,5 +93,5 @@ def _of_search(summary: pd.DataFrame) -> Iterator[Markup]:
             yield _card(f"{answers[column].fillna(0.0).median():.3g}", name)
 
 
-def _card(number: str, what: str, class_: str = "") -> Markup:
-    return element("div", element("b", number), element("span", what), class_=f"card {class_}".strip())
+def _card(number: str, label: str, class_: str = "") -> Markup:
+    return element("div", element("b", number), element("span", label), class_=f"card {class_}".strip())

@@ -120,10 +120,10 @@ def generate_one(
     return plan_id, placements
 
 
-def loose_share_of(packer: str | None, asked: float | None = None) -> float:
+def loose_share_of(packer: str | None, share: float | None = None) -> float:
     """The share of plans that is packed loosely: what is asked for, else none of a packer that is named."""
-    if asked is not None:
-        return asked
+    if share is not None:
+        return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0
 
 
@@ -260,12 +260,12 @@ def _pack(
 
 def left_out_of(order_id: str, order: Order, placed: Iterable[Placed], why: str = "") -> LeftOut | None:
     """What a packing leaves out of an order; None: nothing."""
-    there = Counter(box.item for box in placed)
+    counts = Counter(box.item for box in placed)
     missing = []
     # drawn orders have no numbers of their own: their items count from 1
     for number, item in zip(order.numbers or range(1, len(order.items) + 1), order.items, strict=True):
-        there[item] -= 1
-        if there[item] < 0:
+        counts[item] -= 1
+        if counts[item] < 0:
             missing.append(number)
     return LeftOut(order_id, len(order.items), tuple(missing), why) if missing else None
 

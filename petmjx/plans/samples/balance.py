@@ -142,21 +142,21 @@ class Balance:
         let_down = rest or self._let_down(corner_mm, base_mm, mass_kg)
         if let_down is None:  # on nothing
             return Margins(let_down, -FAR_M, FAR_M)
-        own = pile = FAR_M
+        box_margin = pile = FAR_M
         if len(let_down.planes):
-            own = margin_m(base_mm) - float((let_down.planes @ let_down.load).max()) / mass_kg
+            box_margin = margin_m(base_mm) - float((let_down.planes @ let_down.load).max()) / mass_kg
         if len(self._planes) and let_down.passed is not None:
             after = self._load[:, 0][: self.n] + (let_down.passed @ let_down.load)[:, 0]
             beyond = self._over_planes(let_down) / after[self._owner]
             pile = float((self._moved - beyond).min())
-        return Margins(let_down, min(own, FAR_M), min(pile, FAR_M))
+        return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
         """(k,) what each plane of the pile says of its owner's load with one more box: above 0 is outside."""
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
-        found: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])
-        return found
+        excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])
+        return excess
 
     def _let_down(
         self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float

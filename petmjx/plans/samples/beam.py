@@ -75,9 +75,9 @@ def search(
     """
     best: Found | None = None
     for taste in TASTES:
-        found = _search(items, extent_mm, clearance_mm, taste, width, branch)
-        if best is None or found.worth > best.worth:
-            best = found
+        packing = _search(items, extent_mm, clearance_mm, taste, width, branch)
+        if best is None or packing.worth > best.worth:
+            best = packing
         if len(best.placed) == len(items):
             break
     assert best is not None
@@ -135,7 +135,7 @@ def _search(
     assert first is not None
     ways, best, stride = [_Way(start, first)], first, ceil(len(items) / MOST_STEPS)
     while ways := _step(ways, width, branch, stride, fills):
-        best = max(best, ways[0].filled, key=lambda found: found.worth)
+        best = max(best, ways[0].filled, key=lambda packing: packing.worth)
     return best
 
 
@@ -163,9 +163,9 @@ def _step(ways: Sequence[_Way], width: int, branch: int, stride: int, fills: Fil
                 filled = _filled(fills, packing, first, _worst(best, width, packing.n_items))
             if filled is not None:
                 best.append(_NextWay(packing, first, filled))
-                best.sort(key=lambda each: each.filled.worth, reverse=True)
+                best.sort(key=lambda next_way: next_way.filled.worth, reverse=True)
                 del best[width:]
-    return [each.made() for each in best]
+    return [next_way.made() for next_way in best]
 
 
 def _worst(best: Sequence[_NextWay], width: int, n_items: int) -> float:

@@ -86,8 +86,8 @@ class Candidates:
         self._low[self._n], self._high[self._n] = (x, y, z), ends
         self._n += 1
         self._cover((x, y), ends)
-        found = corner_points(self._low[None, : self._n], self._high[None, : self._n])
-        self._add_points([(x, y) for x, y in found[:, 0].tolist()])
+        points = corner_points(self._low[None, : self._n], self._high[None, : self._n])
+        self._add_points([(x, y) for x, y in points[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
         """Lift the candidates that the newest box lies under, as far as it is their highest one."""
@@ -99,9 +99,9 @@ class Candidates:
         self.z = np.where(higher, top, self.z)
         self.open |= (higher | level) & self._inside
 
-    def _add_points(self, found: Sequence[tuple[float, float]]) -> None:
+    def _add_points(self, corners: Sequence[tuple[float, float]]) -> None:
         """Add those that are new and at which some shape is inside the carrier."""
-        fresh = [point for point in dict.fromkeys(found) if point not in self._known]
+        fresh = [point for point in dict.fromkeys(corners) if point not in self._known]
         self._known.update(fresh)
         points = np.array(fresh, dtype=np.float64).reshape(-1, 2)
         fits = points[:, None] + self.base <= np.array(self.extent_mm) + TOUCH_MM

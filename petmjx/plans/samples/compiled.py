@@ -135,9 +135,9 @@ class Compiled:
         made = int(counts[Count.MADE])
         return packing.filled_with(self._of["made_shape"][:made].tolist(), self._of["made_corner"][:made].tolist())
 
-    def _go_on(self, how: Begin, own: Answer = Answer.UNKNOWN) -> None:
+    def _go_on(self, how: Begin, answer: Answer = Answer.UNKNOWN) -> None:
         counts = self._of["counts"]
-        counts[Count.HOW], counts[Count.OWN] = how, own
+        counts[Count.HOW], counts[Count.OWN] = how, answer
         self._launch.launch()
 
     def _tips(self) -> bool:

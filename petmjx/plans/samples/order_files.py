@@ -76,8 +76,8 @@ def _order(entry: Entry, where: str) -> Order:
     properties = record.get("properties")
     target = properties.get("target") if isinstance(properties, dict) else None
     if not isinstance(target, str) or target not in TARGET_EXTENT_MM:
-        found = got(target) if isinstance(target, str) else _kind(target)
-        raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, {found}")
+        fault = got(target) if isinstance(target, str) else _kind(target)
+        raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, {fault}")
     sequence = record.get("item_sequence")
     if not isinstance(sequence, dict) or not sequence:
         raise InputError(f"{where}: item_sequence must be a JSON object that holds at least one item")
@@ -113,11 +113,11 @@ def _text(raw: dict[str, Any], field: str, where: str) -> str:
     return _name(value, field, where)
 
 
-def _name(text: str, what: str, where: str) -> str:
+def _name(text: str, field: str, where: str) -> str:
     if not is_text(text):
-        raise InputError(f"{where}: {what} is not UTF-8 text")
+        raise InputError(f"{where}: {field} is not UTF-8 text")
     if len(text) > LONGEST_NAME:
-        raise InputError(f"{where}: {what} must have at most {LONGEST_NAME:,} characters, got {len(text):,}")
+        raise InputError(f"{where}: {field} must have at most {LONGEST_NAME:,} characters, got {len(text):,}")
     return text
 
 

@@ -79,9 +79,9 @@ def pack(
     pile = _Pile(len(items), extent_mm, rules)
     placed = []
     for item in items if as_they_come else _sorted(items, rules, rng):
-        found = pile.find(item)
-        if found is not None:
-            orientation, corner = found
+        place = pile.find(item)
+        if place is not None:
+            orientation, corner = place
             pile.add(_base(item, orientation), item.height_mm, corner)
             placed.append(Placed(item, orientation, corner))
     return placed

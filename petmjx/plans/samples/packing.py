@@ -145,8 +145,8 @@ class Packing:
         if kinds is not None:
             fits = fits & np.isin(self._kind_of, kinds)
         cost = np.where(table.open & fits, cost, np.inf)
-        found: list[Next] = []
-        while cost.size and len(found) < count:
+        candidates: list[Next] = []
+        while cost.size and len(candidates) < count:
             point, shape = divmod(int(cost.argmin()), len(weight))
             if cost[point, shape] == np.inf:
                 break
@@ -157,8 +157,8 @@ class Packing:
             if rest is None:
                 table.open[point, shape] = False
             else:
-                found.append(Next(point, shape, corner, rest))
-        return found
+                candidates.append(Next(point, shape, corner, rest))
+        return candidates
 
     def box(self, chosen: Next) -> Placed:
         """A candidate that ``next`` found last, as it would be placed."""

@@ -97,14 +97,14 @@ class AsTheyCome(Generic[Task, Result]):
             waits: for one at least, as long as there is any.
         """
         if self._pool is None:
-            found = [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
-            self._all_begun = waits and not found
-            return found
+            results = [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
+            self._all_begun = waits and not results
+            return results
         self._submit(self._pool)
-        there, _ = wait(self._numbers, None if waits else 0, FIRST_COMPLETED)
-        found = [(self._numbers.pop(future), future.result()) for future in there]
+        done, _ = wait(self._numbers, None if waits else 0, FIRST_COMPLETED)
+        results = [(self._numbers.pop(future), future.result()) for future in done]
         self._submit(self._pool)
-        return found
+        return results
 
     def _submit(self, pool: ProcessPoolExecutor) -> None:
         some = list(islice(self._tasks, self._ahead - len(self._numbers)))

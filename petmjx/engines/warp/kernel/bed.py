@@ -133,20 +133,20 @@ def bed_of(
     ey = wp.dot(edge_b, y)
     sx = wp.dot(side_b, x)
     sy = wp.dot(side_b, y)
-    whole = ex * sy - ey * sx
-    way = wp.where(whole < 0.0, -1.0, 1.0)
+    full_area = ex * sy - ey * sx
+    way = wp.where(full_area < 0.0, -1.0, 1.0)
     for i in range(4):
         sign = wp.where(i % 2 == 0, way, -way)
         gx = wp.where(i < 2, sy, -ey) * sign
         gy = wp.where(i < 2, -sx, ex) * sign
-        corners, count = _cut(corners, count, gx, gy, wp.abs(whole))
+        corners, count = _cut(corners, count, gx, gy, wp.abs(full_area))
     # how much the faces rise along x and y
     rise_a = -wp.vec2(wp.dot(out_a, x), wp.dot(out_a, y)) / wp.dot(out_a, normal)
     rise_b = -wp.vec2(wp.dot(out_b, x), wp.dot(out_b, y)) / wp.dot(out_b, normal)
     slope = rise_a - rise_b
     depth = wp.dot(apart, normal) - rise_a[0] * ax - rise_a[1] * ay
-    whole = EDGE * _area(corners, count)
-    least = float(wp.max(whole, SHARE * smaller))
+    full_area = EDGE * _area(corners, count)
+    least = float(wp.max(full_area, SHARE * smaller))
     corners, count = _cut(corners, count, slope[0], slope[1], depth)
     # area and moments of triangles around the first corner
     area = float(0.0)
@@ -177,7 +177,7 @@ def bed_of(
     root = wp.sqrt(xx)
     lean = xy / root
     rest = wp.sqrt(wp.max(yy - lean * lean, 0.0))
-    outward = wp.clamp(OUT * (whole / area - 1.0), 0.0, 1.0)
+    outward = wp.clamp(OUT * (full_area / area - 1.0), 0.0, 1.0)
     deepest = float(0.0)
     for i in range(count):
         deepest = wp.max(deepest, depth + slope[0] * corners[i, 0] + slope[1] * corners[i, 1])

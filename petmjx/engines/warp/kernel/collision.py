@@ -128,7 +128,7 @@ def collide(
             changed = changed or work.pair_ncon[block, pair] != 0
             work.pair_ncon[block, pair] = 0
             continue
-        found = int(8)
+        n_points = int(8)
         distances = vec8f()
         places = mat83f()
         normal = wp.vec3(0.0, 0.0, 1.0)
@@ -141,7 +141,7 @@ def collide(
                 normal, work.geom_xpos[block, 0], work.geom_xpos[block, two], work.geom_xmat[block, two], half
             )
         else:
-            found, distances, places, normal = box_box(
+            n_points, distances, places, normal = box_box(
                 work.geom_xpos[block, one],
                 work.geom_xmat[block, one],
                 geom_half(worlds, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
@@ -151,7 +151,7 @@ def collide(
                 margin,
             )
         count = int(0)
-        for i in range(found):
+        for i in range(n_points):
             distance = distances[i] - margin
             if distance < 0.0:
                 work.pair_points[block, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)

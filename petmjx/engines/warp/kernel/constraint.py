@@ -89,9 +89,9 @@ def surface_of(worlds: Worlds, world: int, geom: int) -> int:
 @wp.func
 def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
     """Sliding friction between two geoms: that of their surfaces, else the larger one."""
-    own = worlds.pair_friction[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
-    if own >= 0.0:
-        return own
+    pair_friction = worlds.pair_friction[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
+    if pair_friction >= 0.0:
+        return pair_friction
     return wp.max(_friction(worlds, world, first), _friction(worlds, world, second))
 
 

@@ -175,13 +175,13 @@ def lets_go(
 ) -> bool:
     """Whether the hand lets go after a step in which it has carried the box: when that has arrived and rests. Unless it
     is to fall from there, the box is set down first. By one thread."""
-    taken = step - state.carried_from[world]
+    elapsed = step - state.carried_from[world]
     slow = speed_of(worlds, state, world, box) < model.quiet_speed
     lowered_from = state.lowered_from[world]
     if lowered_from != NEVER:
         since = step - lowered_from
         return since >= model.stuck_steps or (slow and since >= LOWERING_STEPS)
-    if taken < state.carried_steps[world] + wp.where(slow, 0, model.stuck_steps):
+    if elapsed < state.carried_steps[world] + wp.where(slow, 0, model.stuck_steps):
         return False
     place = center(state, world, box + 1)
     if worlds.falls[world, box] and wp.length(_three(state.way_end, world) - place) <= AT_PLACE:
@@ -223,13 +223,13 @@ def _limited(vector: wp.vec3, most: float) -> wp.vec3:
 
 
 @wp.func
-def _rotation_vector(q: wp.vec4, wanted: wp.vec4) -> wp.vec3:
+def _rotation_vector(q: wp.vec4, target_quat: wp.vec4) -> wp.vec3:
     """Rotation from one orientation to another, in the axes of the first, rad; for small angles."""
     w = q[0]
     u = wp.vec3(q[1], q[2], q[3])
-    v = wp.vec3(wanted[1], wanted[2], wanted[3])
-    real = w * wanted[0] + wp.dot(u, v)
-    imaginary = difference(w, v, wanted[0], u) - cross(u, v)
+    v = wp.vec3(target_quat[1], target_quat[2], target_quat[3])
+    real = w * target_quat[0] + wp.dot(u, v)
+    imaginary = difference(w, v, target_quat[0], u) - cross(u, v)
     return imaginary * wp.where(real >= 0.0, 2.0, -2.0)
 
 
@@ -260,11 +260,11 @@ def _hand_qacc(
         moment = wp.cw_mul(inertia, -model.lowering_rate * spin)
     else:
         rate = model.hand_rate
-        taken = state.step[world] - state.carried_from[world]
+        elapsed = state.step[world] - state.carried_from[world]
         steps = state.carried_steps[world]
-        before = _progress(taken - 1, steps)
-        now = _progress(taken, steps)
-        after = _progress(taken + 1, steps)
+        before = _progress(elapsed - 1, steps)
+        now = _progress(elapsed, steps)
+        after = _progress(elapsed + 1, steps)
         begin = _three(state.way_begin, world)
         way = _three(state.way_end, world) - begin
         ahead = begin + now * way - place
@@ -272,20 +272,20 @@ def _hand_qacc(
         along = ((after - now) - (now - before)) / (model.timestep * model.timestep) * way
         force = _limited(mass * (along + rate * rate * ahead + 2.0 * rate * lag), most)
         force = force + wp.vec3(0.0, 0.0, mass * model.gravity)
-        wanted = wp.vec4(
+        target_quat = wp.vec4(
             worlds.start[world, box, 3],
             worlds.start[world, box, 4],
             worlds.start[world, box, 5],
             worlds.start[world, box, 6],
         )
-        turn = difference(rate * rate, _rotation_vector(q, wanted), 2.0 * rate, spin)
+        turn = difference(rate * rate, _rotation_vector(q, target_quat), 2.0 * rate, spin)
         moment = wp.vec3(inertia[0] * turn[0], inertia[1] * turn[1], inertia[2] * turn[2])
     moment = _limited(moment, most * wp.max(half))
-    found = vec6()
+    qacc = vec6()
     for i in range(3):
-        found[i] = force[i] / mass
-        found[3 + i] = moment[i] / inertia[i]
-    return found
+        qacc[i] = force[i] / mass
+        qacc[3 + i] = moment[i] / inertia[i]
+    return qacc
 
 
 @wp.func

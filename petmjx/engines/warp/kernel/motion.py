@@ -70,9 +70,9 @@ def skin_of(model: Model, worlds: Worlds, world: int, geom: int) -> float:
 def moments(half: wp.vec3, mass: float) -> wp.vec3:
     """Principal moments of a solid box, kg·m²: m/3 · (b² + c²)."""
     squares = wp.vec3(times(half[0], half[0]), times(half[1], half[1]), times(half[2], half[2]))
-    whole = squares[0] + squares[1] + squares[2]
+    total = squares[0] + squares[1] + squares[2]
     third = mass / 3.0
-    return wp.vec3(third * (whole - squares[0]), third * (whole - squares[1]), third * (whole - squares[2]))
+    return wp.vec3(third * (total - squares[0]), third * (total - squares[1]), third * (total - squares[2]))
 
 
 @wp.func

@@ -31,8 +31,8 @@ def _import(
     """As ``builtins.__import__``; mujoco_warp's files are found here."""
     if name == _PACKAGE:
         package = ModuleType(name)
-        for each in fromlist or ():
-            setattr(package, each, _load(each))
+        for member in fromlist or ():
+            setattr(package, member, _load(member))
         return package
     if name.startswith(f"{_PACKAGE}."):
         return _load(name.removeprefix(f"{_PACKAGE}."))

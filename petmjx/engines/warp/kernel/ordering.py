@@ -55,7 +55,7 @@ def _find_levels(
         work.body_level[block, body] = wp.where(body == root, 0, UNREACHED)
     wait_for_all()
     for level in range(at.placed + 1):
-        found = bool(False)
+        any_reached = bool(False)
         for pair in range(at.thread, npair, at.threads):
             one = body_of(worlds, at.world, work.pair_geom1[block, pair])
             if one >= 0 and work.pair_conadr[block, pair + 1] > work.pair_conadr[block, pair]:
@@ -64,11 +64,11 @@ def _find_levels(
                 of_two = work.body_level[block, two]
                 if of_one == level and of_two == UNREACHED:
                     work.body_level[block, two] = level + 1
-                    found = True
+                    any_reached = True
                 if of_two == level and of_one == UNREACHED:
                     work.body_level[block, one] = level + 1
-                    found = True
-        if not any_of_all(found):
+                    any_reached = True
+        if not any_of_all(any_reached):
             break
 
 

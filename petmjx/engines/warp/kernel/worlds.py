@@ -246,7 +246,7 @@ def run_worlds(
     at.lands = lands
     steps = int(0)
     iterations = int(0)
-    stood = int(-1)  # boxes for which pairs are listed
+    paired_boxes = int(-1)  # boxes for which pairs are listed
     listed = int(-1)
     recorded = bool(False)
     late = bool(False)
@@ -269,7 +269,7 @@ def run_worlds(
                 if thread == 0:
                     add_to(counts.idle, model.queue, 1)
             else:
-                stood = -1
+                paired_boxes = -1
                 recorded = frames.every[at.world] > 0
                 full = bool(False)
                 if recorded and thread == 0:
@@ -282,9 +282,9 @@ def run_worlds(
             at.geoms = first_geom(worlds, at.world, at.placed + 1)
             at.held = wp.where(state.driven_from[at.world] != NEVER and worlds.held[at.world], 1, 0)
             at.carried = wp.where(at.hands != 0 and state.carried_from[at.world] != NEVER, 1, 0)
-            if at.placed != stood:
+            if at.placed != paired_boxes:
                 listed = -1
-            stood = at.placed
+            paired_boxes = at.placed
         if others:
             listed = advance(model, worlds, at, goes, shared, shared_words, listed, state, work, frames, counts)
         if goes and not in_pause(work.solver_paused, block):

@@ -75,7 +75,7 @@ class Mirrored(Candidates):
             area = overlap(corner, base[None], low[:, :2], high[:, :2])[:, 0]
             z, carried = let_down(area, high[:, 2])
             parts.append((np.full(len(z), shape), corner, z, np.where(z > 0, carried / self.area[shape], 1.0)))
-        some: list[Any] = [np.concatenate(each) for each in zip(*parts, strict=True)]
+        some: list[Any] = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
         shape, self.corners, self.rests, support = some
         return shape, self.corners, self.rests, support
 
@@ -194,6 +194,6 @@ def lowest_first(stream: AllSides) -> Next | None:
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)
     for row in np.argsort(cost, kind="stable").tolist():
-        if (found := stream.keeps_balance(places, row)) is not None:
-            return found
+        if (candidate := stream.keeps_balance(places, row)) is not None:
+            return candidate
     return None

@@ -60,7 +60,7 @@ def features(stream: AllSides, places: Places) -> FloatArray:
     volume = places.own_mm2 * height
     middle = (start + size / 2)[:, :2] - extent / 2
     aside = np.minimum(start[:, :2], extent - end[:, :2]) / extent
-    found: dict[str, FloatArray | float] = {
+    columns: dict[str, FloatArray | float] = {
         "z": z / MM_PER_M,
         "grows": np.maximum(top - top_before, 0) / _LEVEL_MM,
         "below_top": np.maximum(top_before - top, 0) / _LEVEL_MM,
@@ -83,13 +83,13 @@ def features(stream: AllSides, places: Places) -> FloatArray:
         "height_of_seen": height / height.mean() - 1,
         "mass_of_seen": np.log(mass / mass.mean()),
     }
-    _beside(found, start, end, low, high, extent)
-    _heights(found, start, end, surface)
-    found |= room(stream.coarse, start, end)
-    found |= {f"{name}_late": found[name] * (surface.mean / MM_PER_M) for name in LATE}
+    _beside(columns, start, end, low, high, extent)
+    _heights(columns, start, end, surface)
+    columns |= room(stream.coarse, start, end)
+    columns |= {f"{name}_late": columns[name] * (surface.mean / MM_PER_M) for name in LATE}
     rows = np.empty((len(NAMES), len(places)))
     for row, name in zip(rows, NAMES, strict=True):
-        row[:] = found[name]
+        row[:] = columns[name]
     return np.ascontiguousarray(rows.T)
 
 
@@ -110,7 +110,7 @@ def _deviation(mean_square: FloatArray | float, mean: FloatArray | float) -> Flo
 
 
 def _beside(
-    found: dict[str, FloatArray | float],
+    columns: dict[str, FloatArray | float],
     start: FloatArray,
     end: FloatArray,
     low: FloatArray,
@@ -144,33 +144,33 @@ def _beside(
             gap = np.maximum(np.minimum(gap, to_edge), 0.0)
             narrow.append(((gap > NEAR_MM) & (gap < SLIVER_MM)).astype(np.float64))
             gaps.append(gap / MOST_GAP_MM)
-        found[f"near_{name}"], found[f"far_{name}"] = np.minimum(*gaps), np.maximum(*gaps)
-    found["touch"] = touch / (perimeter * size[:, 2])
-    found["edge"], found["flush"] = edge / perimeter, flush / perimeter
-    found["deeper"] = np.minimum(deeper / perimeter, 1.0)
-    found["sliver_x"], found["sliver_y"] = narrow[0] + narrow[1], narrow[2] + narrow[3]
+        columns[f"near_{name}"], columns[f"far_{name}"] = np.minimum(*gaps), np.maximum(*gaps)
+    columns["touch"] = touch / (perimeter * size[:, 2])
+    columns["edge"], columns["flush"] = edge / perimeter, flush / perimeter
+    columns["deeper"] = np.minimum(deeper / perimeter, 1.0)
+    columns["sliver_x"], columns["sliver_y"] = narrow[0] + narrow[1], narrow[2] + narrow[3]
     bears = (along > TOUCH_MM).all(axis=0) & (np.abs(before[2]) <= TOUCH_MM)
     area = np.where(bears, along[0] * along[1], 0.0)
     base, tops = size[:, 0] * size[:, 1], (high - low)[:, :2].prod(axis=1)
-    found["n_supports"] = bears.sum(axis=1) / 4
-    found["column"] = (area / np.maximum(base[:, None], tops)).max(axis=1, initial=0.0)
-    found["one_support"] = area.max(axis=1, initial=0.0) / base
+    columns["n_supports"] = bears.sum(axis=1) / 4
+    columns["column"] = (area / np.maximum(base[:, None], tops)).max(axis=1, initial=0.0)
+    columns["one_support"] = area.max(axis=1, initial=0.0) / base
 
 
-def _heights(found: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: Surface) -> None:
+def _heights(columns: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: Surface) -> None:
     """What the pile's surface is under and around a box, and with it."""
     low, high = surface.lines(start), surface.lines(end)
     count, under, under_square = surface.over(low, high)
     n_outer, outer, outer_square = surface.over(low - _RING, high + _RING)
     z, top = start[:, 2], end[:, 2]
-    found["waste"] = np.maximum(z * count - under, 0.0) * CELL_MM**2 / 2e7
+    columns["waste"] = np.maximum(z * count - under, 0.0) * CELL_MM**2 / 2e7
     around = np.maximum(n_outer - count, 1.0)
     ring, ring_square = (outer - under) / around, (outer_square - under_square) / around
-    found["above_ring"] = np.clip((top - ring) / _LEVEL_MM, -2, 2)
-    found["ring_rough"] = _deviation(ring_square, ring) / _LEVEL_MM
+    columns["above_ring"] = np.clip((top - ring) / _LEVEL_MM, -2, 2)
+    columns["ring_rough"] = _deviation(ring_square, ring) / _LEVEL_MM
     mean = surface.mean + (top * count - under) / surface.cells
     square = surface.mean_square + (top**2 * count - under_square) / surface.cells
     rough = _deviation(square, mean)
-    found["mean_after"] = mean / MM_PER_M
-    found["rough_after"] = rough / _LEVEL_MM
-    found["rougher"] = (rough - _deviation(surface.mean_square, surface.mean)) / 50
+    columns["mean_after"] = mean / MM_PER_M
+    columns["rough_after"] = rough / _LEVEL_MM
+    columns["rougher"] = (rough - _deviation(surface.mean_square, surface.mean)) / 50

@@ -97,12 +97,14 @@ class Policy:
         surest: Chosen | None = None
         tried = 0
         for row in np.argsort(-scores, kind="stable").tolist():
-            found = stream.keeps_balance(places, row)
-            if found is None:
+            candidate = stream.keeps_balance(places, row)
+            if candidate is None:
                 continue
-            chance = float(likely(self.head, stability_features(placing_of(stream, places, row, found.rest))[None])[0])
+            chance = float(
+                likely(self.head, stability_features(placing_of(stream, places, row, candidate.rest))[None])[0]
+            )
             if surest is None or chance > surest.chance:
-                surest = Chosen(row, found, chance)
+                surest = Chosen(row, candidate, chance)
             tried += 1
             if chance >= SURE or tried == MOST_TRIED:
                 break
@@ -110,8 +112,8 @@ class Policy:
 
     def decide(self, stream: AllSides) -> Decision | None:
         """What the packer does in one step; None: no box that is seen has a place."""
-        while (found := self.seen(stream)) is not None:
-            places, rows = found
+        while (view := self.seen(stream)) is not None:
+            places, rows = view
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
             if chosen is not None:
                 return Decision(places, rows, chosen)

@@ -37,8 +37,8 @@ class Network:
     def scores(self, features: FloatArray) -> FloatArray:
         """(m,) of (m, f) features."""
         x = (features - self.mean) / self.scale
-        found: FloatArray = x @ self.linear + np.tanh(x @ self.hidden + self.bias) @ self.out + self.constant
-        return found
+        scores: FloatArray = x @ self.linear + np.tanh(x @ self.hidden + self.bias) @ self.out + self.constant
+        return scores
 
     @property
     def learned(self) -> FloatArray:
@@ -68,9 +68,9 @@ class Network:
 
     def arrays(self, name: str) -> dict[str, FloatArray]:
         """What a file of weights has of it, under names that begin with ``name``."""
-        return {f"{name}_{each}": getattr(self, each) for each in self.__dataclass_fields__}
+        return {f"{name}_{field}": getattr(self, field) for field in self.__dataclass_fields__}
 
     @classmethod
     def of_arrays(cls, name: str, arrays: dict[str, FloatArray]) -> Self:
         """A network of a file."""
-        return cls(**{each: np.asarray(arrays[f"{name}_{each}"], float) for each in cls.__dataclass_fields__})
+        return cls(**{field: np.asarray(arrays[f"{name}_{field}"], float) for field in cls.__dataclass_fields__})

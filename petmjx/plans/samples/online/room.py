@@ -48,15 +48,15 @@ def room(surface: Surface, low: FloatArray, high: FloatArray) -> dict[str, Float
     highest: dict[int, Heights] = {1: height}
     for wide, parts in ((2, 1), (4, 2), (6, 4), (8, 4), (11, 8), (12, 8)):
         highest[wide] = _wider(highest[parts], wide - parts)
-    found = {}
+    features = {}
     for name, cartons in (("small", SMALL), ("large", LARGE)):
         lowest = level = np.zeros(len(low))
         for turns in cartons:
-            each = [_places(highest[wide], sums, wide, deep) for wide, deep in turns]
-            lowest = lowest + np.minimum(each[0][0], each[1][0]) / len(cartons)
-            level = level + (each[0][1] + each[1][1]) / (2 * len(cartons))
-        found[f"room_{name}"], found[f"level_{name}"] = lowest / MM_PER_M, level
-    return found
+            places = [_places(highest[wide], sums, wide, deep) for wide, deep in turns]
+            lowest = lowest + np.minimum(places[0][0], places[1][0]) / len(cartons)
+            level = level + (places[0][1] + places[1][1]) / (2 * len(cartons))
+        features[f"room_{name}"], features[f"level_{name}"] = lowest / MM_PER_M, level
+    return features
 
 
 def _wider(highest: Heights, more: int) -> Heights:

@@ -110,8 +110,8 @@ class Stream(Packing):
 
     def worth(self, places: Places) -> FloatArray:
         """(c,) what the boxes of candidates are worth wherever they go, to the rule, mm."""
-        found: FloatArray = self._worth[places.shape]
-        return found
+        worths: FloatArray = self._worth[places.shape]
+        return worths
 
     @property
     def pile(self) -> Balance:
@@ -155,5 +155,5 @@ def pack_stream(stream: S, chooses: Chooses[S]) -> list[Placed]:
 
 def by_taste(stream: Stream) -> Next | None:
     """What ``balanced`` would do if it saw no more than the stream shows."""
-    found = stream.next(1, kinds=stream.seen)
-    return found[0] if found else None
+    candidates = stream.next(1, kinds=stream.seen)
+    return candidates[0] if candidates else None
