@@ -8,10 +8,11 @@ from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from petmjx.engines.batch.mjx import mjx
 
-_ROUNDED: Final = 8 * float(jnp.finfo(jnp.float32).eps)
+_ROUNDED: Final = 8 * float(np.finfo(np.float32).eps)
 """A square is known to so much of its terms in float32."""
 
 
