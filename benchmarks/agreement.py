@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from petmjx.results.compare import BOX_KEY, KEY, compare_runs
-from petmjx.results.plain import plain
-from petmjx.results.reader import RunResults, load_run
+from petmjx.analysis.run_comparison import BOX_KEY, KEY, compare_runs
+from petmjx.engines.verdict import Reason, Verdict
+from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.shares import ONE_PLAN, share_standing
-from petmjx.verdict import Reason, Verdict
+from petmjx.results.to_json import to_json
 
 LOADED_N = 1.0
 """Smallest resting force that is compared, N."""
@@ -60,7 +60,7 @@ def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
     flips = [
         {name: row[name] for name in worlds}
         | {label: {name: row[f"{name}_{side}"] for name in _FLIP_FIELDS} for label, side in sides.items()}
-        for row in plain(comparison.flips.merge(here.worlds[worlds], on=KEY, how="left"))
+        for row in to_json(comparison.flips.merge(here.worlds[worlds], on=KEY, how="left"))
     ]
     plans = set(oracle_run.worlds["plan_id"]) & set(here.worlds["plan_id"])
     return {
@@ -117,5 +117,5 @@ def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
         "plans": len(both),
         "agree": int(agree.sum()),
         "intervals_overlap": int(overlap.sum()),
-        "differ": plain(differ[["plan_id", "oracle", "here"]]),
+        "differ": to_json(differ[["plan_id", "oracle", "here"]]),
     }

@@ -8,15 +8,15 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from petmjx.basics.units import FloatArray
-from petmjx.history import CARRIER
-from petmjx.options.config import Simulation
+from petmjx.analysis.force_balance import WRENCH, wrenches
+from petmjx.analysis.plan_contacts import find_touch_points
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.physics import Physics
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.results.reader import RunResults
-from petmjx.statics.touching import find_touching
-from petmjx.statics.wrenches import WRENCH, wrenches
-from petmjx.verdict import Flag, Verdict
+from petmjx.results.run_reader import RunResults
+from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene, build_scene
 
 BALANCED: Final = 0.01
@@ -38,7 +38,7 @@ def left_over(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray)
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csc_array, hstack, vstack
 
-    touching = find_touching(scene, physics, pos, quat)
+    touching = find_touch_points(scene, physics, pos, quat)
     direction = touching.frame[:, :1] + np.einsum("ks,ps,psx->pkx", _EDGES, touching.friction, touching.frame[:, 1:])
     first, second = (np.where(ends == CARRIER, -1, ends) for ends in (touching.first, touching.second))
     forces = wrenches(first, second, touching.position_m, direction, pos)

@@ -8,10 +8,10 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Schedule, Simulation
+from petmjx.common.errors import InputError
 from petmjx.options.physics import PHYSICS
-from petmjx.plans.samples import bundled_path
+from petmjx.options.simulation import Schedule, Simulation
+from petmjx.plans.bundled import bundled_path
 
 SEED = 0
 """Seed of the generated sample plans."""

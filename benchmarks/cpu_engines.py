@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from benchmarks.record import environment
-from petmjx.engines.base import Progress
-from petmjx.engines.choose import make_engine
-from petmjx.options.config import Simulation
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

@@ -7,12 +7,12 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.basics.text import counted, shown, three_digits
-from petmjx.metrics.spec import DIMENSIONLESS
-from petmjx.results.reader import RunResults
-from petmjx.statics.judged import with_physics
-from petmjx.statics.named import Criterion
-from petmjx.statics.record import CriteriaResults
+from petmjx.analysis.criteria import Criterion
+from petmjx.analysis.criteria_run import CriteriaResults
+from petmjx.analysis.criteria_vs_physics import with_physics
+from petmjx.common.text import count_text, printable_name, three_digits
+from petmjx.engines.metrics import DIMENSIONLESS
+from petmjx.results.run_reader import RunResults
 
 BEGIN: Final = "<!-- study: begin (made by python -m benchmarks criteria) -->"
 END: Final = "<!-- study: end -->"
@@ -44,7 +44,7 @@ def _introduction(results: CriteriaResults, run: RunResults, both: pd.DataFrame)
     stands = int(both["stands"].sum())
     engine = ", ".join(sorted(set(run.worlds["engine"])))
     return (
-        f"**{counted(len(both), 'plan')}** with {results.info['n_boxes']:,} boxes; engine `{engine}` of petmjx "
+        f"**{count_text(len(both), 'plan')}** with {results.info['n_boxes']:,} boxes; engine `{engine}` of petmjx "
         f"{info['versions']['petmjx']}. {stands:,} stand, {len(both) - stands:,} fall.\n"
         f"Friction {options['friction']:g}, at sides {options['side_friction']:g}; tolerance "
         f"{options['tolerance_mm']:g} mm."
@@ -112,7 +112,7 @@ def _of_one(both: pd.DataFrame, criterion: Criterion) -> Iterator[list[str]]:
 
 def _id(plan_id: str) -> str:
     """A plan's id as code in a cell of a table."""
-    return shown(plan_id).replace("`", "'").replace("|", "\\|")
+    return printable_name(plan_id).replace("`", "'").replace("|", "\\|")
 
 
 def _number(value: Any) -> str:

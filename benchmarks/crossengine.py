@@ -20,12 +20,12 @@ import numpy as np
 import petmjx
 from benchmarks.referees.base import Referee
 from benchmarks.referees.stand import stand
-from petmjx.basics.units import MM_PER_M
-from petmjx.options.config import Check, Simulation
+from petmjx.common.units import MM_PER_M
+from petmjx.engines.verdict import Flag, Verdict
+from petmjx.options.simulation import Check, Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Flag, Verdict
-from petmjx.world.bearing import bearing_of
 from petmjx.world.scene import Scene, build_scene
+from petmjx.world.supports import bearing_of
 
 ENOUGH = 2
 """So many converged referees overrule petmjx."""
@@ -90,7 +90,7 @@ class Judged:
     @property
     def edge_mm(self) -> float:
         """How near to a knife's edge: of the distances of boxes' loads from the edges of what bears them, by statics
-        (petmjx.world.bearing), the one nearest to 0, negative beyond the edge. One by one: after any placement. NaN if
+        (petmjx.world.supports), the one nearest to 0, negative beyond the edge. One by one: after any placement. NaN if
         there is none."""
         count, bearing = self.scene.n_boxes, bearing_of(self.scene)
         states = [count] if self.check is Check.STATIC else range(1, count + 1)

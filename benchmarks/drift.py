@@ -15,18 +15,18 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import counted
-from petmjx.basics.units import FloatArray, seconds_to_steps
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.live import BodyState, LiveWorld
-from petmjx.engines.cpu.settled import SettledState
-from petmjx.metrics.force_np import VERTICAL_COSINE, contact_normal_and_tangents
-from petmjx.metrics.motion_np import tilt_deg
-from petmjx.options.config import LONGEST_S, Check, Simulation
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+from petmjx.common.units import FloatArray, seconds_to_steps
+from petmjx.engines.mujoco.box_motion import tilt_deg
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.live_world import BodyState, LiveWorld
+from petmjx.engines.mujoco.settled_state import SettledState
+from petmjx.engines.mujoco.top_forces import VERTICAL_COSINE, contact_normal_and_tangents
+from petmjx.engines.verdict import Verdict
 from petmjx.options.physics import PHYSICS, Cone
+from petmjx.options.simulation import LONGEST_S, Check, Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
@@ -210,7 +210,7 @@ def describe(table: pd.DataFrame) -> str:
     drift = table.drift_um_s
     shares = table.cause.value_counts(normalize=True)
     causes = ", ".join(f"{name} {100 * share:.1f} %" for name, share in shares.items())
-    size = f"{counted(table.plan_id.nunique(), 'plan')}, {counted(len(table), 'box', 'boxes')}"
+    size = f"{count_text(table.plan_id.nunique(), 'plan')}, {count_text(len(table), 'box', 'boxes')}"
     return (
         f"{size}: median {drift.median():.3f}, 99 % {drift.quantile(0.99):.2f}, largest {drift.max():.1f} µm/s, "
         f"{(drift > 50).sum()} above 50; {causes}"

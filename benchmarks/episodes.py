@@ -12,8 +12,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from benchmarks.record import Result, timed
-from petmjx.engines.base import Engine
-from petmjx.gym.vector import PalletizingVectorEnv
+from petmjx.engines.protocol import Engine
+from petmjx.gym.vector_env import PalletizingVectorEnv
 
 PALLETS: Final = 16
 """Side by side."""

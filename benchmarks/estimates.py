@@ -1,6 +1,6 @@
 """Estimates of time against what runs took: scores, scores with errors, static checks, drives, searches.
 
-A line has how slow the machine was meanwhile (petmjx/engines/speed.py), and the estimate for that.
+A line has how slow the machine was meanwhile (petmjx/engines/machine_speed.py), and the estimate for that.
 """
 
 from __future__ import annotations
@@ -12,20 +12,19 @@ from typing import Any, Final
 import numpy as np
 
 from benchmarks.record import environment, timed
-from petmjx.engines.cost import MEASURED, Work
-from petmjx.engines.speed import REFERENCE_S, block_s
-from petmjx.options.config import Simulation
+from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.machine_speed import REFERENCE_S, block_s
 from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.packers.sample_plans import generate_one
+from petmjx.plans.order_generator import draw_order
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import generate_one
-from petmjx.plans.samples.orders import draw_order
-from petmjx.plans.validate import parse_plan
-from petmjx.simulate import simulate
-from petmjx.study import Nominal, Study
-from petmjx.sweeps.confidence import confidence_sweep
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.ready import find_sweep
-from petmjx.sweeps.study import SweepStudy
+from petmjx.plans.plan_validation import parse_plan
+from petmjx.runs.confidence import confidence_sweep
+from petmjx.runs.simulate import simulate
+from petmjx.runs.study import Nominal, Study
+from petmjx.runs.sweep_file import find_sweep, load_sweep
+from petmjx.runs.sweep_study import SweepStudy
 
 SEED: Final = 21
 

@@ -17,11 +17,11 @@ import mujoco
 import numpy as np
 
 from benchmarks.record import environment
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

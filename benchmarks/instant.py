@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Progress
-from petmjx.engines.resolve import Lent
-from petmjx.engines.workers import pool
-from petmjx.engines.workers.actor import Worker
-from petmjx.metrics.spec import BoxMetrics
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.protocol import Progress
+from petmjx.engines.remote import worker_pool
+from petmjx.engines.remote.ray_actor import Worker
+from petmjx.engines.run_engine import UserEngine
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 FALL_EVERY = 10
@@ -59,12 +59,12 @@ IN_WORKERS = "mjx-warp-cpu"
 @contextmanager
 def answering_in_workers() -> Iterator[None]:
     """Workers that this process starts meanwhile answer at once."""
-    before = vars(pool)["Worker"]
-    vars(pool)["Worker"] = InstantWorker
+    before = vars(worker_pool)["Worker"]
+    vars(worker_pool)["Worker"] = InstantWorker
     try:
         yield
     finally:
-        vars(pool)["Worker"] = before
+        vars(worker_pool)["Worker"] = before
 
 
 class InstantWorker(Worker):
@@ -73,7 +73,7 @@ class InstantWorker(Worker):
     def hello(self) -> bytes:
         greeting = super().hello()
         self._built = Future()
-        self._built.set_result(Lent(Instant(repeats=False), None))
+        self._built.set_result(UserEngine(Instant(repeats=False), None))
         return greeting
 
 

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import petmjx
-from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.options.physics import LANDING_S, RESTITUTION
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)

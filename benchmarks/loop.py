@@ -15,10 +15,11 @@ import numpy as np
 
 import petmjx
 from benchmarks.record import Result, peak_device_bytes, timed
-from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Engine
+from petmjx.common.units import FloatArray
+from petmjx.engines.protocol import Engine
+from petmjx.packers.sample_plans import generate
+from petmjx.plans.json_writer import Placement
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import Placement, generate
 
 BOXES: Final = 30
 """Boxes of a pallet before the candidate."""
@@ -203,7 +204,7 @@ def memory(loop: Loop) -> Result:
 
 def environment(loop: Loop) -> Result:
     """The vector environment: pallets side by side, random legal actions, observations and masks counted."""
-    from petmjx.gym.vector import PalletizingVectorEnv
+    from petmjx.gym.vector_env import PalletizingVectorEnv
 
     env = PalletizingVectorEnv(loop.pallets, engine=loop.engine, autoreset_mode="SameStep")
     rng = np.random.default_rng(loop.seed)
@@ -279,7 +280,7 @@ def _many(loop: Loop, n: int, per_pallet: int) -> Result:
     }
 
 
-def _place(pallets: petmjx.Pallets, rows: Any, plans: Sequence[Plan], number: Any) -> petmjx.Told:
+def _place(pallets: petmjx.Pallets, rows: Any, plans: Sequence[Plan], number: Any) -> petmjx.PlacementResults:
     """Place box ``number`` of the plans of some pallets; one number for all, or one for each."""
     which = list(zip(np.asarray(rows).tolist(), np.broadcast_to(number, len(rows)).tolist(), strict=True))
     return pallets.place(

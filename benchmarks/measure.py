@@ -21,18 +21,19 @@ from benchmarks.agreement import agreement, joint_run
 from benchmarks.cases import MUJOCO, PLAIN_LOOP, SEED, STACK_PLAN, Case, Way, oracle_case
 from benchmarks.plain import fixed_steps, plain_loop
 from benchmarks.record import Clock, Result, environment, peak_device_bytes, timed
-from petmjx.basics.errors import InputError
-from petmjx.basics.machine import device_name
-from petmjx.engines.base import Engine, Progress
-from petmjx.engines.choose import make_engine
-from petmjx.options.config import SOFT_START_STEPS, Schedule
+from petmjx.common.errors import InputError
+from petmjx.common.machine import device_name
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.verdict import Verdict
+from petmjx.options.simulation import SOFT_START_STEPS, Schedule
+from petmjx.packers.sample_plans import generate_one, write_samples
+from petmjx.plans.json_writer import write_plans
 from petmjx.plans.plan import Plan
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import generate_one, write_plans, write_samples
-from petmjx.results.reader import load_run
-from petmjx.simulate import RunStart
-from petmjx.study import FinishedWorld
-from petmjx.verdict import Verdict
+from petmjx.plans.plan_reader import load_plans
+from petmjx.results.run_reader import load_run
+from petmjx.runs.simulate import RunStart
+from petmjx.runs.study import FinishedWorld
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
@@ -359,7 +360,7 @@ def bricks(n_boxes: int) -> Plan:
 def _filling(engine: str, boxes: int) -> int:
     """Copies of a stack that fill an MJX engine."""
     if engine == MJX_WARP:
-        from petmjx.engines.warp.launch import size_for
+        from petmjx.engines.warp.block_launch import size_for
 
         if size_for(boxes).per_sm == 1:
             return LARGE_STACK_LANES

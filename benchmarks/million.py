@@ -22,17 +22,17 @@ import numpy as np
 from benchmarks.all_memory import looked_at
 from benchmarks.instant import IN_WORKERS, Instant, answering_in_workers
 from benchmarks.record import Result, timed
-from petmjx.basics.errors import InputError
-from petmjx.basics.processes import process_pool
-from petmjx.engines.choose import check_options, options_of
+from petmjx.common.errors import InputError
+from petmjx.common.processes import process_pool
+from petmjx.engines.engine_choice import check_options, options_of
 from petmjx.options.run_options import AUTO, RunOptions
+from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import generate_one
-from petmjx.plans.validate import parse_plan
-from petmjx.simulate import RunStart, simulate
-from petmjx.study import FinishedWorld
-from petmjx.sweeps.file import Sweep, load_sweep
-from petmjx.sweeps.study import SweepStudy
+from petmjx.plans.plan_validation import parse_plan
+from petmjx.runs.simulate import RunStart, simulate
+from petmjx.runs.study import FinishedWorld
+from petmjx.runs.sweep_file import Sweep, load_sweep
+from petmjx.runs.sweep_study import SweepStudy
 
 SWEEP: Final = Path(__file__).parent / "sweeps" / "placement-seeds.toml"
 FEWEST, MOST = 10, 14

@@ -29,15 +29,15 @@ from benchmarks.packers_compared import (
     packers,
 )
 from benchmarks.record import environment
-from petmjx.basics.units import MM_PER_M, FloatArray
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.packers.learned_packer import Policy
+from petmjx.packers.packer_registry import BALANCED
+from petmjx.packers.sample_plans import as_placements
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import as_placements
-from petmjx.plans.samples.online.learned import Policy
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order
-from petmjx.plans.samples.packers import BALANCED
-from petmjx.plans.validate import parse_plan
-from petmjx.results.paired import PairedCounts, mcnemar_p
-from petmjx.sweeps.ready import find_sweep
+from petmjx.plans.plan_validation import parse_plan
+from petmjx.results.shares import PairedCounts, mcnemar_p
+from petmjx.runs.sweep_file import find_sweep
 
 LEVELS_G: Final = (0.3, 0.5)
 DIRECTIONS: Final = ("+x", "+y")

@@ -11,17 +11,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.packing.pack import pack_each
-from petmjx.plans.samples.balanced import TASTES
-from petmjx.plans.samples.online.corners import AllSides, lowest_first
-from petmjx.plans.samples.online.learned import CLEARANCE_MM as LEARNED_CLEARANCE_MM
-from petmjx.plans.samples.online.learned import Policy, pack_learned
-from petmjx.plans.samples.online.stream import Stream, by_taste, pack_stream
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order
-from petmjx.plans.samples.packer import PackRules, Placed, pack
-from petmjx.plans.samples.packers import BALANCED, BASELINE, packer_named
-from petmjx.plans.samples.packing import Packing
-from petmjx.plans.samples.parallel import in_order
+from petmjx.common.parallel_map import ordered_results
+from petmjx.packers.balanced_packer import TASTES
+from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack
+from petmjx.packers.item_stream import ItemStream, by_taste, pack_stream
+from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
+from petmjx.packers.learned_packer import CLEARANCE_MM as LEARNED_CLEARANCE_MM
+from petmjx.packers.learned_packer import Policy, pack_learned
+from petmjx.packers.pack import pack_each
+from petmjx.packers.packer_registry import BALANCED, BASELINE, packer_named
+from petmjx.packers.packing_state import Packing
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
 
 CLEARANCE_MM: Final = 6.0
 LOOK_AHEAD: Final = 5
@@ -30,7 +30,7 @@ PHYSICAL: Final = "physical"
 ONLINE: Final = "learned, online"
 LOWEST: Final = "lowest first on all sides, online"
 
-Placements = Sequence[Placed]
+Placements = Sequence[PlacedBox]
 Numbered = tuple[str, Order]
 
 
@@ -56,12 +56,12 @@ def _baseline_online(order: Order) -> Placements:
 
 
 def _balanced_online(order: Order, *, clearance_mm: float = 0.0, look_ahead: int = 1) -> Placements:
-    return pack_stream(Stream(order.items, TARGET_EXTENT_MM[order.target], clearance_mm, look_ahead), by_taste)
+    return pack_stream(ItemStream(order.items, TARGET_EXTENT_MM[order.target], clearance_mm, look_ahead), by_taste)
 
 
 def _lowest_online(order: Order) -> Placements:
     """The rule with which the search of ``learned`` shares its candidates: what they do without it."""
-    stream = AllSides(order.items, TARGET_EXTENT_MM[order.target], LEARNED_CLEARANCE_MM)
+    stream = FourSidedStream(order.items, TARGET_EXTENT_MM[order.target], LEARNED_CLEARANCE_MM)
     return pack_stream(stream, lowest_first)
 
 
@@ -106,7 +106,7 @@ def packed(
     """All orders packed by each packer."""
     packings_by_packer: dict[str, Packings] = {name: Packings() for name in by}
     seconds = dict.fromkeys(by, 0.0)
-    answers = in_order(partial(_timed, by=by), orders, workers, alone=64, chunk=8)
+    answers = ordered_results(partial(_timed, by=by), orders, workers, alone=64, chunk=8)
     for (order_id, _), answer in zip(orders, answers, strict=True):
         for name, (placed, cpu_s) in answer.items():
             packings_by_packer[name][order_id] = placed
@@ -123,7 +123,7 @@ def packed_already(path: Path) -> Packings:
         boxes = []
         for placement in placements:
             x, y, z = map(float, placement["flb_coordinates"])
-            boxes.append(Placed(_item(placement["item"]), placement["orientation"], (x, y, z)))
+            boxes.append(PlacedBox(_item(placement["item"]), placement["orientation"], (x, y, z)))
         packings[order_id] = boxes
     return packings
 

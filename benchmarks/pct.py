@@ -21,9 +21,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.plans.samples import as_placements, write_plans
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order, draw_order
-from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
+from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
+from petmjx.packers.sample_plans import as_placements
+from petmjx.plans.json_writer import write_plans
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order
 
 CELL_MM: Final = 10
 BOXES_SEEN, LEAVES = 80, 50
@@ -75,7 +76,7 @@ def _load(path: Path, name: str, *changes: tuple[str, str]) -> Any:
     return module
 
 
-def pack(order: Order, policy: Any, space_of: Any) -> list[Placed]:
+def pack(order: Order, policy: Any, space_of: Any) -> list[PlacedBox]:
     """One order, box by box."""
     import torch
 
@@ -129,9 +130,9 @@ def _shuffled(points: Any, number: int) -> Any:
     return points[np.random.default_rng(number).permutation(len(points))]
 
 
-def _let_down(boxes: list[tuple[Any, int, float, float]]) -> list[Placed]:
+def _let_down(boxes: list[tuple[Any, int, float, float]]) -> list[PlacedBox]:
     """Boxes at the heights at which their own sizes rest, which are lower than those of cells."""
-    placed: list[Placed] = []
+    placed: list[PlacedBox] = []
     for item, turned, x, y in boxes:
         length, width = (item.width_mm, item.length_mm) if turned else (item.length_mm, item.width_mm)
         z = 0.0
@@ -141,7 +142,7 @@ def _let_down(boxes: list[tuple[Any, int, float, float]]) -> list[Placed]:
             ox, oy, oz = other.corner_mm
             if x < ox + other_length and ox < x + length and y < oy + other_width and oy < y + width:
                 z = max(z, oz + other.item.height_mm)
-        placed.append(Placed(item, turned, (x, y, z)))
+        placed.append(PlacedBox(item, turned, (x, y, z)))
     return placed
 
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.record import Result, timed
-from petmjx.packing.finalists import finalists
-from petmjx.packing.options import PhysicalOptions
-from petmjx.packing.pack import Packed, pack_each
-from petmjx.plans.samples.orders import Order
+from petmjx.packers.pack import Packed, pack_each
+from petmjx.packers.pack_candidates import finalists
+from petmjx.packers.pack_options import PhysicalOptions
+from petmjx.plans.order_generator import Order
 
 Numbered = tuple[str, Order]
 

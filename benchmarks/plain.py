@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.metrics.force_np import top_forces
-from petmjx.metrics.motion_np import tilt_deg
-from petmjx.options.config import SOFT_START_STEPS
+from petmjx.engines.mujoco.box_motion import tilt_deg
+from petmjx.engines.mujoco.top_forces import top_forces
 from petmjx.options.physics import Cone, Physics
-from petmjx.world.model import build_spec, geom_bodies
+from petmjx.options.simulation import SOFT_START_STEPS
+from petmjx.world.mujoco_model import build_spec, geom_bodies
 from petmjx.world.scene import Scene
 
 SAMPLE_STEPS = 100

@@ -14,7 +14,7 @@ import pandas as pd
 
 import petmjx
 from benchmarks.record import environment
-from petmjx.basics.machine import device_name
+from petmjx.common.machine import device_name
 from petmjx.plans.plan import Plan
 
 MATERIALS: Final = ("cardboard", "film", "plastic")

@@ -11,12 +11,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from benchmarks.reality import ALL_ENGINES, Row, percent
-from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
-from petmjx.engines.choose import make_engine
-from petmjx.free_motion import release
-from petmjx.options.config import Check, Simulation
+from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
+from petmjx.engines.engine_choice import make_engine
+from petmjx.loop.free_motion import release
 from petmjx.options.physics import Physics
-from petmjx.world.body import Body
+from petmjx.options.simulation import Check, Simulation
+from petmjx.world.body_shapes import Body
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 

@@ -16,8 +16,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.machine import cpu_name, cpu_threads, package_versions
+from petmjx.common.errors import InputError
+from petmjx.common.machine import cpu_name, cpu_threads, package_versions
 
 COMMIT_VARIABLE = "PETMJX_COMMIT"
 """Environment variable that names the commit, for a copy of the source without git history."""

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from petmjx.loop.orders import Orders
-from petmjx.plans.samples.orders import Item, Order
+from petmjx.loop.order_sources import Orders
+from petmjx.plans.order_generator import Item, Order
 
 TARGET = "euro-pallet"
 BOXES = range(12, 161)

@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.option_types import EngineName
+from petmjx.runs.option_types import EngineName
 
 Acceleration = Callable[[float], float]
 """Of the ground, m/s², by time, s."""

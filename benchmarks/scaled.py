@@ -20,11 +20,11 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.basics.units import FloatArray
-from petmjx.option_types import EngineName
-from petmjx.options.config import Thresholds
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Flag
+from petmjx.options.simulation import Thresholds
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Flag
+from petmjx.runs.option_types import EngineName
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
 """Of all lengths. 1 is the pile as it was drawn."""

@@ -62,9 +62,10 @@ def score(at: float) -> None:
     from petmjx.cli.main import main
 
     stages.end("command line")
-    from petmjx import api, simulate
-    from petmjx.engines import resolve
-    from petmjx.results.writer import RunWriter
+    from petmjx import api
+    from petmjx.engines import run_engine
+    from petmjx.results.run_writer import RunWriter
+    from petmjx.runs import simulate
 
     stages.end("modules")
     if workers:
@@ -72,11 +73,11 @@ def score(at: float) -> None:
     elif engine == "instant":
         from benchmarks.instant import Instant
 
-        vars(resolve)["make_engine"] = lambda *some, **more: resolve.Lent(Instant(), None)
+        vars(run_engine)["make_engine"] = lambda *some, **more: run_engine.UserEngine(Instant(), None)
     else:
         _note_slices(stages)
     stages.around(simulate, "usable_plans", after="plans read")
-    stages.around(resolve, "resolve_engine", before="GPU started", after="engine there")
+    stages.around(run_engine, "resolve_engine", before="GPU started", after="engine there")
     stages.around(RunWriter, "__enter__", after="folder open")
     stages.around(RunWriter, "add", before="first world final")
     stages.around(RunWriter, "put_in_order", before="last world final", after="in order")
@@ -103,19 +104,19 @@ def score(at: float) -> None:
 
 def _note_workers(stages: Stages, engine: str) -> None:
     """Note how workers start and end, and when they have their first jobs."""
-    from petmjx.engines.workers import cluster, pool
+    from petmjx.engines.remote import ray_cluster, worker_pool
 
     if engine == "instant":
         from benchmarks.instant import InstantWorker
 
-        vars(pool)["Worker"] = InstantWorker
-    stages.around(cluster, "import_ray", before="Ray asked for")
-    stages.around(cluster._Ours, "wait_until_started", after="Ray there")
-    stages.around(pool.WorkerPool, "_greet", after="first worker ready")
-    stages.around(pool.WorkerPool, "_hand_out", before="jobs made", after="first jobs sent")
-    stages.around(pool.WorkerPool, "_take", before="first outcome")
-    stages.around(pool.WorkerPool, "retire", before="workers not needed")
-    stages.around(pool.WorkerPool, "close", before="end of workers waited for", after="workers ended")
+        vars(worker_pool)["Worker"] = InstantWorker
+    stages.around(ray_cluster, "import_ray", before="Ray asked for")
+    stages.around(ray_cluster._LocalRay, "wait_until_started", after="Ray there")
+    stages.around(worker_pool.WorkerPool, "_greet", after="first worker ready")
+    stages.around(worker_pool.WorkerPool, "_hand_out", before="jobs made", after="first jobs sent")
+    stages.around(worker_pool.WorkerPool, "_take", before="first outcome")
+    stages.around(worker_pool.WorkerPool, "retire", before="workers not needed")
+    stages.around(worker_pool.WorkerPool, "close", before="end of workers waited for", after="workers ended")
 
 
 def _note_slices(stages: Stages) -> None:
@@ -125,7 +126,7 @@ def _note_slices(stages: Stages) -> None:
     import threading
 
     def note() -> None:  # the module loads JAX, which must not come before plans are read
-        while (module := sys.modules.get("petmjx.engines.warp.rollout")) is None or not hasattr(module, "Rollout"):
+        while (module := sys.modules.get("petmjx.engines.warp.time_slices")) is None or not hasattr(module, "Rollout"):
             time.sleep(0.01)
         stages.around(module.Rollout, "start", before="worlds made", after="first slice begun")
         inner = module.Rollout.wait
@@ -143,7 +144,7 @@ def _note_slices(stages: Stages) -> None:
 
 
 def _has_gpu() -> bool:
-    from petmjx.basics.machine import cuda_devices
+    from petmjx.common.machine import cuda_devices
 
     return bool(cuda_devices())
 

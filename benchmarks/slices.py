@@ -12,15 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.engines.base import Progress
-from petmjx.engines.batch.state import Status
-from petmjx.engines.choose import make_engine
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.worlds import World
-from petmjx.options.config import Simulation
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.mjx.world_state import Status
+from petmjx.engines.protocol import Progress
+from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.world_results import World
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.gather import usable_plans
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan_sources import usable_plans
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

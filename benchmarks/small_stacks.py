@@ -18,10 +18,10 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.basics.units import FloatArray
-from petmjx.options.config import Thresholds
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Flag
+from petmjx.options.simulation import Thresholds
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Flag
 
 LEAST_EDGE_MM = 0.5
 """A load that acts nearer to an edge than this is on a knife's edge: 0.1 mm of size decides."""

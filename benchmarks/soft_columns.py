@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import petmjx
-from petmjx.option_types import EngineName
+from petmjx.runs.option_types import EngineName
 
 GRAVITY: Final = 9.81
 GRID: Final = 40

@@ -15,11 +15,11 @@ import numpy as np
 import petmjx
 from benchmarks.referees.base import Referee
 from benchmarks.referees.stand import stand
-from petmjx.basics.units import FloatArray
-from petmjx.options.config import Check, Simulation
+from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Check, Simulation
 from petmjx.plans.plan import Plan
-from petmjx.world.bearing import bearing_of
 from petmjx.world.scene import Scene, build_scene
+from petmjx.world.supports import bearing_of
 
 Triple = tuple[float, float, float]
 

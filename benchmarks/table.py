@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from benchmarks.record import Result
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import counted
-from petmjx.verdict import Verdict
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+from petmjx.engines.verdict import Verdict
 
 BEGIN = "<!-- tables: begin (made by python -m benchmarks table) -->"
 END = "<!-- tables: end -->"
@@ -132,7 +132,7 @@ def _derived(row: Result) -> Result:
     force, shares = agreement.get("rest_top_force", {}), agreement.get("shares", {})
     missed, plans, drives = agreement.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")
     lanes = [value for key, value in row.get("stages", {}).items() if key.endswith(" lanes")] + [row.get("lanes") or 0]
-    width = counted(row["threads"], "thread") if row.get("threads") else f"{max(lanes):,.0f} lanes"
+    width = count_text(row["threads"], "thread") if row.get("threads") else f"{max(lanes):,.0f} lanes"
     return {
         "on": _device(row),
         "width": width if row.get("threads") or max(lanes) else "",

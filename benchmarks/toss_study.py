@@ -21,7 +21,7 @@ from benchmarks.tosses import (
     simulated,
     wholes,
 )
-from petmjx.basics.units import MM_PER_M, FloatArray
+from petmjx.common.units import MM_PER_M, FloatArray
 
 RUNS: Final = 16
 """Perturbed starts of each toss."""

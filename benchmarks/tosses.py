@@ -16,11 +16,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
-from petmjx.free_motion import release
+from petmjx.common.errors import InputError
+from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
+from petmjx.loop.free_motion import release
 from petmjx.options.physics import Physics
-from petmjx.world.turned import rotations
+from petmjx.world.rotation import rotations
 
 FILE: Final = "cube_tosses_400.npz"
 WHERE: Final = (

@@ -8,7 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from petmjx.cli.main import main
-from petmjx.plans.samples import generate_one, write_plans
+from petmjx.packers.sample_plans import generate_one
+from petmjx.plans.json_writer import write_plans
 
 FOLDER = Path(__file__).resolve().parent / "pictures"
 

@@ -6,92 +6,95 @@ Names are imported when first used, so that ``import petmjx`` is quick and readi
 from __future__ import annotations
 
 import importlib
+import warnings
 from typing import TYPE_CHECKING, Any
 
 from petmjx.version import __version__
 
 if TYPE_CHECKING:
+    from petmjx.analysis.box_loads import loads
+    from petmjx.analysis.criteria_run import CriteriaResults, criteria
+    from petmjx.analysis.kpis import kpis
+    from petmjx.analysis.packer_comparison import compare_packers
+    from petmjx.analysis.run_comparison import compare_runs
+    from petmjx.analysis.story import Story
     from petmjx.api import score, sweep
-    from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
-    from petmjx.figures.save import figure
-    from petmjx.free_motion import Trajectories, release
-    from petmjx.history import History
+    from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError, PlanWarning
+    from petmjx.loop.free_motion import Trajectories, release
     from petmjx.loop.pallets import Pallets
+    from petmjx.loop.placement_results import PlacementResults
     from petmjx.loop.scorer import Scored, Scorer
-    from petmjx.loop.told import Told
-    from petmjx.options.carrier import Carrier
-    from petmjx.options.config import Check, Quiet, Schedule, Simulation, Solver, Thresholds
+    from petmjx.options.carriers import Carrier
     from petmjx.options.physics import PHYSICS, Cone, Physics
     from petmjx.options.run_options import RunOptions
-    from petmjx.packers.compare import compare_packers
-    from petmjx.packing.pack import Packed, pack
-    from petmjx.pages.leaderboard.make import leaderboard
-    from petmjx.pages.report.make import report
-    from petmjx.pages.told import tell
-    from petmjx.pictures.save import draw
+    from petmjx.options.simulation import Check, Quiet, Schedule, Simulation, Solver, Thresholds
+    from petmjx.packers.pack import Packed, pack
+    from petmjx.packers.robot_placement import placement_stability
     from petmjx.plans.plan import Plan
+    from petmjx.plans.plan_reader import load_plans
     from petmjx.plans.plan_set import PlanSet
-    from petmjx.plans.read import load_plans
-    from petmjx.plans.samples.online.placement import placement_stability
-    from petmjx.plans.write import save_plans
-    from petmjx.rating.kpis import kpis
-    from petmjx.results.compare import compare_runs
-    from petmjx.results.loads import loads
-    from petmjx.results.reader import RunResults, load_run
-    from petmjx.statics.record import CriteriaResults
-    from petmjx.statics.run import criteria
-    from petmjx.story.tell import Story
-    from petmjx.sweeps.merge import merge_runs
+    from petmjx.plans.plan_writer import save_plans
+    from petmjx.results.run_reader import RunResults, load_run
+    from petmjx.runs.merge import merge_runs
+    from petmjx.show.figures.figure_files import figure
+    from petmjx.show.leaderboard.leaderboard import leaderboard
+    from petmjx.show.pages.story_display import tell
+    from petmjx.show.pictures.picture_files import draw
+    from petmjx.show.report.report_page import report
+    from petmjx.world.history import History
 
 _HOME = {
     "score": "petmjx.api",
     "sweep": "petmjx.api",
-    "criteria": "petmjx.statics.run",
-    "CriteriaResults": "petmjx.statics.record",
-    "Carrier": "petmjx.options.carrier",
-    "Check": "petmjx.options.config",
+    "criteria": "petmjx.analysis.criteria_run",
+    "CriteriaResults": "petmjx.analysis.criteria_run",
+    "Carrier": "petmjx.options.carriers",
+    "Check": "petmjx.options.simulation",
     "Cone": "petmjx.options.physics",
     "PHYSICS": "petmjx.options.physics",
     "Physics": "petmjx.options.physics",
-    "Quiet": "petmjx.options.config",
+    "Quiet": "petmjx.options.simulation",
     "RunOptions": "petmjx.options.run_options",
-    "Schedule": "petmjx.options.config",
-    "Simulation": "petmjx.options.config",
-    "Solver": "petmjx.options.config",
-    "Thresholds": "petmjx.options.config",
-    "EngineUnavailable": "petmjx.basics.errors",
-    "InputError": "petmjx.basics.errors",
-    "PetmjxError": "petmjx.basics.errors",
-    "PlanWarning": "petmjx.basics.errors",
-    "History": "petmjx.history",
-    "figure": "petmjx.figures.save",
+    "Schedule": "petmjx.options.simulation",
+    "Simulation": "petmjx.options.simulation",
+    "Solver": "petmjx.options.simulation",
+    "Thresholds": "petmjx.options.simulation",
+    "EngineUnavailable": "petmjx.common.errors",
+    "InputError": "petmjx.common.errors",
+    "PetmjxError": "petmjx.common.errors",
+    "PlanWarning": "petmjx.common.errors",
+    "History": "petmjx.world.history",
+    "figure": "petmjx.show.figures.figure_files",
     "Pallets": "petmjx.loop.pallets",
     "Scored": "petmjx.loop.scorer",
     "Scorer": "petmjx.loop.scorer",
-    "Told": "petmjx.loop.told",
-    "draw": "petmjx.pictures.save",
-    "report": "petmjx.pages.report.make",
+    "draw": "petmjx.show.pictures.picture_files",
+    "report": "petmjx.show.report.report_page",
     "Plan": "petmjx.plans.plan",
     "PlanSet": "petmjx.plans.plan_set",
-    "load_plans": "petmjx.plans.read",
-    "placement_stability": "petmjx.plans.samples.online.placement",
-    "compare_packers": "petmjx.packers.compare",
-    "compare_runs": "petmjx.results.compare",
-    "Story": "petmjx.story.tell",
-    "tell": "petmjx.pages.told",
-    "save_plans": "petmjx.plans.write",
-    "kpis": "petmjx.rating.kpis",
-    "leaderboard": "petmjx.pages.leaderboard.make",
-    "Trajectories": "petmjx.free_motion",
-    "release": "petmjx.free_motion",
-    "loads": "petmjx.results.loads",
-    "Packed": "petmjx.packing.pack",
-    "pack": "petmjx.packing.pack",
-    "merge_runs": "petmjx.sweeps.merge",
-    "RunResults": "petmjx.results.reader",
-    "load_run": "petmjx.results.reader",
+    "load_plans": "petmjx.plans.plan_reader",
+    "placement_stability": "petmjx.packers.robot_placement",
+    "compare_packers": "petmjx.analysis.packer_comparison",
+    "compare_runs": "petmjx.analysis.run_comparison",
+    "Story": "petmjx.analysis.story",
+    "tell": "petmjx.show.pages.story_display",
+    "save_plans": "petmjx.plans.plan_writer",
+    "kpis": "petmjx.analysis.kpis",
+    "leaderboard": "petmjx.show.leaderboard.leaderboard",
+    "PlacementResults": "petmjx.loop.placement_results",
+    "Trajectories": "petmjx.loop.free_motion",
+    "release": "petmjx.loop.free_motion",
+    "loads": "petmjx.analysis.box_loads",
+    "Packed": "petmjx.packers.pack",
+    "pack": "petmjx.packers.pack",
+    "merge_runs": "petmjx.runs.merge",
+    "RunResults": "petmjx.results.run_reader",
+    "load_run": "petmjx.results.run_reader",
 }
 """Public name → the module that has it."""
+
+_RENAMED = {"Told": "PlacementResults"}
+"""Names of version 0.2 → today's. The old ones warn, and go with the next version."""
 
 __all__ = [
     "PHYSICS",
@@ -106,6 +109,7 @@ __all__ = [
     "Pallets",
     "PetmjxError",
     "Physics",
+    "PlacementResults",
     "Plan",
     "PlanSet",
     "PlanWarning",
@@ -119,7 +123,6 @@ __all__ = [
     "Solver",
     "Story",
     "Thresholds",
-    "Told",
     "Trajectories",
     "__version__",
     "compare_packers",
@@ -145,6 +148,10 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
+    if name in _RENAMED:
+        message = f"petmjx.{name} is now petmjx.{_RENAMED[name]}"
+        warnings.warn(message, FutureWarning, stacklevel=2)
+        name = _RENAMED[name]
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(importlib.import_module(_HOME[name]), name)

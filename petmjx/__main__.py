@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
 
-from petmjx.basics.garbage import collect_rarely
+from petmjx.common.processes import collect_rarely
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both end in ``petmjx.simulate``.
+"""Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both end in ``petmjx.runs.simulate``.
 
 Modules that only some runs need are imported when they are needed: a plain score loads no sweeps.
 """
@@ -12,27 +12,27 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 
-from petmjx.basics.arguments import flag_of, instance_of, path_of
-from petmjx.basics.checked import Checked, got
-from petmjx.basics.errors import InputError
-from petmjx.notebook import ScriptLines, notebook_bar
-from petmjx.option_types import ScoreOptions, SweepOptions
-from petmjx.options.config import Simulation
+from petmjx.common.argument_checks import flag_of, instance_of, path_of
+from petmjx.common.checked_records import CheckedRecord, shown_value
+from petmjx.common.errors import InputError
 from petmjx.options.run_options import Confidence, RunOptions, sorted_options
-from petmjx.plans.gather import PathArgument, PlanSource
-from petmjx.results.reader import RunResults
-from petmjx.simulate import Intervals, RunStart, Watcher, simulate
-from petmjx.study import Nominal
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan_sources import PathArgument, PlanSource
+from petmjx.results.run_reader import RunResults
+from petmjx.runs.notebook_progress import ScriptLines, notebook_bar
+from petmjx.runs.option_types import ScoreOptions, SweepOptions
+from petmjx.runs.simulate import Intervals, RunStart, Watcher, simulate
+from petmjx.runs.study import Nominal
 
 if TYPE_CHECKING:
-    from petmjx.sweeps.batching import Batching
+    from petmjx.runs.sweep_run import Batching
 
 __all__ = ["RunStart", "Watcher", "score", "sweep"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def _takes_options(*records: type[Checked]) -> Callable[[Function], Function]:
+def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Function]:
     """Give a function with ``**options`` a signature and documentation that list the records' fields."""
 
     def decorate(function: Function) -> Function:
@@ -61,7 +61,7 @@ def _watching(given: Watcher | None, progress: bool) -> Iterator[Watcher | None]
     """
     flag_of(progress, "progress")
     if given is not None and not all(callable(getattr(given, name, None)) for name in ("begin", "world_done")):
-        raise InputError(f"watcher must have the methods begin and world_done, {got(given)}")
+        raise InputError(f"watcher must have the methods begin and world_done, {shown_value(given)}")
     bar = given if given is not None or "IPython" not in sys.modules else notebook_bar()
     if bar is not None or not progress:
         yield bar
@@ -81,7 +81,7 @@ def _intervals(options: RunOptions) -> Intervals | None:
     """
     if not options.force_intervals:
         return None
-    from petmjx.statics.intervals import intervals_at_rest, need_scipy
+    from petmjx.analysis.force_intervals import intervals_at_rest, need_scipy
 
     need_scipy()
     return intervals_at_rest
@@ -120,8 +120,8 @@ def score(
         sim = Simulation(**of_simulation)
         with _watching(watcher, progress) as follows:
             return simulate(partial(Nominal, sim), sim, plans, run, follows, _intervals(run))
-    from petmjx.sweeps.confidence import confidence_sweep
-    from petmjx.sweeps.study import SweepStudy
+    from petmjx.runs.confidence import confidence_sweep
+    from petmjx.runs.sweep_study import SweepStudy
 
     definition = confidence_sweep(sure.confidence, sure.errors, of_simulation, exact_too=sure.exact_too)
     ask = partial(SweepStudy, definition, confidence=sure.confidence)
@@ -156,10 +156,9 @@ def sweep(
         InputError: an unusable sweep file, plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    from petmjx.sweeps.batching import Batching
-    from petmjx.sweeps.file import load_sweep
-    from petmjx.sweeps.ready import find_sweep
-    from petmjx.sweeps.study import SweepStudy
+    from petmjx.runs.sweep_file import find_sweep, load_sweep
+    from petmjx.runs.sweep_run import Batching
+    from petmjx.runs.sweep_study import SweepStudy
 
     if batching is not None:
         instance_of(batching, "batching", Batching, "a Batching")

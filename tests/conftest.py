@@ -42,9 +42,9 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 SHAPE_CHECKED = (
     "petmjx.metrics",
-    "petmjx.engines.batch",
+    "petmjx.engines.mjx",
     "petmjx.engines.warp.engine",
-    "petmjx.engines.warp.rollout",
+    "petmjx.engines.warp.time_slices",
     "petmjx.engines.warp.stock",
 )
 """Packages and modules whose annotations hold at every call, shapes included. Not those with Warp kernels: Warp

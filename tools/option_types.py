@@ -1,4 +1,4 @@
-"""Writes ``petmjx/option_types.py``: the options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers.
+"""Writes ``petmjx/runs/option_types.py``: the options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers.
 
     python -m tools.option_types
 
@@ -14,17 +14,17 @@ from enum import Enum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
-from petmjx.basics.checked import Checked
-from petmjx.engines.choose import ENGINES
-from petmjx.options.carrier import Board, OwnCarrier
-from petmjx.options.config import Quiet, Simulation, Thresholds
+from petmjx.common.checked_records import CheckedRecord
+from petmjx.engines.engine_choice import ENGINES
+from petmjx.options.carriers import Board, OwnCarrier
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import CUSTOM, PHYSICS, Physics
 from petmjx.options.placing import Placing
 from petmjx.options.run_options import AUTO, Confidence, RunOptions
+from petmjx.options.simulation import Quiet, Simulation, Thresholds
 from petmjx.options.wrap import Wrap
 
-TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "option_types.py"
+TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "runs" / "option_types.py"
 
 HEAD = '''\
 """The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
@@ -40,7 +40,7 @@ from typing import Literal, TypedDict
 
 '''
 
-INNER: tuple[type[Checked], ...] = (
+INNER: tuple[type[CheckedRecord], ...] = (
     Physics,
     Thresholds,
     Quiet,
@@ -53,14 +53,14 @@ INNER: tuple[type[Checked], ...] = (
 )
 """Records within ``Simulation``, which may also be given as tables."""
 
-SHORT: dict[type[Checked], tuple[str, ...]] = {
+SHORT: dict[type[CheckedRecord], tuple[str, ...]] = {
     Physics: ("PhysicsName",),
     Placing: ("Way", "WayName"),
     OwnCarrier: ("str", "PathLike[str]"),
 }
 """What else stands for such a record: its name, or the file that has it."""
 
-OUTER: dict[str, type[Checked]] = {
+OUTER: dict[str, type[CheckedRecord]] = {
     "SimulationOptions": Simulation,
     "ConfidenceOptions": Confidence,
     "RunOptionsGiven": RunOptions,
@@ -112,7 +112,7 @@ class Written:
         elif issubclass(kind, Enum):
             self.enums[kind.__name__] = kind
             yield from (kind.__name__, f"{kind.__name__}Name")
-        elif issubclass(kind, Checked):
+        elif issubclass(kind, CheckedRecord):
             yield from (kind.__name__, f"{kind.__name__}Table", *SHORT.get(kind, ()))
         elif issubclass(kind, Path):
             yield from ("str", "PathLike[str]")
@@ -138,11 +138,11 @@ def option_types() -> str:
     """The text of the module."""
     written = Written()
 
-    def fields_of(record: type[Checked]) -> Iterator[tuple[str, str]]:
+    def fields_of(record: type[CheckedRecord]) -> Iterator[tuple[str, str]]:
         if record is Physics:
             yield "name", f"PhysicsName | {literal([CUSTOM])}"
         for field, info in record.model_fields.items():
-            yield field, "EngineName | Simulates" if field == "engine" else written.text(info.annotation)
+            yield field, "EngineName | MinimalEngine" if field == "engine" else written.text(info.annotation)
 
     tables = [
         table(f"{record.__name__}Table", f"Fields of ``{record.__module__}.{record.__name__}``.", fields_of(record))
@@ -152,7 +152,7 @@ def option_types() -> str:
         table(name, f"Fields of ``{record.__module__}.{record.__name__}``.", fields_of(record))
         for name, record in OUTER.items()
     ]
-    modules: dict[str, list[str]] = {"petmjx.engines.base": ["Simulates"]}
+    modules: dict[str, list[str]] = {"petmjx.engines.protocol": ["MinimalEngine"]}
     for kind in (*written.enums.values(), *INNER):
         modules.setdefault(kind.__module__, []).append(kind.__name__)
     imports = [f"from {module} import {', '.join(sorted(modules[module]))}\n" for module in sorted(modules)]

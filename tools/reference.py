@@ -7,16 +7,16 @@ from typing import Any
 
 import typer
 
-from petmjx.basics.checked import Checked, CliFlag
-from petmjx.cli.help import WIDTH
+from petmjx.cli.help_layout import WIDTH
 from petmjx.cli.main import app
-from petmjx.options.config import Quiet, Simulation, Thresholds
+from petmjx.common.checked_records import CheckedRecord, CliFlag
 from petmjx.options.physics import Physics
 from petmjx.options.placing import Placing
 from petmjx.options.run_options import Confidence, RunOptions
+from petmjx.options.simulation import Quiet, Simulation, Thresholds
 from petmjx.options.wrap import Wrap
 
-RECORDS: tuple[tuple[str, str, type[Checked]], ...] = (
+RECORDS: tuple[tuple[str, str, type[CheckedRecord]], ...] = (
     ("What is simulated", "", Simulation),
     ("Physics", "physics.", Physics),
     ("Thresholds", "thresholds.", Thresholds),
@@ -34,7 +34,7 @@ def cell(text: str) -> str:
 
 
 def shown_default(value: Any) -> str:
-    if isinstance(value, Checked):
+    if isinstance(value, CheckedRecord):
         title = next(title for title, _, record in RECORDS if record is type(value))
         name = f"`{value.name}`, " if isinstance(value, Physics) else ""
         return f"{name}[below](#{title.lower().replace(' ', '-')})"
@@ -52,7 +52,7 @@ def flag_of(info: Any, path: str) -> str:
     return f"`{flag.name.partition('/')[0]}`"
 
 
-def option_rows(prefix: str, record: type[Checked]) -> Iterator[str]:
+def option_rows(prefix: str, record: type[CheckedRecord]) -> Iterator[str]:
     for name, info in record.model_fields.items():
         default = shown_default(info.default)
         text = (info.description or "").strip()

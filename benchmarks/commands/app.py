@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import counted
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
 
 if TYPE_CHECKING:
     from petmjx.options.run_options import RunOptions
@@ -33,12 +33,12 @@ def usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
     Raises:
         InputError: no usable plan.
     """
-    from petmjx.options.config import Simulation
-    from petmjx.plans.gather import usable_plans
+    from petmjx.options.simulation import Simulation
+    from petmjx.plans.plan_sources import usable_plans
 
     plan_set = usable_plans(list(files), Simulation(), options)
     if plan_set.skipped:
-        skipped = counted(len(plan_set.skipped), "unusable plan")
+        skipped = count_text(len(plan_set.skipped), "unusable plan")
         print(f"{skipped} left out; the first: {plan_set.skipped[0].message}", file=sys.stderr)
     return list(plan_set.plans)
 

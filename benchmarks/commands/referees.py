@@ -9,8 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, usable, words
-from petmjx.cli import options as opt
-from petmjx.options.config import Check
+from petmjx.cli import command_options as opt
+from petmjx.options.simulation import Check
 
 
 @app.command()
@@ -33,9 +33,9 @@ def crossengine(
     from benchmarks.crossengine import Court, by_softness, summaries
     from benchmarks.record import append_line, environment
     from benchmarks.referees.base import REFEREES, referee
-    from petmjx.options.config import Simulation
     from petmjx.options.run_options import RunOptions
-    from petmjx.plans.samples import bundled_path
+    from petmjx.options.simulation import Simulation
+    from petmjx.plans.bundled import bundled_path
 
     chosen = [referee(word) for word in words(referees) or REFEREES]
     chosen_plans = usable(plans or [bundled_path()], RunOptions(**options))

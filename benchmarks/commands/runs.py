@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, words
-from petmjx.basics.errors import InputError
-from petmjx.cli import options as opt
-from petmjx.options.config import Schedule
+from petmjx.cli import command_options as opt
+from petmjx.common.errors import InputError
+from petmjx.options.simulation import Schedule
 
 if TYPE_CHECKING:
     from benchmarks.record import Result

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, make_folder, usable
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 
 DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data" / "reality"
 """Where measurements are by default: beside the checkout."""
@@ -27,7 +27,7 @@ def drift(
 ) -> None:
     """How fast the boxes of resting pallets drift, and why."""
     from benchmarks.drift import VARIANTS, Window, describe, summaries
-    from petmjx.basics.machine import cpu_threads
+    from petmjx.common.machine import cpu_threads
     from petmjx.options.run_options import RunOptions
 
     limits, window = RunOptions(**options), Window(begin, end)
@@ -78,9 +78,9 @@ def criteria(
     """Which closed-form criterion of stability tells what physics tells (docs/criteria.md)."""
     from benchmarks.criteria_study import BEGIN, END, study
     from benchmarks.table import write_between_markers
-    from petmjx.basics.machine import cpu_threads
-    from petmjx.results.reader import load_run
-    from petmjx.statics.run import criteria as ask
+    from petmjx.analysis.criteria_run import criteria as ask
+    from petmjx.common.machine import cpu_threads
+    from petmjx.results.run_reader import load_run
 
     physics = load_run(of)
     results = ask(list(plans), run=physics, out=out, overwrite=True, processes=processes or cpu_threads())
@@ -125,9 +125,9 @@ def balance(
     """Whether the worlds that a run calls stable balance where they have come to rest."""
     from benchmarks.balance import balances, summary
     from benchmarks.record import append_line, environment, timed
-    from petmjx.options.config import Simulation
     from petmjx.options.run_options import RunOptions
-    from petmjx.results.reader import load_run
+    from petmjx.options.simulation import Simulation
+    from petmjx.results.run_reader import load_run
 
     run = load_run(of)
     with timed() as clock:
@@ -153,8 +153,8 @@ def physical_speed(
     """How fast the packer physical is."""
     from benchmarks.physical_speed import packing_speed, search_speed
     from benchmarks.record import append_line, environment
-    from petmjx.basics.machine import cpu_threads
-    from petmjx.packing.pack import orders_of
+    from petmjx.common.machine import cpu_threads
+    from petmjx.packers.pack import orders_of
 
     how = {name: value for name, value in options.items() if value is not None}
     parts: dict[str, Any] = {}
@@ -193,9 +193,9 @@ def packers(
     from benchmarks.packer_study import Asked, study
     from benchmarks.record import append_line
     from benchmarks.robobpp import read_set
-    from petmjx.basics.machine import cpu_threads
-    from petmjx.packing.pack import orders_of
-    from petmjx.plans.samples.online.learned import Policy
+    from petmjx.common.machine import cpu_threads
+    from petmjx.packers.learned_packer import Policy
+    from petmjx.packers.pack import orders_of
 
     sets = {f"seed {seed}": list(orders_of(None, n, seed))} if n else {}
     for path in orders or ():
@@ -237,7 +237,7 @@ def reality(
     from benchmarks.reality import BEGIN, END, PARTS, TOSSES, gallery, present, table
     from benchmarks.record import append_line
     from benchmarks.table import write_between_markers
-    from petmjx.engines.choose import check_options
+    from petmjx.engines.engine_choice import check_options
 
     engines = engine or ["mujoco"]
     for name in engines:

@@ -8,9 +8,9 @@ from typing import Annotated, Any, cast
 import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, usable
-from petmjx.cli import options as opt
-from petmjx.option_types import EngineName
+from petmjx.cli import command_options as opt
 from petmjx.options.placing import Way
+from petmjx.runs.option_types import EngineName
 
 
 @app.command()
@@ -118,7 +118,7 @@ def loop(
     """Physics in the loop: candidates a second, one candidate's time, placing against scoring, memory."""
     from benchmarks.loop import CASES, Loop, measured
     from benchmarks.record import append_line, environment
-    from petmjx.engines.choose import make_engine
+    from petmjx.engines.engine_choice import make_engine
     from petmjx.options.run_options import RunOptions
 
     chosen = known(names or list(CASES), CASES, "case")

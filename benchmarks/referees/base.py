@@ -8,9 +8,9 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import FloatArray
-from petmjx.metrics.force_np import pressed_box
+from petmjx.common.errors import InputError
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco.top_forces import pressed_box
 from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 

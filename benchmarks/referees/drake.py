@@ -21,7 +21,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, slab, top_forces
-from petmjx.basics.units import FloatArray
+from petmjx.common.units import FloatArray
 from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 

@@ -10,7 +10,7 @@ import sapien
 from sapien import physx
 
 from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, box_inertia, slab, top_forces
-from petmjx.basics.units import FloatArray
+from petmjx.common.units import FloatArray
 from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 

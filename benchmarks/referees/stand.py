@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.referees.base import RefereeWorld
-from petmjx.basics.units import FloatArray, seconds_to_steps
-from petmjx.engines.cpu.quiet import QuietRule
-from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.metrics.spec import BoxMetrics
-from petmjx.options.config import Check, Simulation
-from petmjx.verdict import Flag, Reason, Verdict, judge, margin_of
+from petmjx.common.units import FloatArray, seconds_to_steps
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.mujoco.rest import QuietRule
+from petmjx.engines.mujoco.running_metrics import OracleMetrics
+from petmjx.engines.verdict import Flag, Reason, Verdict, judge, margin_of
+from petmjx.options.simulation import Check, Simulation
 from petmjx.world.scene import Scene
 
 SETTLE_S = 0.2

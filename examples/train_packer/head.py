@@ -11,9 +11,9 @@ from labels import ORDERS, Array, Labels
 from numpy.typing import NDArray
 from optimiser import Adam
 
-from petmjx.plans.samples.online.network import Network
-from petmjx.plans.samples.online.stability import NAMES, likely
-from petmjx.plans.samples.orders import stream
+from petmjx.packers.placement_stability import NAMES, likely
+from petmjx.packers.policy_network import Network
+from petmjx.plans.order_generator import stream
 
 STREAM = 102
 HIDDEN = 16

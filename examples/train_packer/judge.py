@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import petmjx
-from petmjx.plans.samples import as_placements
-from petmjx.plans.samples.online.learned import Policy, pack_learned
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, draw_order
-from petmjx.plans.validate import parse_plan
+from petmjx.packers.learned_packer import Policy, pack_learned
+from petmjx.packers.sample_plans import as_placements
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, draw_order
+from petmjx.plans.plan_validation import parse_plan
 
 CATALOGUE = 4_000_000
 ORDERS, WORLDS = 24, 4

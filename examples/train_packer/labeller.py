@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from labels import Labels, collect
 
-from petmjx.basics.processes import process_pool
-from petmjx.plans.samples.online.learned import Policy
+from petmjx.common.processes import process_pool
+from petmjx.packers.learned_packer import Policy
 
 
 class Labeller:

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import petmjx
-from petmjx.plans.samples.online.corners import AllSides, lowest_first
-from petmjx.plans.samples.online.learned import CLEARANCE_MM, Policy, placing_of
-from petmjx.plans.samples.online.stability import stability_features
-from petmjx.plans.samples.online.stream import Places
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, draw_order, stream
-from petmjx.plans.samples.packing import Next
+from petmjx.packers.item_stream import Places
+from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
+from petmjx.packers.learned_packer import CLEARANCE_MM, Policy, placing_of
+from petmjx.packers.packing_state import NextCandidate
+from petmjx.packers.placement_stability import stability_features
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, draw_order, stream
 
 TARGET = "euro-pallet"
 
@@ -106,7 +106,7 @@ def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, po
 class _Move:
     """A box, as it is meant and as it is placed."""
 
-    next: Next
+    next: NextCandidate
     features: Array
     size_mm: Array
     corner_mm: Array
@@ -137,7 +137,7 @@ class _Game:
         self._plays = self._policy if rng.random() < 0.5 else None
         self._wanders, clearance = float(rng.choice(WANDERS)), float(rng.choice(CLEARANCES_MM))
         self._clearance = clearance if self._plays is None else CLEARANCE_MM
-        self._boxes = AllSides(items, TARGET_EXTENT_MM[TARGET], self._clearance)
+        self._boxes = FourSidedStream(items, TARGET_EXTENT_MM[TARGET], self._clearance)
         self._move: _Move | None = None
         self.is_new = True
 
@@ -173,7 +173,7 @@ class _Game:
         else:
             self._begin()
 
-    def _best(self) -> tuple[Places, int, Next] | None:
+    def _best(self) -> tuple[Places, int, NextCandidate] | None:
         places = self._boxes.places()
         chosen = lowest_first(self._boxes) if self._plays is None else self._plays.choose(self._boxes)
         if chosen is None:
@@ -181,7 +181,7 @@ class _Game:
         row = int(np.flatnonzero((places.point == chosen.point) & (places.shape == chosen.shape))[0])
         return places, row, chosen
 
-    def _anywhere(self) -> tuple[Places, int, Next] | None:
+    def _anywhere(self) -> tuple[Places, int, NextCandidate] | None:
         """A place at random, whether the box keeps the balance there or not."""
         places = self._boxes.places(LEAST_SUPPORT)
         if not len(places):
@@ -192,5 +192,5 @@ class _Game:
         return (
             None
             if rest is None
-            else (places, row, Next(int(places.point[row]), int(places.shape[row]), (x, y, z), rest))
+            else (places, row, NextCandidate(int(places.point[row]), int(places.shape[row]), (x, y, z), rest))
         )

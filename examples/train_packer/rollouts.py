@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from labels import Array
 
-from petmjx.plans.samples.online.corners import AllSides
-from petmjx.plans.samples.online.learned import CLEARANCE_MM, Policy
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Order, draw_order, stream
+from petmjx.packers.learned_candidates import FourSidedStream
+from petmjx.packers.learned_packer import CLEARANCE_MM, Policy
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order, stream
 
 STREAM = 103
 CATALOGUES, VALIDATION = 1_000_000, 2_000_000
@@ -72,7 +72,7 @@ def validated(number: int, policy: Policy, look_ahead: int) -> Outcome:
 def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) -> Outcome:
     """One order packed."""
     length, width = TARGET_EXTENT_MM[order.target]
-    boxes = AllSides([order.items[i] for i in sequence], (length, width), CLEARANCE_MM, look_ahead)
+    boxes = FourSidedStream([order.items[i] for i in sequence], (length, width), CLEARANCE_MM, look_ahead)
     log_chance = 0.0
     while boxes.seen:
         decision = policy.decide(boxes)

@@ -7,11 +7,11 @@ from head import believing
 from labels import Array
 from rollouts import drawn
 
-from petmjx.plans.samples.online.corners import AllSides
-from petmjx.plans.samples.online.features import NAMES
-from petmjx.plans.samples.online.learned import CLEARANCE_MM, Policy
-from petmjx.plans.samples.online.network import Network
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, stream
+from petmjx.packers.learned_candidates import FourSidedStream
+from petmjx.packers.learned_features import NAMES
+from petmjx.packers.learned_packer import CLEARANCE_MM, Policy
+from petmjx.packers.policy_network import Network
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, stream
 
 RULE = {
     "z": -1000.0,
@@ -43,7 +43,7 @@ def spread(number: int, seed: int) -> Array:
     the rule packs. Updates count from 0, so that no update has this order."""
     order, sequence, look_ahead = drawn(seed, -1 % 2**31, number)
     items = [order.items[i] for i in sequence]
-    boxes, policy = AllSides(items, TARGET_EXTENT_MM[order.target], CLEARANCE_MM, look_ahead), by_rule()
+    boxes, policy = FourSidedStream(items, TARGET_EXTENT_MM[order.target], CLEARANCE_MM, look_ahead), by_rule()
     found = [np.zeros((0, len(NAMES)))]
     while boxes.seen:
         decision = policy.decide(boxes)

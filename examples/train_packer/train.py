@@ -34,11 +34,11 @@ from rollouts import Outcome, outcomes, policy_worth, validated
 from rule import scaled, spread
 from search import Search
 
-from petmjx.basics.machine import cpu_threads
-from petmjx.basics.processes import process_pool
-from petmjx.plans.samples.online.learned import Policy
-from petmjx.plans.samples.online.network import Network
-from petmjx.plans.samples.orders import stream
+from petmjx.common.machine import cpu_threads
+from petmjx.common.processes import process_pool
+from petmjx.packers.learned_packer import Policy
+from petmjx.packers.policy_network import Network
+from petmjx.plans.order_generator import stream
 
 STREAM = 105
 """Random numbers of the search."""

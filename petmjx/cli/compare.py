@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
-from petmjx.cli.names import named_paths
+from petmjx.cli.name_arguments import named_paths
+from petmjx.common.errors import InputError
 
 
 def compare(
@@ -56,7 +56,7 @@ def compare(
     the paired difference with interval and McNemar's exact test, orders won and lost, utilisation, and
     with --orders KPIs.
     """
-    from petmjx.show.layout import print_each
+    from petmjx.show.table_layout import print_renderables
 
     files = figure_files(pdf, svg, png, overwrite, runs, orders)
     if packers:
@@ -70,14 +70,14 @@ def compare(
         raise InputError("--orders is for --packers")
     if files:
         raise InputError(f"{files[0]}: a figure compares packers: use --packers")
-    from petmjx.results.compare import compare_runs
+    from petmjx.analysis.run_comparison import compare_runs
     from petmjx.show.compare_tables import comparison_tables
 
     comparison = compare_runs(*runs)
     if as_json:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
         return
-    print_each(comparison_tables(comparison, max_rows=rows), results_console())
+    print_renderables(comparison_tables(comparison, max_rows=rows), results_console())
 
 
 def _compare_packers(
@@ -89,11 +89,11 @@ def _compare_packers(
     files: list[Path],
     as_json: bool,
 ) -> None:
-    from petmjx.packers.compare import compare_packers
-    from petmjx.packers.write import check_comparison_free, write_comparison
-    from petmjx.results.sources import source_files
-    from petmjx.show.layout import line, print_each
+    from petmjx.analysis.packer_comparison import compare_packers
+    from petmjx.analysis.packer_tables import check_comparison_free, write_comparison
+    from petmjx.results.read_files import source_files
     from petmjx.show.packer_tables import packer_tables
+    from petmjx.show.table_layout import line, print_renderables
 
     named = named_paths(runs, "compare --packers") or runs
     if out is not None:
@@ -102,7 +102,7 @@ def _compare_packers(
     if out is not None:
         write_comparison(comparison, out, overwrite)
     if files:
-        from petmjx.figures.save import figure
+        from petmjx.show.figures.figure_files import figure
 
         figure(comparison, *files)
     if as_json:
@@ -110,4 +110,4 @@ def _compare_packers(
         return
     written = [] if out is None else [line(f"tables in {out}")]
     written += [line(f"figure in {file}") for file in files]
-    print_each([*packer_tables(comparison, max_rows=rows), *written], results_console())
+    print_renderables([*packer_tables(comparison, max_rows=rows), *written], results_console())

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
-from petmjx.basics.errors import PlanWarning
-from petmjx.basics.text import printable
+from petmjx.common.errors import PlanWarning
+from petmjx.common.text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.outputs import check_outputs
-from petmjx.basics.text import counted, printable
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import count_text, printable
 
 SHOWN_SKIPPED = 10
 """Most skipped plans that are shown."""
@@ -31,9 +31,9 @@ def convert(
     Plans that are read from the new file are the same to the last bit. Unusable plans are skipped, and the first ones
     get a line each.
     """
-    from petmjx.plans.read import load_plans
-    from petmjx.plans.write import save_plans
-    from petmjx.results.sources import source_files
+    from petmjx.plans.plan_reader import load_plans
+    from petmjx.plans.plan_writer import save_plans
+    from petmjx.results.read_files import source_files
 
     check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
     plan_set = load_plans(plans, **options)
@@ -43,8 +43,8 @@ def convert(
     if not plan_set.plans:
         raise InputError(f"no usable plan ({len(plan_set.skipped):,} skipped)")
     save_plans(plan_set.plans, out)
-    boxes = counted(sum(plan.n_boxes for plan in plan_set), "box", "boxes")
-    print(f"{counted(len(plan_set), 'plan')} ({boxes}) in {printable(str(out))}")
+    boxes = count_text(sum(plan.n_boxes for plan in plan_set), "box", "boxes")
+    print(f"{count_text(len(plan_set), 'plan')} ({boxes}) in {printable(str(out))}")
 
 
 def print_skipped(lines: list[str]) -> None:

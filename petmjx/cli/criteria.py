@@ -9,12 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.machine import cpu_threads
-from petmjx.cli import options as opt
+from petmjx.analysis.criteria_run import CriteriaOptions
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.figure import Pdf, Png, Svg, figure_files
-from petmjx.statics.options import CriteriaOptions
+from petmjx.common.errors import InputError
+from petmjx.common.machine import cpu_threads
 
 ASKED = "What is asked"
 """Heading of the options of the criteria."""
@@ -66,11 +66,11 @@ def criteria(
     equilibrium and force balance. Each is evaluated for each box when it is placed. With --run they are compared with
     the verdicts of a run, and the best threshold of each is found.
     """
-    from petmjx.results.plain import plain
+    from petmjx.analysis.criteria_run import criteria as ask
+    from petmjx.results.to_json import to_json
     from petmjx.show.criteria_tables import criteria_tables
-    from petmjx.show.layout import line, print_each
     from petmjx.show.progress import progress
-    from petmjx.statics.run import criteria as ask
+    from petmjx.show.table_layout import line, print_renderables
 
     files = figure_files(pdf, svg, png, overwrite, plans, run)
     if files and run is None:
@@ -94,12 +94,12 @@ def criteria(
             **options,
         )
     if files:
-        from petmjx.figures.save import figure
+        from petmjx.show.figures.figure_files import figure
 
         figure(results, *files)
     if as_json:
         tables = {"judged": results.judged, "thresholds": results.thresholds}
-        print(json.dumps(plain(results.info | tables), indent=2, allow_nan=False))
+        print(json.dumps(to_json(results.info | tables), indent=2, allow_nan=False))
         return
     written = [line(f"figure in {file}") for file in files]
-    print_each([*criteria_tables(results, None if out is None else str(out)), *written], results_console())
+    print_renderables([*criteria_tables(results, None if out is None else str(out)), *written], results_console())

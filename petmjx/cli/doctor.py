@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 
 
@@ -13,9 +13,8 @@ def doctor(as_json: opt.JsonOption = False) -> None:
     programs are cached."""
     from dataclasses import asdict
 
-    from petmjx.engines.doctor import examine
-    from petmjx.pictures.save import why_nothing_is_drawn
-    from petmjx.show.doctor_table import doctor_table
+    from petmjx.show.doctor_report import doctor_table, examine
+    from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 
     report, why_not = examine(), why_nothing_is_drawn()
     if as_json:

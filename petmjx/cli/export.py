@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.outputs import check_outputs
-from petmjx.basics.text import counted, printable
-from petmjx.basics.whole import whole_file
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
+from petmjx.common.atomic_write import atomic_write
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import count_text, printable
 
 if TYPE_CHECKING:
     from petmjx.options.physics import Physics
@@ -34,8 +34,8 @@ def export(
 
     Of a run in DIR it is the world that the run simulated; else the options given here say what it is like.
     """
-    from petmjx.results.sources import source_files
-    from petmjx.world.mjcf import to_mjcf
+    from petmjx.results.read_files import source_files
+    from petmjx.world.mujoco_model import to_mjcf
 
     if out is not None:
         check_outputs([out], overwrite=overwrite, inputs=source_files(source, options.get("articles")))
@@ -44,21 +44,21 @@ def export(
     if out is None:
         print(mjcf)
         return
-    with whole_file(out) as file:
+    with atomic_write(out) as file:
         file.write_text(mjcf, encoding="utf-8")
-    print(printable(f"plan {plan_id}: {counted(scene.n_boxes, 'box', 'boxes')}, MJCF in {out}"))
+    print(printable(f"plan {plan_id}: {count_text(scene.n_boxes, 'box', 'boxes')}, MJCF in {out}"))
 
 
 def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[str, Any]) -> tuple[Scene, Physics]:
-    from petmjx.options.config import Simulation
     from petmjx.options.run_options import RunOptions
-    from petmjx.plans.gather import find_plan, usable_plans
-    from petmjx.results.files import RUN_FILE
+    from petmjx.options.simulation import Simulation
+    from petmjx.plans.plan_sources import find_plan, usable_plans
+    from petmjx.results.run_folder import RUN_FILE
     from petmjx.world.scene import build_scene
 
     if source and (source[0] / RUN_FILE).is_file():
-        from petmjx.results.reader import load_run
-        from petmjx.sweeps.again import worlds_of_run
+        from petmjx.results.run_reader import load_run
+        from petmjx.runs.rerun import worlds_of_run
 
         if options:
             raise InputError(f"{next(iter(options))}: a world of a run has the run's options; drop this one")

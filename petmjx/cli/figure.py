@@ -7,10 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.outputs import check_outputs
-from petmjx.basics.text import printable
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import printable
 
 PANEL = "A figure for a paper"
 
@@ -33,8 +33,8 @@ def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite
     Raises:
         InputError: a name that does not end as its option says, or a file that is there or cannot be written.
     """
-    from petmjx.figures.save import check_figures
-    from petmjx.results.sources import source_files
+    from petmjx.results.read_files import source_files
+    from petmjx.show.figures.figure_files import check_figures
 
     given = {"pdf": pdf, "svg": svg, "png": png}
     files = {kind: path for kind, path in given.items() if path is not None}
@@ -62,8 +62,8 @@ def figure(
 
     compare --packers and criteria draw their own figures: they have the same options.
     """
-    from petmjx.figures.save import figure as draw
-    from petmjx.results.reader import load_run
+    from petmjx.results.run_reader import load_run
+    from petmjx.show.figures.figure_files import figure as draw
 
     files = figure_files(pdf, svg, png, overwrite, run)
     if not files:

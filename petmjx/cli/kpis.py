@@ -8,10 +8,10 @@ from typing import Annotated
 
 import typer
 
-from petmjx.basics.outputs import check_outputs
-from petmjx.basics.text import printable
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import printable
 
 
 def kpis(
@@ -56,14 +56,14 @@ def kpis(
     Stability comes from a run of petmjx. BED-BPP lets all boxes stand at once and calls a plan unstable if one moves by
     more than 10 mm along z: that is kpi_6, of a run with --check static. The verdict stands beside it.
     """
-    from petmjx.basics.errors import InputError
+    from petmjx.analysis.kpi_files import check_kpis_free, write_kpis
+    from petmjx.analysis.kpi_submission import parse_name, write_submission
+    from petmjx.analysis.kpis import kpis as rate
     from petmjx.cli.convert import print_skipped
-    from petmjx.rating.files import check_kpis_free, write_kpis
-    from petmjx.rating.kpis import kpis as rate
-    from petmjx.rating.submission import parse_name, write_submission
-    from petmjx.results.sources import source_files
+    from petmjx.common.errors import InputError
+    from petmjx.results.read_files import source_files
     from petmjx.show.kpi_tables import kpi_tables
-    from petmjx.show.layout import print_each
+    from petmjx.show.table_layout import print_renderables
 
     if xlsx and out is None:
         raise InputError("--xlsx needs --out DIR")
@@ -79,7 +79,7 @@ def kpis(
         print(json.dumps({**rating.summary, "notes": rating.notes, "skipped": rating.skipped}, indent=2))
     else:
         print_skipped(list(rating.skipped))
-        print_each(kpi_tables(rating, None if out is None else printable(str(out))), results_console())
+        print_renderables(kpi_tables(rating, None if out is None else printable(str(out))), results_console())
     if leaderboard is not None:
         file = write_submission(leaderboard, out or Path(), rating.found, rating.orders, len(rating.skipped))
         if not as_json:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from petmjx.basics.text import shown
-from petmjx.cli import options as opt
-from petmjx.cli.names import named_paths
+from petmjx.cli import command_options as opt
+from petmjx.cli.name_arguments import named_paths
+from petmjx.common.text import printable_name
 
 if TYPE_CHECKING:
-    from petmjx.simulate import Watcher
+    from petmjx.runs.simulate import Watcher
 
 _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "out", "overwrite", "resume", "shard",
@@ -60,9 +60,9 @@ def leaderboard(
     makes it again. Plans are scored with the options given here; runs are taken as they are, unless plans of theirs
     that are simulated again say otherwise.
     """
-    from petmjx.cli.runs import stoppable
-    from petmjx.pages.leaderboard.make import board_line
-    from petmjx.pages.leaderboard.make import leaderboard as make
+    from petmjx.cli.run_command import stoppable
+    from petmjx.show.leaderboard.leaderboard import board_line
+    from petmjx.show.leaderboard.leaderboard import leaderboard as make
 
     paths = named_paths(packers, "leaderboard") or packers
     with stoppable():
@@ -85,6 +85,6 @@ def _bar(name: str) -> Iterator[Watcher]:
     """Say whose plans are scored, and show how far that is."""
     from petmjx.show.progress import BarWatcher
 
-    print(f"packer {shown(name)}", file=sys.stderr)
+    print(f"packer {printable_name(name)}", file=sys.stderr)
     with BarWatcher() as bar:
         yield bar

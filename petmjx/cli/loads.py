@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 import typer
 
-from petmjx.basics.text import printable
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
+from petmjx.common.text import printable
 from petmjx.options.stacking import Stacking
 
 _LOSSES = Stacking()
@@ -63,12 +63,12 @@ def loads(
     A strength is given in newtons, or by McKee's formula from the carton's board. Of it boxes lose a share by how they
     are stacked: across each other, over edges, over gaps of the deck. Verdicts stay as they are.
     """
-    from petmjx.results.loads import check_loads_free
-    from petmjx.results.loads import loads as compare
-    from petmjx.results.plain import plain
-    from petmjx.results.sources import source_files
-    from petmjx.show.layout import print_each
+    from petmjx.analysis.box_loads import check_loads_free
+    from petmjx.analysis.box_loads import loads as compare
+    from petmjx.results.read_files import source_files
+    from petmjx.results.to_json import to_json
     from petmjx.show.load_tables import load_tables
+    from petmjx.show.table_layout import print_renderables
 
     if out is not None:
         check_loads_free(out, overwrite, source_files(run, plans, articles))
@@ -83,6 +83,6 @@ def loads(
     if out is not None:
         comparison.write(out, overwrite)
     if as_json:
-        print(json.dumps({"plans": plain(comparison.plans), "notes": comparison.notes}, indent=2))
+        print(json.dumps({"plans": to_json(comparison.plans), "notes": comparison.notes}, indent=2))
         return
-    print_each(load_tables(comparison, None if out is None else printable(str(out))), results_console())
+    print_renderables(load_tables(comparison, None if out is None else printable(str(out))), results_console())

@@ -14,9 +14,6 @@ from typing import Annotated
 
 import typer
 
-from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
-from petmjx.basics.option_names import typed_options
-from petmjx.basics.text import one_line, printable
 from petmjx.cli import (
     compare,
     convert,
@@ -35,8 +32,11 @@ from petmjx.cli import (
     sweep,
 )
 from petmjx.cli.console import as_notes, prepare_streams
-from petmjx.cli.help import WIDTH, SectionedCommand
-from petmjx.cli.runs import Interrupted
+from petmjx.cli.help_layout import WIDTH, SectionedCommand
+from petmjx.cli.run_command import RunInterrupted
+from petmjx.common.checked_records import typed_options
+from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.common.text import one_line, printable
 from petmjx.version import __version__
 
 
@@ -150,7 +150,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)
-    except Interrupted as interrupt:
+    except RunInterrupted as interrupt:
         return _report(f"interrupted: {interrupt}", _BY_SIGNAL[signal.Signals(interrupt.number)])
     except (InputError, EngineUnavailable) as error:
         return _report(str(error), ExitCode.UNUSABLE)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 
 
@@ -22,13 +22,13 @@ def merge(
 
     All N shards must be there, finished, and of the same plans and options. Worlds that are there twice are refused.
     """
-    from petmjx.cli.runs import brief
-    from petmjx.show.layout import print_each
-    from petmjx.show.tables import run_tables
-    from petmjx.sweeps.merge import merge_runs
+    from petmjx.cli.run_command import brief
+    from petmjx.runs.merge import merge_runs
+    from petmjx.show.run_tables import run_tables
+    from petmjx.show.table_layout import print_renderables
 
     results = merge_runs(shards, out, overwrite=overwrite)
     if as_json:
         print(json.dumps(brief(results), indent=2))
         return
-    print_each(run_tables(results), results_console())
+    print_renderables(run_tables(results), results_console())

@@ -8,14 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import printable
 from petmjx.cli.console import results_console
-from petmjx.cli.runs import brief, default_folder, remove_empty, run_watched
+from petmjx.cli.run_command import brief, default_folder, remove_empty, run_watched
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
 
 if TYPE_CHECKING:
-    from petmjx.results.reader import RunResults
-    from petmjx.simulate import Watcher
+    from petmjx.results.run_reader import RunResults
+    from petmjx.runs.simulate import Watcher
 
 
 def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool) -> None:
@@ -25,12 +25,12 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
         plans: name of each packer → its plans.
         options: as for ``petmjx.score``; ``out`` holds the folders.
     """
-    from petmjx.packers.compare import compare_packers
-    from petmjx.packers.load import check_names
-    from petmjx.results.files import check_run_folder
-    from petmjx.show.layout import line, print_each
+    from petmjx.analysis.packer_comparison import compare_packers
+    from petmjx.analysis.packer_runs import check_names
+    from petmjx.results.run_folder import check_run_folder
     from petmjx.show.packer_tables import packer_tables
-    from petmjx.show.tables import run_tables
+    from petmjx.show.run_tables import run_tables
+    from petmjx.show.table_layout import line, print_renderables
 
     check_names(plans)
     for path in plans.values():
@@ -47,7 +47,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
             given = options if parent is None else options | {"out": Path(parent) / name}
             results[name] = run_watched(partial(_score, path), given)
             if not as_json:
-                print_each([line(f"packer {name}"), *run_tables(results[name]), ""], console)
+                print_renderables([line(f"packer {name}"), *run_tables(results[name]), ""], console)
     finally:
         if made is not None:
             remove_empty(made)
@@ -57,7 +57,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
         tables = None if compared is None else compared.to_dict()
         print(json.dumps({"runs": runs, "compared": tables}, indent=2, allow_nan=False))
     elif compared is not None:
-        print_each(packer_tables(compared), console)
+        print_renderables(packer_tables(compared), console)
 
 
 def _score(plans: str, watcher: Watcher, options: Mapping[str, Any]) -> RunResults:

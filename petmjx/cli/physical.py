@@ -8,8 +8,8 @@ from typing import Any, Final
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import counted, printable, shown
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable, printable_name
 
 MOST_NAMED: Final = 10
 """Orders of a kind that get a line of their own, or are named in one."""
@@ -17,9 +17,9 @@ MOST_NAMED: Final = 10
 
 def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: int, options: Mapping[str, Any]) -> None:
     """Pack orders by search and physics, write their plans, and say what came of them."""
-    from petmjx.packing.pack import Packed, orders_of, pack_each
-    from petmjx.packing.packed import PackedOrder
-    from petmjx.plans.samples import Placement, write_plans
+    from petmjx.packers.pack import Packed, orders_of, pack_each
+    from petmjx.packers.packed_orders import PackedOrder
+    from petmjx.plans.json_writer import Placement, write_plans
     from petmjx.show.progress import progress
 
     bad: list[InputError] = []
@@ -51,7 +51,7 @@ def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
     for packed in few:
         yield f"{packed.left_out}: {packed.why}"
     if len(incomplete) > len(few):
-        yield f"{counted(len(incomplete) - len(few), 'more order')} with boxes left out"
+        yield f"{count_text(len(incomplete) - len(few), 'more order')} with boxes left out"
 
 
 def _not_good(packings: list[Any]) -> Iterator[str]:
@@ -59,19 +59,19 @@ def _not_good(packings: list[Any]) -> Iterator[str]:
     shaky = [packed for packed in packings if packed.taken is not None and not packed.good]
     if shaky:
         names = ", ".join(
-            f"{shown(packed.order_id)} ({100 * packed.taken.share:.0f} %)" for packed in shaky[:MOST_NAMED]
+            f"{printable_name(packed.order_id)} ({100 * packed.taken.share:.0f} %)" for packed in shaky[:MOST_NAMED]
         )
         more = ", …" if len(shaky) > MOST_NAMED else ""
         verb = "has" if len(shaky) == 1 else "have"
-        yield f"{counted(len(shaky), 'order')} {verb} no packing that stands as often as asked for: {names}{more}"
+        yield f"{count_text(len(shaky), 'order')} {verb} no packing that stands as often as asked for: {names}{more}"
 
 
 def _in_short(packed: Any, out: Path) -> Iterator[str]:
     table = packed.orders
     table = table[table["boxes"] > 0]
     boxes, orders = int(packed.orders["left_out"].sum()), int((packed.orders["left_out"] > 0).sum())
-    left = f"; {counted(boxes, 'box', 'boxes')} of {counted(orders, 'order')} left out" if orders else ""
-    yield f"{counted(len(table), 'plan')} in {printable(str(out))}{left}"
+    left = f"; {count_text(boxes, 'box', 'boxes')} of {count_text(orders, 'order')} left out" if orders else ""
+    yield f"{count_text(len(table), 'plan')} in {printable(str(out))}{left}"
     standing = int((table["verdict"] == "stable").sum())
     sure = f", {100 * table['share'].mean():.1f} % of worlds with errors" if table["n_worlds"].any() else ""
     yield f"utilisation {table['utilisation'].mean():.3f}; {standing:,} stand placed exactly{sure}"

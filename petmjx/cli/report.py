@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 
 
 def report(
@@ -28,7 +28,7 @@ def report(
     Of several runs it says where their verdicts differ, and whose plans stand. The page is one file and asks nothing of
     any server, so it can be sent by mail.
     """
-    from petmjx.pages.report.make import report as write_report
+    from petmjx.show.report.report_page import report as write_report
 
     path = write_report(list(runs), out, plans=plans or (), overwrite=overwrite)
     print(f"report in {path} ({path.stat().st_size / 1e6:,.1f} MB)")

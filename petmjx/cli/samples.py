@@ -7,18 +7,18 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from petmjx.basics.arguments import whole_of
-from petmjx.basics.errors import InputError
-from petmjx.basics.outputs import check_outputs
-from petmjx.basics.text import counted, printable
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 from petmjx.cli.physical import write_physical
+from petmjx.common.argument_checks import integer_of
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import count_text, printable
 from petmjx.options.run_options import Confidence
-from petmjx.packing.options import PHYSICAL, PhysicalOptions
-from petmjx.plans.samples import DEFAULT_LOOSE_SHARE, LeftOut
-from petmjx.plans.samples.online.learned import LEARNED
-from petmjx.plans.samples.online.stream import MOST_LOOK_AHEAD
-from petmjx.plans.samples.packers import BASELINE
+from petmjx.packers.item_stream import MOST_LOOK_AHEAD
+from petmjx.packers.learned_packer import LEARNED
+from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
+from petmjx.packers.packer_registry import BASELINE
+from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
@@ -104,9 +104,10 @@ def samples(
     With --orders it packs the orders of a file instead. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
-    from petmjx.basics.machine import cpu_threads
-    from petmjx.plans.forms import is_csv, is_parquet_name
-    from petmjx.plans.samples import loose_share_of, pack_orders, write_plans, write_samples
+    from petmjx.common.machine import cpu_threads
+    from petmjx.packers.sample_plans import loose_share_of, pack_orders, write_samples
+    from petmjx.plans.file_formats import is_csv, is_parquet_name
+    from petmjx.plans.json_writer import write_plans
     from petmjx.show.progress import progress
 
     if is_csv(out) or is_parquet_name(out):
@@ -115,7 +116,7 @@ def samples(
     if look_ahead is not None:
         if packer != LEARNED:
             raise InputError(f"--lookahead needs the packer {LEARNED}")
-        whole_of(look_ahead, "--lookahead", 1, MOST_LOOK_AHEAD)
+        integer_of(look_ahead, "--lookahead", 1, MOST_LOOK_AHEAD)
     drawn = {"-n": n, "--loose-share": loose_share}
     if orders is not None and (given := next((name for name, value in drawn.items() if value is not None), None)):
         raise InputError(f"{given} is for drawn orders, and --orders names a file of orders")
@@ -126,7 +127,7 @@ def samples(
     if options:
         raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
     bad: list[InputError] = []
-    left_out: list[LeftOut] = []
+    left_out: list[LeftOutItems] = []
     written = 0
 
     def count(done: int) -> None:
@@ -154,15 +155,15 @@ def samples(
     for order in shown:
         print(order)
     if len(left_out) > len(shown):
-        print(f"{counted(len(left_out) - len(shown), 'more order')} with boxes left out")
-    print(f"{counted(written, 'plan')} in {printable(str(out))}{_totals(left_out)}")
+        print(f"{count_text(len(left_out) - len(shown), 'more order')} with boxes left out")
+    print(f"{count_text(written, 'plan')} in {printable(str(out))}{_totals(left_out)}")
     share = loose_share_of(packer, loose_share)
     if orders is None and share > 0 and packer in (None, BASELINE):
         print(f"about {100 * share:.3g} % of them are packed loosely on purpose; to compare packers: --loose-share 0")
 
 
-def _totals(left_out: list[LeftOut]) -> str:
+def _totals(left_out: list[LeftOutItems]) -> str:
     if not left_out:
         return ""
-    boxes = counted(sum(len(order.numbers) for order in left_out), "box", "boxes")
-    return f"; {boxes} of {counted(len(left_out), 'order')} left out"
+    boxes = count_text(sum(len(order.numbers) for order in left_out), "box", "boxes")
+    return f"; {boxes} of {count_text(len(left_out), 'order')} left out"

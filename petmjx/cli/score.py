@@ -6,11 +6,11 @@ from typing import Annotated, Any
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.cli import options as opt
-from petmjx.cli.names import named_paths
+from petmjx.cli import command_options as opt
+from petmjx.cli.name_arguments import named_paths
 from petmjx.cli.packers import score_named
-from petmjx.cli.runs import run_and_show
+from petmjx.cli.run_command import run_and_show
+from petmjx.common.errors import InputError
 from petmjx.options.run_options import Confidence
 
 Names = Annotated[

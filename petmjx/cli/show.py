@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.outputs import check_outputs
-from petmjx.basics.text import printable
-from petmjx.cli import options as opt
+from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
-from petmjx.cli.runs import Interrupted, stoppable
-from petmjx.pictures.options import PictureOptions
+from petmjx.cli.run_command import RunInterrupted, stoppable
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import printable
+from petmjx.show.pictures.picture_options import PictureOptions
 
 if TYPE_CHECKING:
-    from petmjx.story.tell import Story
+    from petmjx.analysis.story import Story
 
 DRAWN = "What is drawn"
 LOOK = "How it looks"
@@ -56,8 +56,8 @@ def show(
     The world is simulated as the run in DIR did, to the last bit, or with the options given here. Without an option of
     what is drawn, its story is printed in the terminal.
     """
-    from petmjx.pictures.save import check_drawing
-    from petmjx.results.sources import source_files
+    from petmjx.results.read_files import source_files
+    from petmjx.show.pictures.picture_files import check_drawing
 
     given = {"html": html, "png": png, "pdf": pdf, "svg": svg, "gif": gif, "mp4": mp4, "rrd": rrd}
     files = {kind: path for kind, path in given.items() if path is not None}
@@ -69,21 +69,21 @@ def show(
     look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
     PictureOptions(**look)
     if viewer:
-        from petmjx.pictures.viewer import check_display
+        from petmjx.show.pictures.mujoco_viewer import check_display
 
         check_display()
     with stoppable():
         try:
-            story = _told(plan_id, source or [], variant, bool(look.get("arrows")), options)
+            story = _cli_story(plan_id, source or [], variant, bool(look.get("arrows")), options)
             _show(story, list(files.values()), look, viewer)
         except KeyboardInterrupt as stop:
-            raise Interrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
+            raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
 
 
-def _told(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
+def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
     """The story of a plan. With ``forces`` what a run has recorded without them is simulated again."""
-    from petmjx.results.files import RUN_FILE
-    from petmjx.story.tell import tell
+    from petmjx.analysis.story import tell
+    from petmjx.results.run_folder import RUN_FILE
 
     if source and (source[0] / RUN_FILE).is_file():
         details = True if forces else None
@@ -92,35 +92,34 @@ def _told(plan_id: str, source: list[Path], variant: int | None, forces: bool, o
 
 
 def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -> None:
-    from petmjx.show.layout import print_each
-    from petmjx.show.story import how_to_draw, story_tables
+    from petmjx.show.story_text import how_to_draw, story_tables
+    from petmjx.show.table_layout import print_renderables
 
     if not files and not viewer:
-        print_each([*story_tables(story), "", how_to_draw()], results_console())
+        print_renderables([*story_tables(story), "", how_to_draw()], results_console())
         return
     if files:
         _draw(story, files, look)
     if viewer:
-        from petmjx.pictures.viewer import play
+        from petmjx.show.pictures.mujoco_viewer import play
 
         play(story, look.get("speed") or 1.0)
 
 
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
     """Draw each file, with a bar for films, and say what was written."""
-    from petmjx.pictures.save import draw
-    from petmjx.show.progress import Shown, progress
-    from petmjx.story.events import headline
-    from petmjx.story.words import notes_in_words
+    from petmjx.analysis.story import headline, notes_in_words
+    from petmjx.show.pictures.picture_files import draw
+    from petmjx.show.progress import ProgressSink, progress
 
     print(printable(f"plan {story.name}: {headline(story)}"))
     for note in notes_in_words(story):
         print(printable(f"note: {note}"))
     for file in files:
         with ExitStack() as shown:
-            bars: list[Shown] = []
+            bars: list[ProgressSink] = []
 
-            def count(done: int, total: int, shown: ExitStack = shown, bars: list[Shown] = bars) -> None:
+            def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
                 if not bars:  # films alone say how long they are, once they begin
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)

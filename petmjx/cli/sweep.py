@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from petmjx.cli import options as opt
-from petmjx.cli.runs import run_and_show
+from petmjx.cli import command_options as opt
+from petmjx.cli.run_command import run_and_show
 
 
 @opt.takes(simulated="Simulation (the sweep file's [simulation] may set other defaults)")

@@ -3,17 +3,17 @@
 The rules: docs/rules.md, section 9.
 
 They are those of the PET-Physics paper (Newton, then CG, up to two attempts each), and then one with half the timestep.
-Worlds whose verdict may come from soft contacts (``petmjx.engines.sinking``) have two attempts of their own.
-If asked for, the last attempt has soft boxes, as the third one of the reference implementation.
-The second attempts of the reference implementation repeat the same deterministic run. Here they differ: the solver gets
-up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
+Worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``) have two attempts of their
+own. If asked for, the last attempt has soft boxes, as the third one of the reference implementation. The second
+attempts of the reference implementation repeat the same deterministic run. Here they differ: the solver gets up to
+``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 
 The MJX engines work in single precision, and ``mjx-warp`` has Newton's method alone. So C MuJoCo, their *stand-in*,
 makes the attempts that want double precision and worlds with soft boxes, simulates with conjugate gradients, and takes
 over what an error of theirs left unanswered. ``mujoco`` itself and an engine of the user's own have no stand-in.
 
 A single world takes a GPU as long as many. So of a run on ``mjx-warp`` further attempts that few worlds need are made
-beside it, on CPU threads (petmjx/engines/beside): those of C MuJoCo, and with stiffer contacts those of
+beside it, on CPU threads (petmjx/engines/subprocess): those of C MuJoCo, and with stiffer contacts those of
 ``mjx-warp-cpu``, the same kernels. Who makes an attempt depends on the world and the options alone.
 """
 
@@ -26,14 +26,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.basics.text import counted
-from petmjx.engines.base import Engine, Progress
-from petmjx.engines.beside.host import Beside, InProcess
-from petmjx.engines.choose import make_engine
-from petmjx.engines.sinking import stiffened
-from petmjx.options.config import Attempts, Simulation, Solver
+from petmjx.common.text import count_text
+from petmjx.engines.contact_penetration import stiffened_physics
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.subprocess.attempt_host import SideSimulator, SubprocessSimulator
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.physics import Cone
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Attempts, Simulation, Solver
 from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
@@ -74,7 +74,7 @@ class AttemptRecipe:
     """Worlds of more boxes that have a verdict keep it, and the flag: steps of hundreds of boxes in stiff contacts take
     tens of milliseconds, and what leans there is a small part of the pallet."""
     soft: bool = False
-    """With all boxes as flex bodies (petmjx/world/soft.py), from the beginning."""
+    """With all boxes as flex bodies (petmjx/world/soft_boxes.py), from the beginning."""
 
     doubles: bool = False
     """Whether it wants double precision: an invalid world may be so by single precision, and in contacts of a twentieth
@@ -113,7 +113,7 @@ class AttemptRecipe:
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
         if self.stiff is not None:
-            update["physics"] = stiffened(update.get("physics", sim.physics), self.stiff)
+            update["physics"] = stiffened_physics(update.get("physics", sim.physics), self.stiff)
             quiet = update.get("quiet", sim.quiet)
             update["quiet"] = quiet.model_copy(
                 update={"steps": max(quiet.steps, STIFF_QUIET_STEPS * self.timestep_divisor)}
@@ -206,15 +206,15 @@ class Engines:
         return name
 
     @cached_property
-    def helper(self) -> Beside:
+    def helper(self) -> SideSimulator:
         """Makes attempts beside the engine of the run."""
-        return InProcess()
+        return SubprocessSimulator()
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
         """Say that an error ended an engine's attempt, and what becomes of the worlds that it left unanswered."""
         other = self.stand_in
         then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
-        self.note(f"attempt {attempt}: {engine} failed ({message}); {counted(worlds, 'world')}: {then}")
+        self.note(f"attempt {attempt}: {engine} failed ({message}); {count_text(worlds, 'world')}: {then}")
 
     def note(self, text: str) -> None:
         """A line for ``run.json``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from petmjx.basics.errors import EngineUnavailable
+from petmjx.common.errors import EngineUnavailable
 
 ENVIRONMENT = "Palletizing-v0"
 
@@ -16,7 +16,7 @@ def register_environments() -> None:
         register(
             name,
             entry_point="petmjx.gym.env:PalletizingEnv",
-            vector_entry_point="petmjx.gym.vector:PalletizingVectorEnv",
+            vector_entry_point="petmjx.gym.vector_env:PalletizingVectorEnv",
         )
 
 

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.units import FloatArray
-from petmjx.gym.options import CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, PalletizingOptions
+from petmjx.common.units import FloatArray
+from petmjx.gym.environment_options import CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, PalletizingOptions
+from petmjx.loop.candidate_places import Places
 from petmjx.loop.pallets import Pallets
-from petmjx.loop.places import Places
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
 """Of a candidate: which of the boxes that are seen, whether it is turned by 90°, its corner and extents, mm, its mass,

@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from petmjx.basics.checked import got
-from petmjx.basics.errors import InputError
-from petmjx.gym.core import Episodes, Observation
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.gym.episodes import Episodes, Observation
 
 _FIRST: Final = np.zeros(1, np.int64)
 
@@ -32,7 +32,8 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
 
     Args:
         render_mode: None, or "rgb_array": pictures of 480 × 480 pixels, which need EGL and the extra ``show``.
-        options: fields of ``petmjx.gym.options.PalletizingOptions``, arguments of ``petmjx.Pallets``, and fields of
+        options: fields of ``petmjx.gym.environment_options.PalletizingOptions``, arguments of ``petmjx.Pallets``, and
+            fields of
             ``petmjx.Simulation``.
 
     Raises:
@@ -61,7 +62,9 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Put a box onto the pallet. An action that the mask excludes changes nothing."""
         if not self.action_space.contains(action):
-            raise InputError(f"action must be a whole number from 0 to {self.episodes.n_actions - 1}, {got(action)}")
+            raise InputError(
+                f"action must be a whole number from 0 to {self.episodes.n_actions - 1}, {shown_value(action)}"
+            )
         if self._ended:
             raise InputError("the episode has ended, or none has begun: call reset")
         stepped = self.episodes.step(_FIRST, np.array([action], np.int64))

@@ -10,18 +10,18 @@ environment of such functions. docs/loop.md has more.
 """
 
 from petmjx.jax.palletizing import Observation, Palletizing
-from petmjx.jax.program import empty, place, try_all
+from petmjx.jax.placement_results import REASONS, PlacementArrays
+from petmjx.jax.pure_functions import empty, place, try_all
 from petmjx.jax.timestep import Spec, StepType, TimeStep
-from petmjx.jax.told import REASONS, Told
 
 __all__ = [
     "REASONS",
     "Observation",
     "Palletizing",
+    "PlacementArrays",
     "Spec",
     "StepType",
     "TimeStep",
-    "Told",
     "empty",
     "place",
     "try_all",

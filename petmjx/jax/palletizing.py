@@ -9,22 +9,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from petmjx.basics.arguments import number_of, text_of, whole_of
-from petmjx.basics.checked import hint
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY
-from petmjx.jax.cells import Cells
-from petmjx.jax.program import State as Pallet
-from petmjx.jax.program import empty, place
+from petmjx.analysis.criteria import SUPPORT_SHARES
+from petmjx.common.argument_checks import integer_of, number_of, text_of
+from petmjx.common.checked_records import hint
+from petmjx.common.errors import InputError
+from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY
+from petmjx.jax.free_cells import Cells
+from petmjx.jax.placement_results import PlacementArrays
+from petmjx.jax.pure_functions import State as Pallet
+from petmjx.jax.pure_functions import empty, place
 from petmjx.jax.timestep import Spec, StepType, TimeStep
-from petmjx.jax.told import Told
-from petmjx.loop.heights import cells_of
-from petmjx.loop.orders import ENDLESS, Boxes, Orders
+from petmjx.loop.height_maps import cells_of
+from petmjx.loop.order_sources import ENDLESS, Boxes, Orders
 from petmjx.loop.rewards import weights_of
-from petmjx.options.carrier import AnyCarrier, extent_m
-from petmjx.options.config import Simulation
+from petmjx.options.carriers import AnyCarrier, extent_m
 from petmjx.options.run_options import AUTO
-from petmjx.statics.named import SUPPORT_SHARES
+from petmjx.options.simulation import Simulation
 
 GEOMETRY: Final = "geometry"
 MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
@@ -118,8 +118,8 @@ class Palletizing:
     ) -> None:
         if text_of(mask, "mask") not in MASKS:
             raise InputError(f"unknown mask {mask!r}; {hint(mask, MASKS)}")
-        self._seen = whole_of(look_ahead, "look_ahead", 1, 512)
-        self._most_illegal, self._most_boxes = whole_of(most_illegal, "most_illegal", 1), most_boxes
+        self._seen = integer_of(look_ahead, "look_ahead", 1, 512)
+        self._most_illegal, self._most_boxes = integer_of(most_illegal, "most_illegal", 1), most_boxes
         self._highest = number_of(max_height_mm, "max_height_mm", 1.0, 20_000.0)
         side = number_of(action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
         self._weights = weights_of(rewards)
@@ -129,7 +129,7 @@ class Palletizing:
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         self._cells = Cells(self._extent, side, self._highest, MASKS[mask])
         self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
-        of_orders = self._usable(Orders(orders, whole_of(orders_seed, "orders_seed", 0)))
+        of_orders = self._usable(Orders(orders, integer_of(orders_seed, "orders_seed", 0)))
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # so that nothing is seen beyond an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
@@ -239,7 +239,7 @@ class Palletizing:
         carried = jax.lax.while_loop(stuck, next_one, state._replace(pallet=None))
         return carried._replace(pallet=state.pallet)
 
-    def _terms(self, before: State, after: State, outcome: Told, legal: jax.Array) -> dict[str, jax.Array]:
+    def _terms(self, before: State, after: State, outcome: PlacementArrays, legal: jax.Array) -> dict[str, jax.Array]:
         """Of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""
         stands = legal & outcome.stable
         tops = [(state.corner_mm + state.size_mm)[:, 2].max() for state in (before, after)]

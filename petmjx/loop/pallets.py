@@ -11,27 +11,26 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.arguments import flag_of, number_of, text_of, whole_of
-from petmjx.basics.checked import got
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import MM_PER_M, FloatArray
-from petmjx.engines.base import Engine
-from petmjx.loop.asked import Asked, asked_of, boxes_of, grid_of, once_each, pallets_of
-from petmjx.loop.closing import Closable
-from petmjx.loop.heights import height_maps
-from petmjx.loop.opening import MOST_PALLETS, OF_RUN, check_open, open_engine
-from petmjx.loop.places import Places, free_places
-from petmjx.loop.settled import SettledEngine
-from petmjx.loop.standing import Standing
-from petmjx.loop.told import Told
-from petmjx.loop.trials import drive_of, errors_of, shares, told_driven
-from petmjx.options.carrier import AnyCarrier, extent_m
-from petmjx.options.config import Simulation
+from petmjx.common.argument_checks import flag_of, integer_of, number_of, text_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.engines.protocol import Engine
+from petmjx.loop.candidate_places import Places, free_places
+from petmjx.loop.candidate_trials import drive_of, driven_results, errors_of, shares
+from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
+from petmjx.loop.height_maps import height_maps
+from petmjx.loop.pallet_verdicts import SettledEngine
+from petmjx.loop.pallet_worlds import PalletWorlds
+from petmjx.loop.placement_results import PlacementResults
+from petmjx.loop.placements import Placements, boxes_of, grid_of, once_each, pallets_of, placements_of
+from petmjx.options.carriers import AnyCarrier, extent_m
 from petmjx.options.run_options import AUTO, RunOptions, sorted_options
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.results.reader import RunResults
-from petmjx.simulate import simulate
-from petmjx.study import Nominal
+from petmjx.results.run_reader import RunResults
+from petmjx.runs.simulate import simulate
+from petmjx.runs.study import Nominal
 
 MOST_BOXES: Final = 96
 """The default for a pallet."""
@@ -75,8 +74,8 @@ class Pallets(Closable):
         most_boxes: int = MOST_BOXES,
         **options: Any,
     ) -> None:
-        self.n = whole_of(n, "n", 1, MOST_PALLETS)
-        self.most_boxes = whole_of(most_boxes, "most_boxes", 1, 512)
+        self.n = integer_of(n, "n", 1, MOST_PALLETS)
+        self.most_boxes = integer_of(most_boxes, "most_boxes", 1, 512)
         of_simulation, of_run = sorted_options(options)
         if other := next((name for name in of_run if name not in OF_RUN), None):
             raise InputError(f"{other}: pallets have no such option; of run options they have {', '.join(OF_RUN)}")
@@ -84,7 +83,7 @@ class Pallets(Closable):
         check_open(self.simulation)
         self._engine, self._own = open_engine(engine, self.n, of_run)
         self._lock = threading.RLock()
-        self._standing = Standing(self.n, self._engine, self.simulation, self.most_boxes)
+        self._standing = PalletWorlds(self.n, self._engine, self.simulation, self.most_boxes)
         self._worlds, self._boxes = self._standing.worlds, self._standing.boxes
 
     def __len__(self) -> int:
@@ -139,7 +138,7 @@ class Pallets(Closable):
         mass_kg: Any,
         pallet: Any = None,
         meanwhile: Callable[[], object] | None = None,
-    ) -> Told:
+    ) -> PlacementResults:
         """Put one box each onto some pallets, and wait until these rest.
 
         Args:
@@ -165,13 +164,14 @@ class Pallets(Closable):
         drive: Any = None,
         level: float = 1.0,
         direction_deg: float = 0.0,
-    ) -> Told:
+    ) -> PlacementResults:
         """Say of m candidates, any mixture of boxes, places and pallets, what ``place`` would say of each. Nothing
         changes.
 
         Args:
             errors: also simulate each candidate in this many worlds in which a robot places it inexactly;
-                ``Told.share`` is the share that stands. The errors are those of ``petmjx score --confidence``.
+                ``PlacementResults.share`` is the share that stands. The errors are those of
+                ``petmjx score --confidence``.
             drive: the name of a profile that shakes the pallet with the candidate on it, such as ``eumos-40509``; the
                 answers are then those after it.
             level: the profile's strength, such as 0.3 g.
@@ -182,17 +182,19 @@ class Pallets(Closable):
         """
         self._check_open()
         shaken = drive_of(drive, level, direction_deg, self.simulation)
-        number = None if errors is None else whole_of(errors, "errors", 1, 100_000)
+        number = None if errors is None else integer_of(errors, "errors", 1, 100_000)
         with self._using():
             request = self._asked(size_mm, corner_mm, mass_kg, pallet)
             if not len(request):
-                return Told.of_readings(request.pallet, self._worlds.readings([]), self.simulation.thresholds)
+                return PlacementResults.of_readings(
+                    request.pallet, self._worlds.readings([]), self.simulation.thresholds
+                )
             boxes, worlds = self._standing.next_boxes(request), request.pallet.tolist()
             if shaken is None:
                 readings = self._worlds.try_next(worlds, boxes)
-                outcomes = Told.of_readings(request.pallet, readings, self.simulation.thresholds)
+                outcomes = PlacementResults.of_readings(request.pallet, readings, self.simulation.thresholds)
             else:
-                outcomes = told_driven(self._worlds, request.pallet, boxes, shaken, self.simulation.thresholds)
+                outcomes = driven_results(self._worlds, request.pallet, boxes, shaken, self.simulation.thresholds)
             if number is None:
                 return outcomes
             return outcomes.with_share(shares(self._worlds, worlds, boxes, errors_of(number, self.simulation), shaken))
@@ -238,11 +240,11 @@ class Pallets(Closable):
 
     # ------------------------------------------------------------------ what is there
 
-    def told(self, pallet: Any = None) -> Told:
+    def told(self, pallet: Any = None) -> PlacementResults:
         """How pallets are now; None: all."""
         with self._using():
             rows = pallets_of(pallet, self.n)
-            return Told.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
+            return PlacementResults.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
 
     def plan(self, pallet: int = 0, plan_id: str | None = None, **fields: Any) -> Plan:
         """A pallet's boxes as a plan; ``fields`` are those of ``Plan.from_boxes``, such as ``article=["tea", …]``.
@@ -335,12 +337,12 @@ class Pallets(Closable):
         Raises:
             InputError: no OpenGL here that draws without a display, or the extra ``show`` is missing.
         """
-        from petmjx.loop.picture import picture  # loads OpenGL
+        from petmjx.loop.pallet_pictures import picture  # loads OpenGL
 
         text_of(view, "view")
         if not isinstance(size, Sequence) or len(size) != 2:
-            raise InputError(f"size must be two whole numbers of pixels, {got(size)}")
-        size = (whole_of(size[0], "size", 16, 8192), whole_of(size[1], "size", 16, 8192))
+            raise InputError(f"size must be two whole numbers of pixels, {shown_value(size)}")
+        size = (integer_of(size[0], "size", 16, 8192), integer_of(size[1], "size", 16, 8192))
         with self._using():
             number = self._one(pallet, may_be_empty=True)
             (reading,) = self._worlds.read([number])
@@ -356,8 +358,8 @@ class Pallets(Closable):
 
     # ------------------------------------------------------------------ steps
 
-    def _asked(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Asked:
-        request = asked_of(size_mm, corner_mm, mass_kg, pallet, self.n)
+    def _asked(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Placements:
+        request = placements_of(size_mm, corner_mm, mass_kg, pallet, self.n)
         if (dead := request.pallet[self._standing.dead[request.pallet]]).size:
             raise InputError(f"pallet: {dead[0]} has fallen; reset it, or take its last box back")
         if (full := request.pallet[self._boxes.count[request.pallet] >= self.most_boxes]).size:
@@ -367,7 +369,7 @@ class Pallets(Closable):
         return request
 
     def _one(self, pallet: Any, *, may_be_empty: bool = False) -> int:
-        (number,) = pallets_of(whole_of(pallet, "pallet"), self.n).tolist()
+        (number,) = pallets_of(integer_of(pallet, "pallet"), self.n).tolist()
         if not may_be_empty and not self._boxes.count[number]:
             raise InputError(f"pallet: {number} has no boxes")
         return int(number)

@@ -8,11 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.basics.arguments import number_of
-from petmjx.basics.checked import got, hint
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
-from petmjx.loop.told import Told
+from petmjx.common.argument_checks import number_of
+from petmjx.common.checked_records import hint, shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
+from petmjx.loop.placement_results import PlacementResults
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class Placement:
         higher_mm: (m,) by how much the pallet has grown; ``max_height_mm``.
     """
 
-    told: Told
+    told: PlacementResults
     volume_mm3: FloatArray
     mass_kg: FloatArray
     room_mm3: float
@@ -72,7 +72,7 @@ def weights_of(rewards: Any) -> dict[str, float]:
     if rewards is None:
         return dict(USUAL)
     if not isinstance(rewards, Mapping):
-        raise InputError(f"rewards must be a table of weights, {got(rewards)}")
+        raise InputError(f"rewards must be a table of weights, {shown_value(rewards)}")
     for name in rewards:
         if name not in TERMS:
             raise InputError(f"rewards: unknown term {name!r}; {hint(str(name), TERMS)}")

@@ -12,28 +12,27 @@ from typing import Any, Self
 import numpy as np
 import pandas as pd
 
-from petmjx.basics.arguments import array_of, list_of
-from petmjx.basics.checked import got
-from petmjx.basics.errors import InputError, PlanWarning
-from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Engine
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.worlds import World, WorldResult
-from petmjx.loop.closing import Closable
-from petmjx.loop.opening import OF_RUN, ready_engine
-from petmjx.loop.told import Told
-from petmjx.options.config import Simulation
+from petmjx.common.argument_checks import array_of, list_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError, PlanWarning
+from petmjx.common.units import FloatArray
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.protocol import Engine
+from petmjx.engines.world_results import World, WorldResult
+from petmjx.loop.engine_setup import OF_RUN, Closable, ready_engine
+from petmjx.loop.placement_results import PlacementResults
 from petmjx.options.run_options import AUTO, RunOptions, sorted_options
-from petmjx.plans.forms import SupportsArrow
-from petmjx.plans.gather import PlanSource, usable_plans
+from petmjx.options.simulation import Simulation
+from petmjx.plans.file_formats import SupportsArrow
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
-from petmjx.results.parts import Part, Row
+from petmjx.plans.plan_sources import PlanSource, usable_plans
+from petmjx.results.part_buffer import Part, Row
 from petmjx.results.schema import data_frame, schemas
-from petmjx.study import NOMINAL
+from petmjx.runs.study import NOMINAL
+from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
-from petmjx.world.surfaces import check_surfaces
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +103,8 @@ class Scorer(Closable):
         frames["worlds"]["culprit"] = frames["worlds"]["culprit"].astype("Int32")
         return Scored(**frames)
 
-    def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> Told:
-        """What a score says of m plans, in arrays; ``Told.pallet`` counts the plans, and forces are those at rest.
+    def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> PlacementResults:
+        """What a score says of m plans, in arrays. ``pallet`` counts the plans, and forces are those at rest.
 
         Args:
             size_mm, corner_mm: (m, k, 3) as in ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans of fewer boxes than k
@@ -117,7 +116,7 @@ class Scorer(Closable):
         self._check_open()
         plans = _plans_of(*_arrays(size_mm, corner_mm, mass_kg))
         outcomes = [result.outcome for result in self._results(self._usable(plans))]
-        return Told.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
+        return PlacementResults.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
 
     def close(self) -> None:
         """Free what the engine holds. Whatever is asked afterwards is an InputError."""
@@ -136,7 +135,7 @@ class Scorer(Closable):
     def _usable(self, plans: PlanSource) -> Sequence[Plan]:
         if not isinstance(plans, Plan | PlanSet | SupportsArrow):
             if plans is None or isinstance(plans, str | PathLike):
-                raise InputError(f"plans must be plans or a data frame, {got(plans)}; petmjx.score reads files")
+                raise InputError(f"plans must be plans or a data frame, {shown_value(plans)}; petmjx.score reads files")
             plans = list_of(plans, "plans", Plan, "plans")
             if not plans:
                 raise InputError("plans: there are none")

@@ -9,9 +9,9 @@ from typing import Annotated, Final
 
 from pydantic import Field, StrictFloat
 
-from petmjx.basics.checked import Checked, within
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import counted, shown
+from petmjx.common.checked_records import CheckedRecord, within
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
 from petmjx.options.physics import HIGHEST_RESTITUTION, LONGEST_LANDING_S, RESTITUTION, SHORTEST_LANDING_S
 
 WOOD: Final = "wood"
@@ -51,7 +51,7 @@ _MOST_NAMED: Final = 5
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
-class FrictionPair(Checked):
+class FrictionPair(CheckedRecord):
     """The coefficient of sliding friction between two materials, or of one with itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
@@ -63,7 +63,7 @@ class FrictionPair(Checked):
         return _pair(*self.between)
 
 
-class LandingPair(Checked):
+class LandingPair(CheckedRecord):
     """How a material lands on another one, or on itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
@@ -118,8 +118,8 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], own: Sequence[Frict
     pairs |= {(min(pair), max(pair)) for pair in itertools.product(count, {*boards})}
     missing = sorted(pair for pair in pairs if friction_between(*pair, own) is None)
     if missing:
-        named = ", ".join(f"{shown(one)} on {shown(other)}" for one, other in missing[:_MOST_NAMED])
-        more = f" and {counted(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""
-        one, other = map(shown, missing[0])
+        named = ", ".join(f"{printable_name(one)} on {printable_name(other)}" for one, other in missing[:_MOST_NAMED])
+        more = f" and {count_text(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""
+        one, other = map(printable_name, missing[0])
         example = f'friction_pairs = [{{between = ["{one}", "{other}"], friction = 0.4}}]'
         raise InputError(f"no friction is known of {named}{more}: give it, as in {example}")

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import AfterValidator, Field, computed_field, model_validator
 
-from petmjx.basics.checked import Checked, got, within
+from petmjx.common.checked_records import CheckedRecord, shown_value, within
 
 SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0
@@ -69,7 +69,7 @@ Friction = Annotated[Triple, AfterValidator(_no_negatives)]
 CUSTOM: Final = "custom"
 
 
-class Physics(Checked):
+class Physics(CheckedRecord):
     """Contacts, carrier, floor, gravity and timestep.
 
     The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
@@ -110,7 +110,7 @@ class Physics(Checked):
     slip_correction: bool = Field(
         True,
         description="whether friction of a contact that slides leaves its pressure alone, with elliptic cones "
-        "(petmjx/world/slip.py); else, as in MuJoCo itself, a slip raises it, and boxes that slide hop",
+        "(petmjx/world/contact_laws.py); else, as in MuJoCo itself, a slip raises it, and boxes that slide hop",
     )
     kinetic_friction_share: Annotated[float, within(0.1, 1)] = Field(
         1.0,
@@ -145,7 +145,8 @@ class Physics(Checked):
 
     @property
     def has_landings(self) -> bool:
-        """Whether boxes that land follow a law of their own (petmjx/world/landing.py). Only with elliptic cones."""
+        """Whether boxes that land follow a law of their own (petmjx/world/contact_laws.py). Only with elliptic
+        cones."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
@@ -164,7 +165,7 @@ class Physics(Checked):
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
         if values == CUSTOM:  # without a table it says nothing
-            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {got(values)}")
+            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
             values = {"name": values}
         if not isinstance(values, Mapping) or "name" not in values:
@@ -172,7 +173,7 @@ class Physics(Checked):
         changes = dict(values)
         name = changes.pop("name")
         if name not in (*PHYSICS, CUSTOM):
-            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {got(name)}")
+            raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(name)}")
         preset = {} if name == CUSTOM else PHYSICS[name].model_dump(exclude={"name"})
         return preset | changes
 

@@ -1,7 +1,7 @@
-"""How a box is placed (``Placing``): where it begins, and what carries it to its place.
+"""How a box is placed (``PlacementState``): where it begins, and what carries it to its place.
 
-As ``petmjx.options.config``: defaults, units, checks and descriptions are written only here. The rules, to the step:
-docs/rules.md, section 4. Users read about it in docs/placing.md.
+As ``petmjx.options.simulation``: defaults, units, checks and descriptions are written only here. The rules, to the
+step: docs/rules.md, section 4. Users read about it in docs/placing.md.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Annotated, Any, Final
 
 from pydantic import Field, model_validator
 
-from petmjx.basics.checked import Checked, CliFlag, within
+from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 
 
 class Way(StrEnum):
@@ -25,7 +25,7 @@ class Way(StrEnum):
     TINES = "tines"
 
 
-class Placing(Checked):
+class Placing(CheckedRecord):
     """How a box is placed. Made from a way's name ("hand"), or from a table (``{"name": "hand", "force_n": 50}``).
 
     The defaults are assumptions: no figures were found of how near robots take boxes to their places before the last

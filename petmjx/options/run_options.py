@@ -1,7 +1,7 @@
 """How and where a run runs (``RunOptions``), whether a score says how sure it is (``Confidence``), and which record an
 option given by name belongs to.
 
-As ``petmjx.options.config``: defaults, checks and descriptions are written only here.
+As ``petmjx.options.simulation``: defaults, checks and descriptions are written only here.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from petmjx.basics.checked import Checked, CliFlag, complaint, got, hint, within
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import PLAN_UNITS, plan_units
-from petmjx.options.config import Simulation
+from petmjx.common.checked_records import CheckedRecord, CliFlag, complaint, hint, shown_value, within
+from petmjx.common.errors import InputError
+from petmjx.common.units import PLAN_UNITS, plan_units
+from petmjx.options.simulation import Simulation
 
 AUTO: Final = "auto"
 
@@ -41,7 +41,7 @@ def _share(text: str | None) -> str | None:
         return None
     match = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text)
     if not match or not 1 <= int(match[1]) <= int(match[2]):
-        raise ValueError(f"must be I/N with 1 ≤ I ≤ N < 10⁹, such as 3/16, {got(text)}")
+        raise ValueError(f"must be I/N with 1 ≤ I ≤ N < 10⁹, such as 3/16, {shown_value(text)}")
     return f"{match[1]}/{match[2]}"
 
 
@@ -51,14 +51,16 @@ def _workers(value: Any) -> Any:
     if number is None or (isinstance(number, str) and number == AUTO):
         return number
     if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= MOST_WORKERS:
-        raise ValueError(f"must be {AUTO} or a whole number from 1 to {MOST_WORKERS:,}, {got(value)}")
+        raise ValueError(f"must be {AUTO} or a whole number from 1 to {MOST_WORKERS:,}, {shown_value(value)}")
     return number
 
 
 def _address(text: str | None) -> str | None:
     """``auto`` or HOST:PORT. Not the address of a Ray client, which has no streams of results."""
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
-        raise ValueError(f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {got(text)}")
+        raise ValueError(
+            f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {shown_value(text)}"
+        )
     return text
 
 
@@ -67,15 +69,15 @@ def _units(text: str) -> str:
     try:
         return ",".join(plan_units(text))
     except ValueError as error:
-        raise ValueError(f"{error}, {got(text)}") from None
+        raise ValueError(f"{error}, {shown_value(text)}") from None
 
 
 def _is_path(value: Any) -> Any:
     """A path that names something, which the empty one does not."""
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
-        raise ValueError(f"must be a path, {got(value)}")
+        raise ValueError(f"must be a path, {shown_value(value)}")
     if "\0" in str(value):
-        raise ValueError(f"must be a path that a file can have, {got(value)}")
+        raise ValueError(f"must be a path that a file can have, {shown_value(value)}")
     return value
 
 
@@ -86,7 +88,7 @@ Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 """The point of a box whose coordinates a plan has; far-corner: the one with the largest x, y and z."""
 
 
-class Confidence(Checked):
+class Confidence(CheckedRecord):
     """Whether a score says how sure it is, and by which errors."""
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
@@ -113,7 +115,7 @@ class Confidence(Checked):
         return self
 
 
-class RunOptions(Checked):
+class RunOptions(CheckedRecord):
     """How and where a run runs. Only ``engine`` changes the outcome of a world, and ``world_timeout_s`` may end a world
     without one (``invalid`` by ``timeout``)."""
 
@@ -256,13 +258,13 @@ class RunOptions(Checked):
         return int.from_bytes(digest, "big") % shares == share - 1
 
 
-def sorted_options(options: Mapping[str, Any], *more: type[Checked]) -> tuple[dict[str, Any], ...]:
+def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tuple[dict[str, Any], ...]:
     """Options by name, divided into fields of ``Simulation``, of ``RunOptions``, and of the records ``more``.
 
     Raises:
         InputError: no such option; the line suggests the most similar name.
     """
-    records: tuple[type[Checked], ...] = (Simulation, RunOptions, *more)
+    records: tuple[type[CheckedRecord], ...] = (Simulation, RunOptions, *more)
     ours: tuple[dict[str, Any], ...] = tuple({} for _ in records)
     for name, value in options.items():
         home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
@@ -272,11 +274,11 @@ def sorted_options(options: Mapping[str, Any], *more: type[Checked]) -> tuple[di
     return ours
 
 
-def _advice(name: str, records: tuple[type[Checked], ...]) -> str:
+def _advice(name: str, records: tuple[type[CheckedRecord], ...]) -> str:
     """What to write instead of an unknown option; fields of the tables inside ``Simulation`` are easily given alone."""
     for table, field in Simulation.model_fields.items():
         inner = field.annotation
-        if not (isinstance(inner, type) and issubclass(inner, Checked)):
+        if not (isinstance(inner, type) and issubclass(inner, CheckedRecord)):
             continue
         for field_name, info in inner.model_fields.items():
             if name in (

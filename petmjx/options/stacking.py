@@ -1,7 +1,7 @@
 """How much of their strength boxes keep as they are stacked (``Stacking``): options of ``petmjx loads``.
 
-As ``petmjx.options.config``: defaults, units, checks and descriptions are written only here. Users read about it, and
-about the sources of the numbers, in docs/loads.md.
+As ``petmjx.options.simulation``: defaults, units, checks and descriptions are written only here. Users read about it,
+and about the sources of the numbers, in docs/loads.md.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from petmjx.basics.checked import Checked, within
+from petmjx.common.checked_records import CheckedRecord, within
 
 
-class Stacking(Checked):
+class Stacking(CheckedRecord):
     """Shares of a box's strength that are lost as it is stacked. McKee's formula, and a press, are about a box under
     plates; on a pallet its walls bear what stands on them. 0 switches a loss off.
 

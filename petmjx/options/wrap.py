@@ -1,6 +1,6 @@
 """Stretch wrap around a finished pallet (``Wrap``): how much film, and how it pulls.
 
-As ``petmjx.options.config``: defaults, units, checks and descriptions are written only here. Users read about it in
+As ``petmjx.options.simulation``: defaults, units, checks and descriptions are written only here. Users read about it in
 docs/wrap.md.
 """
 
@@ -10,10 +10,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from petmjx.basics.checked import Checked, CliFlag, within
+from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 
 
-class Wrap(Checked):
+class Wrap(CheckedRecord):
     """Film that is wound around a pallet before it is shaken.
 
     The force of a layer of film is the force of a turn times the number of turns (linear: Sensors 2025, 25(22), 6883).

@@ -1,1 +1,3 @@
-"""Packers compared by the runs of their plans for the same orders."""
+"""Packers: rules that place boxes, alone and with physics, and the generator of sample plans."""
+
+from __future__ import annotations

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_reader import DEFAULT_MAX_BOXES, load_plans
 from petmjx.plans.plan_set import PlanSet, Skipped
-from petmjx.plans.read import DEFAULT_MAX_BOXES, load_plans
 
 __all__ = ["DEFAULT_MAX_BOXES", "Plan", "PlanSet", "Skipped", "load_plans"]

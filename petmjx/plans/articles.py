@@ -20,15 +20,22 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from petmjx.basics.arrow_files import parquet_rows
-from petmjx.basics.checked import read_toml, reason
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import number_in, printable, shown
-from petmjx.plans.fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, kind, listed
-from petmjx.plans.foreign import number_hint, other_encoding, separator_mark
-from petmjx.plans.forms import CSV_SUFFIXES, PARQUET_SUFFIX, is_csv, is_parquet_name
+from petmjx.common.checked_records import read_toml, reason
+from petmjx.common.errors import InputError
+from petmjx.common.safe_read import parquet_rows
+from petmjx.common.text import number_in, printable, printable_name
+from petmjx.plans.file_formats import (
+    CSV_SUFFIXES,
+    PARQUET_SUFFIX,
+    is_csv,
+    is_parquet_name,
+    number_hint,
+    other_encoding,
+    separator_mark,
+)
+from petmjx.plans.json_reader import read_text_bytes
 from petmjx.plans.plan import Plan
-from petmjx.plans.unpack import read_text_bytes
+from petmjx.plans.plan_fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, joined_names, kind
 
 MCKEE: Final = 5.87
 """Of McKee's formula in its simple form; it has no unit."""
@@ -148,7 +155,7 @@ def read_articles(path: str | Path) -> Articles:
         for where, row in rows:  # one at a time: a table of a million rows takes a gigabyte as dictionaries
             key, value, article = _article(f"{name}: {where}", row)
             if value in articles[key]:
-                raise InputError(f"{name}: {where}: {key} {shown(value)} is there twice")
+                raise InputError(f"{name}: {where}: {key} {printable_name(value)} is there twice")
             articles[key][value] = article
             if sum(map(len, articles.values())) > MOST_ARTICLES:
                 raise InputError(f"{name}: has more than {MOST_ARTICLES:,} articles")
@@ -166,7 +173,7 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     known = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
     unknown = [name for name in known if name not in _FIELDS]
     if unknown:
-        raise InputError(f"{where}: unknown field {shown(unknown[0])}; there are {', '.join(_FIELDS)}")
+        raise InputError(f"{where}: unknown field {printable_name(unknown[0])}; there are {', '.join(_FIELDS)}")
     keys = [key for key in _KEYS if key in known]
     if len(keys) == 2 or (not keys and _MATERIAL not in known):
         raise InputError(f"{where}: must name either an article, a product_group, or a material alone")
@@ -177,7 +184,7 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     material = known.get(_MATERIAL)
     if material is not None and not (isinstance(material, str) and len(material) <= _LONGEST_MATERIAL):
         raise InputError(
-            f"{where}: {_MATERIAL} must be text of at most {_LONGEST_MATERIAL} characters, got {_got(material)}"
+            f"{where}: {_MATERIAL} must be text of at most {_LONGEST_MATERIAL} characters, got {_shown_cell(material)}"
         )
     has_other_values = bool(keys and material) or com_mm is not None or stiffness is not None
     bears = None if not numbers and has_other_values else _strength(where, numbers)
@@ -189,10 +196,12 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
 def _strength(where: str, numbers: Mapping[str, float]) -> Strength:
     board = [field for field in _BOARD if field not in numbers]
     if _SIMPLE in numbers and any(field in numbers for field in _BOARD[:2]):
-        raise InputError(f"{where}: give either {_SIMPLE}, or {listed(_BOARD)}")
+        raise InputError(f"{where}: give either {_SIMPLE}, or {joined_names(_BOARD)}")
     if _SIMPLE not in numbers and board:
         verb = "is" if len(board) == 1 else "are"
-        raise InputError(f"{where}: needs {_SIMPLE}, or {listed(_BOARD)}; of these {listed(board)} {verb} missing")
+        raise InputError(
+            f"{where}: needs {_SIMPLE}, or {joined_names(_BOARD)}; of these {joined_names(board)} {verb} missing"
+        )
     return Strength(**numbers)
 
 
@@ -209,11 +218,13 @@ def _number(where: str, field: str, value: Any) -> float:
     if not (low < number <= high or (low and number == low)):
         least = f"≥ {low:g}" if low else "> 0"
         hint = number_hint(value) if isinstance(value, str) else ""
-        raise InputError(f"{where}: {field} must be a number {least} and at most {high:g}, got {_got(value)}{hint}")
+        raise InputError(
+            f"{where}: {field} must be a number {least} and at most {high:g}, got {_shown_cell(value)}{hint}"
+        )
     return number
 
 
-def _got(value: Any) -> str:
+def _shown_cell(value: Any) -> str:
     return kind(value) if isinstance(value, bool | int | float | str | list | dict) else type(value).__name__
 
 
@@ -222,12 +233,12 @@ def _toml_rows(tables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
         if table not in _TOML_TABLES or not isinstance(rows, Mapping):
             raise InputError(
                 f"{name}: must have the tables [articles.NAME], [product_groups.NAME] and [materials.NAME], got "
-                f"{shown(table)}"
+                f"{printable_name(table)}"
             )
         for value, row in rows.items():
-            where = f"{table}.{shown(value)}"
+            where = f"{table}.{printable_name(value)}"
             if not isinstance(row, Mapping):
-                raise InputError(f"{name}: {where} must be a table with {_SIMPLE}, or with {listed(_BOARD)}")
+                raise InputError(f"{name}: {where} must be a table with {_SIMPLE}, or with {joined_names(_BOARD)}")
             yield where, {**row, _TOML_TABLES[table]: value}
 
 
@@ -273,7 +284,7 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], del
     values = dict(zip(names, row, strict=True))
     known = [field.strip().lower() for field in names]
     if twice := next((field for field in known if known.count(field) > 1), None):
-        raise InputError(f"{name}: row 1: the column {shown(twice)} is repeated")
+        raise InputError(f"{name}: row 1: the column {printable_name(twice)} is repeated")
     if delimiter == ";":
         values = {
             field: value.replace(",", ".") if field.strip().lower() in _NUMBERS else value
@@ -327,7 +338,7 @@ def with_articles(plan: Plan, articles: Articles) -> Plan:
         if outside.any():
             box, axis = np.argwhere(outside)[0].tolist()
             where, size = f", placement {box}: {COM_FIELDS[axis]}", plan.item_size_mm[box, axis]
-            name = f" of article {shown(plan.articles[box])}" if plan.articles[box] else ""
+            name = f" of article {printable_name(plan.articles[box])}" if plan.articles[box] else ""
             raise InputError(f"{where}{name} is {offset[box, axis]:g}, not inside the box of {size:g} mm")
         own_com_mm = plan.item_com_mm
         offset = np.where(own_com_mm.any(axis=1, keepdims=True), own_com_mm, offset)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.arguments import array_of, list_of, text_of
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import counted, shown
-from petmjx.basics.units import PLAN_UNITS
+from petmjx.common.argument_checks import array_of, list_of, text_of
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.common.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
-from petmjx.plans.fields import KINDS, SHEET, SPARSE
-from petmjx.plans.given import Given
+from petmjx.plans.input_conventions import InputConventions
+from petmjx.plans.plan_fields import KINDS, SHEET, SPARSE
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -102,7 +102,7 @@ class Plan:
             raise InputError("mass_kg must have a value for each box, got none")
         for name, values in fields.items():
             if len(values) != n_boxes:
-                raise InputError(f"{name} must have {counted(n_boxes, 'value')}, as mass_kg has, got {len(values)}")
+                raise InputError(f"{name} must have {count_text(n_boxes, 'value')}, as mass_kg has, got {len(values)}")
             object.__setattr__(self, name, values)
         for name in ("size_mm", "mass_kg"):
             if not fields[name].min() > 0:
@@ -150,10 +150,10 @@ class Plan:
         Raises:
             InputError: a field is missing, unknown or unusable; the line names the box and the field.
         """
-        from petmjx.plans.boxes import fields_from_boxes  # what reads tables loads Arrow
+        from petmjx.plans.plan_builder import fields_from_boxes  # what reads tables loads Arrow
 
         arrays = {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}
-        return cls(**fields_from_boxes(plan_id, boxes, arrays, columns, Given.checked(units, anchor)))
+        return cls(**fields_from_boxes(plan_id, boxes, arrays, columns, InputConventions.checked(units, anchor)))
 
     @property
     def n_boxes(self) -> int:
@@ -183,7 +183,7 @@ class Plan:
         return np.where(self.turned[:, None], self.size_mm[:, [1, 0, 2]], self.size_mm)
 
     def __repr__(self) -> str:
-        return f"Plan({shown(self.plan_id)!r}, {counted(self.n_boxes, 'box', 'boxes')})"
+        return f"Plan({printable_name(self.plan_id)!r}, {count_text(self.n_boxes, 'box', 'boxes')})"
 
 
 def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:

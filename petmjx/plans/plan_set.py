@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from petmjx.basics.arguments import instance_of, list_of
-from petmjx.basics.errors import InputError
-from petmjx.basics.text import counted, shown
+from petmjx.common.argument_checks import instance_of, list_of
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
 from petmjx.plans.plan import Plan
-from petmjx.plans.warnings import PlanWarnings
+from petmjx.plans.plan_warnings import PlanWarnings
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,7 +39,7 @@ class Skipped:
         Raises:
             InputError: with ``strict``.
         """
-        message = f"{plan.source}: plan {shown(plan.plan_id)}{why}"
+        message = f"{plan.source}: plan {printable_name(plan.plan_id)}{why}"
         if strict:
             raise InputError(message)
         return cls(plan.source, plan.plan_id, message)
@@ -84,7 +84,7 @@ class PlanSet:
         Raises:
             ValueError: there is no plan.
         """
-        from petmjx.plans.write import plans_table  # loads Arrow
+        from petmjx.plans.plan_writer import plans_table  # loads Arrow
 
         if not self.plans:
             raise ValueError("there is no plan")
@@ -92,5 +92,5 @@ class PlanSet:
         return frame
 
     def __repr__(self) -> str:
-        plans = counted(len(self.plans), "plan")
+        plans = count_text(len(self.plans), "plan")
         return f"PlanSet({plans}, {len(self.skipped):,} skipped, {len(self.warnings):,} odd)"

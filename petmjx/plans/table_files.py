@@ -12,12 +12,11 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
-from petmjx.basics.arrow_files import TooMuch, open_for_arrow, read_within
-from petmjx.basics.checked import reason
-from petmjx.basics.text import counted, is_text, shown
-from petmjx.plans.columns import as_column
-from petmjx.plans.foreign import other_encoding, separator_mark
-from petmjx.plans.table import LostRow, Table, TableError, sorted_columns
+from petmjx.common.checked_records import reason
+from petmjx.common.safe_read import OversizedFile, open_for_arrow, read_within
+from petmjx.common.text import count_text, is_text, printable_name
+from petmjx.plans.file_formats import other_encoding, separator_mark
+from petmjx.plans.placement_table import LostRow, Table, TableError, as_column, sorted_columns
 
 _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
 _LINE_ENDS: Final = (b"\n", b"\r")
@@ -124,7 +123,7 @@ class _CsvReader:
 
     def _lose(self, row: Any) -> str:
         self._lost_numbers.append(row.number)
-        fault = f"has {counted(row.actual_columns, 'field')} instead of {row.expected_columns}"
+        fault = f"has {count_text(row.actual_columns, 'field')} instead of {row.expected_columns}"
         self._add_lost(row.number, row.text, fault)
         return "skip"
 
@@ -157,7 +156,7 @@ class _CsvReader:
                 fields = []
             for name, field in zip(self._names, fields, strict=False):
                 if not is_text(field):
-                    return f"{shown(name.strip())} is not UTF-8 text{other_encoding(field)}"
+                    return f"{printable_name(name.strip())} is not UTF-8 text{other_encoding(field)}"
             return f"is not UTF-8 text{other_encoding(text)}"
         return "has an unclosed quotation mark" if line.count(b'"') % 2 else None
 
@@ -192,7 +191,7 @@ def read_parquet(path: Path) -> Table:
             where, unread = sorted_columns(names)
             chosen = [names[index] for index in where.values()]
             rows = read_within(stream, chosen)
-        except TooMuch as error:
+        except OversizedFile as error:
             raise TableError(str(error)) from error
         except (pa.ArrowException, OSError) as error:
             raise TableError("is not a whole Parquet file") from error

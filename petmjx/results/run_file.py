@@ -10,11 +10,11 @@ from typing import Annotated, Any, Final, get_type_hints
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
-from petmjx.basics.checked import describe
-from petmjx.basics.errors import InputError
-from petmjx.plans.ordered import OrderCounts
-from petmjx.results.files import DIGEST_BYTES, RUN_FILE, TABLES, write_text
-from petmjx.results.plain import plain
+from petmjx.common.checked_records import describe
+from petmjx.common.errors import InputError
+from petmjx.plans.order_matching import OrderCounts
+from petmjx.results.run_folder import DIGEST_BYTES, RUN_FILE, TABLES, write_text
+from petmjx.results.to_json import to_json
 
 TableName = Annotated[str, Field(pattern=rf"^({'|'.join(TABLES)})$")]
 PartName = Annotated[str, Field(pattern=r"^part-[0-9]{5,12}\.parquet$")]
@@ -22,7 +22,7 @@ Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
 Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
 
 
-class _Read(BaseModel):
+class _PartialRecord(BaseModel):
     """A table of which only some entries are read."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
@@ -34,35 +34,35 @@ _NEWER_FIELDS: Final = ("resized", "matched_by_size")
 _ORDER_FIELDS: Final[dict[str, Any]] = {
     name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()
 }
-_OrderCounts = create_model("_OrderCounts", __base__=_Read, **_ORDER_FIELDS)
+_OrderCounts = create_model("_OrderCounts", __base__=_PartialRecord, **_ORDER_FIELDS)
 """All of ``OrderCounts``, none of it left out."""
 
 
-class _Counts(_Read):
+class _Counts(_PartialRecord):
     worlds: int
     odd_plans: int = 0
     orders: _OrderCounts | None = None
 
 
-class _Param(_Read):
+class _Param(_PartialRecord):
     name: str
     unit: str
     description: str
 
 
-class _Skipped(_Read):
+class _Skipped(_PartialRecord):
     source: str
     plan_id: str | None = None
     error: str = ""
     number: int | None = None
 
 
-class _Identity(_Read):
+class _Identity(_PartialRecord):
     command: str
     shard: Share | None = None
 
 
-class _Orders(_Read):
+class _Orders(_PartialRecord):
     file: str
     digest: str
     plans: list[str]
@@ -70,7 +70,7 @@ class _Orders(_Read):
     unusable: list[str]
 
 
-class RunFile(_Read):
+class RunFile(_PartialRecord):
     """The entries that petmjx itself reads."""
 
     status: str = ""
@@ -106,7 +106,7 @@ def run_digest(info: Mapping[str, Any]) -> str:
 
 def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
     """Write a run's entries and their digest into ``run.json``. Raises OSError."""
-    entries = plain(info)
+    entries = to_json(info)
     entries["digest"] = run_digest(entries)
     write_text(json.dumps(entries, indent=2, ensure_ascii=False, allow_nan=False) + "\n", folder / RUN_FILE)
 

@@ -1,4 +1,4 @@
-"""Columns of the result tables: name, type, unit and meaning. Metrics come from petmjx.metrics.spec.
+"""Columns of the result tables: name, type, unit and meaning. Metrics come from petmjx.engines.metrics.
 
 Types, and why:
 
@@ -20,12 +20,12 @@ from typing import Any, Final
 import pandas as pd
 import pyarrow as pa
 
-from petmjx.basics.errors import InputError
-from petmjx.metrics import spec
-from petmjx.metrics.spec import DIMENSIONLESS, TEXT
-from petmjx.options.config import Schedule
-from petmjx.plans.fields import SPARSE
-from petmjx.verdict import Flag, Verdict
+from petmjx.common.errors import InputError
+from petmjx.engines import metrics
+from petmjx.engines.metrics import DIMENSIONLESS, TEXT
+from petmjx.engines.verdict import Flag, Verdict
+from petmjx.options.simulation import Schedule
+from petmjx.plans.plan_fields import SPARSE
 
 SCHEMA_VERSION: Final = 2
 """Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""
@@ -69,7 +69,7 @@ def _one_of(names: Iterable[str]) -> str:
     return f"{', '.join(most)} or {last}"
 
 
-def _metrics(columns: Iterable[spec.Column]) -> list[pa.Field]:
+def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
     return [_column(c.name, pa.from_numpy_dtype(c.dtype), c.unit, c.meaning) for c in columns]
 
 
@@ -106,7 +106,7 @@ _ATTEMPT_COLUMNS = (
     _column("timestep_s", pa.float64(), "s", "timestep of the simulation"),
     *_texts(verdict="verdict of this attempt", reason="why it was not stable; empty where it was"),
     *_FLAGS,
-    *_metrics(column for column in spec.world_columns() if column.name == "n_steps"),
+    *_metrics(column for column in metrics.world_columns() if column.name == "n_steps"),
 )
 
 
@@ -206,13 +206,13 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals
     Raises:
         ValueError: two columns with the same name.
     """
-    worlds = (*_WORLD_COLUMNS, *_metrics(spec.world_columns()), *_FLAGS, *(param.column() for param in params))
+    worlds = (*_WORLD_COLUMNS, *_metrics(metrics.world_columns()), *_FLAGS, *(param.column() for param in params))
     names = [column.name for column in worlds]
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise ValueError(f"a variant's parameter cannot be called {repeated[0]!r}: worlds has such a column")
-    intervals = spec.FORCE_INTERVAL if force_intervals else ()
-    boxes = (*_BOX_COLUMNS, *_metrics((*spec.box_columns(driven=dynamic), *intervals)))
+    intervals = metrics.FORCE_INTERVAL if force_intervals else ()
+    boxes = (*_BOX_COLUMNS, *_metrics((*metrics.box_columns(driven=dynamic), *intervals)))
     tables = {"worlds": worlds, "boxes": boxes, "attempts": _ATTEMPT_COLUMNS}
     tables |= {"histories": _HISTORY_COLUMNS, "frames": _FRAME_COLUMNS, "contacts": _CONTACT_COLUMNS}
     return {table: _schema(table, columns) for table, columns in tables.items()}
@@ -222,7 +222,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
     """Schema of ``plans``: what the run was of, to tell whether another run has the same plans.
 
     Args:
-        ordered: of a run that was compared with orders: with ``petmjx.plans.ordered.Ordered``.
+        ordered: of a run that was compared with orders: with ``petmjx.plans.order_matching.PlanOrderCounts``.
     """
     texts = _texts(
         plan_id="id of the packing plan", digest="of everything that affects results", source="the file it came from"
@@ -265,7 +265,7 @@ def summary_table(
     return pa.Table.from_arrays(table.columns, schema=summary_schema(table.schema, units, descriptions or {}))
 
 
-_NUMBERS: Final = tuple(metric.name for metric in spec.world_metrics() if metric.numbers)
+_NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if metric.numbers)
 """Columns of ``worlds`` with the number of a box or a step."""
 
 

@@ -9,10 +9,10 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
-from petmjx.basics.text import counted, three_digits
-from petmjx.results.compare import BOX_KEY, FORCE_FLOOR_N, Comparison
-from petmjx.show.layout import FittedTable, TableColumn, line, number
-from petmjx.verdict import Verdict
+from petmjx.analysis.run_comparison import BOX_KEY, FORCE_FLOOR_N, Comparison
+from petmjx.common.text import count_text, three_digits
+from petmjx.engines.verdict import Verdict
+from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
@@ -25,11 +25,11 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
         if len(frame):
             shown = ", ".join(f"{row.plan_id}/{row.variant}" for row in frame.head(max_rows).itertuples())
             more = ", …" if len(frame) > max_rows else ""
-            yield line(f"{counted(len(frame), 'world')} only in {name}: {shown}{more}")
+            yield line(f"{count_text(len(frame), 'world')} only in {name}: {shown}{more}")
     yield ""
     yield _confusion_table(comparison)
     if comparison.n_not_stable:
-        of = f"of {counted(comparison.n_not_stable, 'world')} that neither calls stable"
+        of = f"of {count_text(comparison.n_not_stable, 'world')} that neither calls stable"
         yield line(f"{of}: same reason {comparison.same_reason:,}, same first box {comparison.same_culprit:,}")
     if len(comparison.flips):
         yield ""
@@ -52,7 +52,7 @@ def _confusion_table(comparison: Comparison) -> FittedTable:
     table = FittedTable(
         TableColumn("a ↓   b →", "left"),
         *(TableColumn(str(name)) for name in comparison.confusion.columns),
-        title=f"verdicts: {comparison.n_agree:,} of {counted(comparison.n_common, 'world')} agree ({share})",
+        title=f"verdicts: {comparison.n_agree:,} of {count_text(comparison.n_common, 'world')} agree ({share})",
     )
     for row, counts in comparison.confusion.iterrows():
         table.add(str(row), *(f"{count:,}" for count in counts))

@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
-from petmjx.basics.text import counted, shown, three_digits
-from petmjx.metrics.spec import DIMENSIONLESS
-from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
-from petmjx.statics.record import CriteriaResults
+from petmjx.analysis.criteria_run import CriteriaResults
+from petmjx.common.text import count_text, printable_name, three_digits
+from petmjx.engines.metrics import DIMENSIONLESS
+from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 SHOWN_SKIPPED = 10
 """Most skipped plans that are shown; ``criteria.json`` has all of them."""
@@ -33,11 +33,11 @@ def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterato
         yield ""
         for doubt in results.info["doubts"]:
             yield line(f"note: {doubt}", style="yellow")
-        yield _judged_table(results.judged)
+        yield _criteria_vs_physics_table(results.judged)
     if results.thresholds is not None and len(results.thresholds):
         yield ""
         yield _thresholds_table(results.thresholds)
-    plans, boxes = counted(results.info["n_plans"], "plan"), counted(results.info["n_boxes"], "box", "boxes")
+    plans, boxes = count_text(results.info["n_plans"], "plan"), count_text(results.info["n_boxes"], "box", "boxes")
     yield line(f"{plans}, {boxes}, in {three_digits(results.info['wall_s'])} s")
     if out is not None:
         yield line(f"tables in {out}")
@@ -59,7 +59,7 @@ def _says_table(results: CriteriaResults) -> FittedTable:
     for criterion in results.criteria:
         accepted = results.plans[criterion.name]
         slack = results.plans[f"{criterion.name}_slack"]
-        worst = "" if slack.isna().all() else shown(str(results.plans["plan_id"][slack.idxmin()]))
+        worst = "" if slack.isna().all() else printable_name(str(results.plans["plan_id"][slack.idxmin()]))
         table.add(
             criterion.name,
             f"{int(accepted.sum()):,}",
@@ -73,9 +73,9 @@ def _says_table(results: CriteriaResults) -> FittedTable:
     return table
 
 
-def _judged_table(judged: pd.DataFrame) -> FittedTable:
+def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
     first = judged.iloc[0]
-    known = counted(int(first["n_plans"]), "plan")
+    known = count_text(int(first["n_plans"]), "plan")
     stand, fall = (first[f"accepted_{outcome}"] + first[f"refused_{outcome}"] for outcome in ("stands", "falls"))
     alike = (
         "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"

@@ -8,9 +8,9 @@ import pandas as pd
 from rich.console import RenderableType
 from rich.text import Text
 
-from petmjx.rating.kpis import Kpis
-from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
+from petmjx.analysis.kpis import Kpis
 from petmjx.show.sweep_tables import FEW_ROWS
+from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 
 def kpi_tables(kpis: Kpis, out: str | None = None) -> Iterator[RenderableType]:

@@ -8,10 +8,10 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
-from petmjx.basics.text import box_label, counted
-from petmjx.results.loads import Loads
-from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
+from petmjx.analysis.box_loads import Loads
+from petmjx.common.text import box_label, count_text
 from petmjx.show.sweep_tables import FEW_ROWS
+from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 
 def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
@@ -25,11 +25,11 @@ def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType
     for note in loads.notes:
         yield line(f"note: {note}", style="yellow")
     over, unknown = loads.plans["overloaded"].sum(), loads.plans["overloaded"].isna().sum()
-    boxes = counted(int(loads.plans["n_overloaded"].sum()), "box", "boxes")
-    world_count = counted(len(loads.plans), "world" if (loads.plans["variant"] > 0).any() else "plan")
+    boxes = count_text(int(loads.plans["n_overloaded"].sum()), "box", "boxes")
+    world_count = count_text(len(loads.plans), "world" if (loads.plans["variant"] > 0).any() else "plan")
     yield line(f"{over:,} of {world_count} overloaded ({boxes}), {unknown:,} not known")
     if peak := int(loads.plans["overloaded_at_peak"].sum()):
-        boxes = counted(int(loads.plans["n_overloaded_at_peak"].sum()), "box", "boxes")
+        boxes = count_text(int(loads.plans["n_overloaded_at_peak"].sum()), "box", "boxes")
         yield line(f"{peak:,} of {world_count} overloaded at the peak ({boxes})")
     if "surely_overloaded" in loads.plans:
         surely, possibly = (int(loads.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
@@ -65,7 +65,7 @@ def _table(loads: Loads) -> FittedTable:
             row["plan_id"],
             *([str(row["variant"])] if with_variants else []),
             row["verdict"],
-            _overloaded(row),
+            _overload_text(row),
             f"{row['n_boxes']:,}",
             f"{row['n_overloaded']:,}",
             f"{row['n_unknown']:,}",
@@ -78,7 +78,7 @@ def _table(loads: Loads) -> FittedTable:
     return table
 
 
-def _overloaded(row: Mapping[str, Any]) -> str:
+def _overload_text(row: Mapping[str, Any]) -> str:
     """Whether a world is overloaded, and whether that is sure where the run has intervals."""
     overloaded: Any = row["overloaded"]
     answer = "-" if pd.isna(overloaded) else "yes" if overloaded else "no"

@@ -9,18 +9,17 @@ import pandas as pd
 from rich.console import RenderableType
 from rich.padding import Padding
 
-from petmjx.basics.text import counted, shown
-from petmjx.packers.compare import ALL_SIZES, PackerComparison
-from petmjx.packers.kpis import KPIS
-from petmjx.packers.load import MISSING
-from petmjx.packers.words import LEAST_P
-from petmjx.show.layout import FittedTable, TableColumn, line, number, percent
+from petmjx.analysis.packer_comparison import ALL_SIZES, LEAST_P, PackerComparison
+from petmjx.analysis.packer_kpis import KPIS
+from petmjx.analysis.packer_runs import MISSING
+from petmjx.common.text import count_text, printable_name
+from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
     """All tables and lines. ``max_rows``: most orders that are named as won or lost, of each two packers."""
     for name, folder in comparison.runs.items():
-        yield line(f"{shown(name)}  {folder}")
+        yield line(f"{printable_name(name)}  {folder}")
     for note in comparison.notes:
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(comparison)
@@ -54,15 +53,15 @@ def _not_compared(comparison: PackerComparison) -> Iterator[RenderableType]:
     if not left:
         return
     parts = [
-        f"{shown(row['packer'])} {row[column]:,} {status}"
+        f"{printable_name(row['packer'])} {row[column]:,} {status}"
         for row in all_sizes.to_dict("records")
         for column, status in (("n_invalid", "invalid"), ("n_missing", MISSING))
         if row[column]
     ]
-    of = counted(int(first["n_orders"]), "order")
+    of = count_text(int(first["n_orders"]), "order")
     yield line(f"{left:,} of {of} {'is' if left == 1 else 'are'} not compared: {', '.join(parts)}", style="yellow")
     worst = ", ".join(
-        f"{shown(row['packer'])} {percent(row['share_at_worst'])}" for row in all_sizes.to_dict("records")
+        f"{printable_name(row['packer'])} {percent(row['share_at_worst'])}" for row in all_sizes.to_dict("records")
     )
     yield line(f"share that stands if these plans count as unstable: {worst}")
 
@@ -80,7 +79,7 @@ def _packers_table(comparison: PackerComparison) -> FittedTable:
         TableColumn("volume\nm³", spare=1),
         TableColumn("height\nm"),
         TableColumn("kpi_2"),
-        title=f"{counted(int(all_sizes['n'].iloc[0]), 'order')} compared; boxes, volume, height and kpi_2 are means",
+        title=f"{count_text(int(all_sizes['n'].iloc[0]), 'order')} compared; boxes, volume, height and kpi_2 are means",
     )
     for row in all_sizes.to_dict("records"):
         table.add(
@@ -166,9 +165,9 @@ def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
 
 def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableType]:
     for (winner, loser), rows in decided.groupby(["won_by", "lost_by"], sort=False):
-        ids = ", ".join(map(shown, rows["plan_id"].head(max_rows)))
+        ids = ", ".join(map(printable_name, rows["plan_id"].head(max_rows)))
         more = f" and {len(rows) - max_rows:,} more (all with -o)" if len(rows) > max_rows else ""
-        yield line(f"{shown(winner)} stands, {shown(loser)} does not: {ids}{more}")
+        yield line(f"{printable_name(winner)} stands, {printable_name(loser)} does not: {ids}{more}")
 
 
 def _left_out(comparison: PackerComparison) -> list[TableColumn]:

@@ -16,10 +16,10 @@ from rich.progress import BarColumn, ProgressColumn, Task
 from rich.progress import Progress as RichProgress
 from rich.text import Text
 
-from petmjx.basics.pace import Pace
-from petmjx.basics.text import counted, printable
-from petmjx.simulate import RunStart
-from petmjx.study import FinishedWorld
+from petmjx.common.text import count_text, printable
+from petmjx.common.throughput import Throughput
+from petmjx.runs.simulate import RunStart
+from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
 """Time after which the bar is drawn again while no world finishes, s: its message may have changed."""
@@ -28,7 +28,7 @@ LINE_S: Final = 10.0
 """Time between two lines if there is no terminal, s."""
 
 
-class Shown(Protocol):
+class ProgressSink(Protocol):
     """What :func:`progress` gives to its caller."""
 
     def update(self, done: int, message: str = "") -> None:
@@ -36,7 +36,7 @@ class Shown(Protocol):
 
 
 @contextmanager
-def progress(total: int | None, what: str = "plan", console: Console | None = None) -> Iterator[Shown]:
+def progress(total: int | None, what: str = "plan", console: Console | None = None) -> Iterator[ProgressSink]:
     """Shows the number of finished worlds, worlds per second, the time left and a message.
 
     Args:
@@ -60,7 +60,7 @@ def _is_terminal() -> bool:
     return sys.stderr is not None and sys.stderr.isatty()
 
 
-def _broken(text: str) -> str:
+def _wrapped_line(text: str) -> str:
     """A line, wrapped between words if the terminal is too narrow."""
     return textwrap.fill(text, shutil.get_terminal_size().columns) if _is_terminal() else text
 
@@ -71,7 +71,7 @@ class ProgressLines:
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._pace, self._write, self._clock = Pace(total, what, clock), write, clock
+        self._pace, self._write, self._clock = Throughput(total, what, clock), write, clock
         self._last = clock()
         self._done = 0
 
@@ -109,7 +109,7 @@ class _Bar(RichProgress):
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
         self._message = ""  # read as soon as the bar is there
-        pace = self._pace = Pace(total, what)
+        pace = self._pace = Throughput(total, what)
         count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
         super().__init__(count, BarColumn(), rate, left, console=console)
         self._task = self.add_task("", total=total)
@@ -143,11 +143,13 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
         self.what, self.total = start.what, start.total
         for text in (start.size, f"engine {start.choice.name} ({start.choice.reason})"):
             with suppress(OSError):
-                print(_broken(text), file=sys.stderr)
+                print(_wrapped_line(text), file=sys.stderr)
         if start.recorded:
             with suppress(OSError):
                 are = "is" if start.recorded == 1 else "are"
-                print(f"{counted(start.recorded, start.what)} of an earlier run {are} there already", file=sys.stderr)
+                print(
+                    f"{count_text(start.recorded, start.what)} of an earlier run {are} there already", file=sys.stderr
+                )
         left = None if start.total is None else start.total - start.recorded
         shown = self._until_exit.enter_context(progress(left, start.what))
         stop = threading.Event()

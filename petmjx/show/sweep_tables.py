@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from petmjx.basics.text import box_label
-from petmjx.basics.units import FloatArray
+from petmjx.common.text import box_label
+from petmjx.common.units import FloatArray
 from petmjx.results.shares import ALL_PLANS
-from petmjx.show.layout import FittedTable, TableColumn, number, percent
-from petmjx.sweeps.axes import AXIS_KINDS
+from petmjx.runs.sweep_axes import AXIS_KINDS
+from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
 FEW_ROWS: Final = 40
 """Most worlds or searches for which a table with one row each is shown."""
@@ -40,7 +40,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
     """The tables for a run's ``summary``: of shares, or of largest levels survived.
 
     Args:
-        summary: as :attr:`petmjx.results.reader.RunResults.summary` reads it.
+        summary: as :attr:`petmjx.results.run_reader.RunResults.summary` reads it.
     """
     if "axis" in summary:
         yield shares_table(summary)
@@ -50,7 +50,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
         yield answers_table(summary)
 
 
-def _varied(summary: pd.DataFrame) -> list[str]:
+def _varied_columns(summary: pd.DataFrame) -> list[str]:
     """The columns of axes of placements, such as turns of film, that have several values in a search."""
     known = (kind.column for kind in AXIS_KINDS.values())
     return [name for name in known if name in summary and name not in _ASKED and summary[name].nunique() > 1]
@@ -142,7 +142,7 @@ def levels_table(summary: pd.DataFrame) -> FittedTable:
     stands "none".
     """
     column, name = _largest(summary)
-    varied = _varied(summary)
+    varied = _varied_columns(summary)
     table = FittedTable(
         _PROFILE,
         TableColumn("direction\n°"),
@@ -183,7 +183,7 @@ def _quantile(levels: FloatArray, q: float) -> str:
 def answers_table(summary: pd.DataFrame) -> FittedTable:
     """One row per search: the largest level survived, and the box that fails first above it."""
     column, name = _largest(summary)
-    varied = _varied(summary)
+    varied = _varied_columns(summary)
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         _PROFILE,

@@ -8,12 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.units import FloatArray
-from petmjx.options.carrier import extent_m
-from petmjx.options.config import Simulation
+from petmjx.common.units import FloatArray
+from petmjx.options.carriers import extent_m
 from petmjx.options.physics import Physics
-from petmjx.world.body import Body
-from petmjx.world.carriers import body_of, floor_z_m, pallet
+from petmjx.options.simulation import Simulation
+from petmjx.world.body_shapes import Body
+from petmjx.world.carrier_boards import body_of, floor_z_m, pallet
 from petmjx.world.scene import Scene
 
 _BURIED_M: Final = -100.0

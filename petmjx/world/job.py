@@ -8,8 +8,8 @@ from typing import Final, Protocol, SupportsInt
 
 import numpy as np
 
-from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
-from petmjx.history import Record
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.history import Record
 from petmjx.world.scene import Scene
 
 FORCE: Final = "force"
@@ -98,7 +98,7 @@ class Job:
     drive. An engine gets a state of its own; before that it is a ``KeptState``. ``keep_state`` asks for such a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
     window. ``record`` asks for the world's history; it changes nothing else. ``has_errors``: boxes are not quite where
-    the plan has them, and may stand on a neighbour that is a little higher (``petmjx.engines.leaning``).
+    the plan has them, and may stand on a neighbour that is a little higher (``petmjx.engines.contact_tilt``).
 
     With early stop such a world ends when a box is *lost*, tilted by more than the threshold, and not only when one has
     dropped. Since the largest tilt counts, its verdict is known then, and what follows is the dearest part of a

@@ -15,19 +15,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.units import MM_PER_M, mm_to_m, round_to_micrometre
-from petmjx.history import CARRIER
-from petmjx.options.carrier import extent_m
-from petmjx.options.config import Simulation
+from petmjx.common.units import MM_PER_M, mm_to_m, round_to_micrometre
+from petmjx.options.carriers import extent_m
 from petmjx.options.physics import Triple
 from petmjx.options.placing import EXACT, Placing
+from petmjx.options.simulation import Simulation
 from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
-from petmjx.world.body import Body, Pieces, Shapes
-from petmjx.world.carriers import body_of, floor_z_m, pallet
+from petmjx.world.body_shapes import Body, Pieces, Shapes
+from petmjx.world.carrier_boards import body_of, floor_z_m, pallet
+from petmjx.world.friction_pairs import find_surfaces
+from petmjx.world.history import CARRIER
+from petmjx.world.rotation import rotated_vectors
 from petmjx.world.sheets import pieces_of
-from petmjx.world.surfaces import find_surfaces
-from petmjx.world.turned import turned
 
 IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 
@@ -72,16 +72,18 @@ class Scene:
         mass_center: (n, 3) centres of mass, seen from the middles along the boxes' axes, m; None: in the middles.
         inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
         surface: (n,) the boxes' surfaces; None: all 0.
-        pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.pairs.LARGER``; None: the larger
+        pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.friction_pairs.LARGER``; None: the
+            larger
             one of two shapes everywhere.
-        pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or ``petmjx.world.pairs.USUAL``;
+        pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or
+            ``petmjx.world.friction_pairs.USUAL``;
             None: as the physics says everywhere.
         placing: how boxes come to their places.
         approach: (n, 2) level directions in which they do so, of length 1; 0, or None for all: that which follows from
             what stands there.
         stiffness: (n,) force on a box's top per compression, N/m; inf: it is rigid. None: all are.
-        soft: (n,) which boxes are flex bodies (petmjx/world/soft.py); None: none is.
-        wrap: film around it when it is shaken (petmjx/world/wrap.py).
+        soft: (n,) which boxes are flex bodies (petmjx/world/soft_boxes.py); None: none is.
+        wrap: film around it when it is shaken (petmjx/world/film.py).
         pieces: of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py).
     """
 
@@ -136,19 +138,19 @@ class Scene:
         """(…, k, 3) middles of the first k boxes whose frames are at these places, m."""
         if self.mass_center is None:
             return frame
-        return frame + turned(quat, self.middle[: frame.shape[-2]])
+        return frame + rotated_vectors(quat, self.middle[: frame.shape[-2]])
 
     def frames(self, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
         """(…, k, 3) origins of the frames of the first k boxes whose middles are at these places, m."""
         if self.mass_center is None:
             return middle
-        return middle - turned(quat, self.middle[: middle.shape[-2]])
+        return middle - rotated_vectors(quat, self.middle[: middle.shape[-2]])
 
     def frame(self, box: int, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
         """(3,) origin of a box's frame when its middle is here and it is turned like this, m."""
         if self.mass_center is None:
             return middle
-        origin: NDArray[np.float64] = middle - turned(quat, self.middle[box])
+        origin: NDArray[np.float64] = middle - rotated_vectors(quat, self.middle[box])
         return origin
 
     @cached_property
@@ -219,7 +221,7 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     slabs, source = pallet(sim.carrier) is None, iter(plans)
     while some := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in some if slabs and _is_plain(plan)]
-        together = iter(_together(alike, sim)) if alike else iter(())
+        together = iter(_stacked_scenes(alike, sim)) if alike else iter(())
         for plan in some:
             yield next(together) if slabs and _is_plain(plan) else build_scene(plan, sim)
 
@@ -230,7 +232,7 @@ def _is_plain(plan: Plan) -> bool:
     return not plan.kinds and not plan.materials and all(array is None for array in more)
 
 
-def _together(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
+def _stacked_scenes(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
     ends = np.cumsum([plan.n_boxes for plan in plans])
     names = "size_mm", "corner_mm", "mass_kg"
     size, corner, mass = (np.concatenate([getattr(plan, name) for plan in plans]) for name in names)

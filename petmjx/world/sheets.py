@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.units import MM_PER_M, FloatArray
-from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM
-from petmjx.world.body import Body, Pieces
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
+from petmjx.world.body_shapes import Body, Pieces
 
 _TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M
 

@@ -17,11 +17,11 @@ from support.command_line import (
     run_process,
 )
 
-from petmjx.basics.checked import Checked, CliFlag
-from petmjx.engines.doctor import examine
-from petmjx.options.config import Simulation, Thresholds
+from petmjx.common.checked_records import CheckedRecord, CliFlag
 from petmjx.options.run_options import Confidence
-from petmjx.plans.read import load_plans
+from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.plans.plan_reader import load_plans
+from petmjx.show.doctor_report import examine
 
 
 def test_compare(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,7 +79,7 @@ def test_export_writes_the_model_of_a_plan(plans: Path, tmp_path: Path, capsys: 
 
 
 def test_doctor_knows_what_works_here(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.engines.doctor.examine", functools.cache(examine))  # some seconds
+    monkeypatch.setattr("petmjx.show.doctor_report.examine", functools.cache(examine))  # some seconds
     assert run("doctor", "--json") == 0
     report = json.loads(capsys.readouterr().out)
     engines = {engine["name"]: engine for engine in report["engines"]}
@@ -118,7 +118,7 @@ def test_every_command_explains_itself(
         assert "petmjx-results/DATE-TIME" in text.replace("- ", "-").replace("/ ", "/")  # lines may end at a hyphen
 
 
-def flags_of(record: type[Checked]) -> list[str]:
+def flags_of(record: type[CheckedRecord]) -> list[str]:
     flags = [entry for info in record.model_fields.values() for entry in info.metadata if isinstance(entry, CliFlag)]
     return [flag.name.partition("/")[0] for flag in flags]
 
@@ -149,6 +149,6 @@ def test_every_command_says_that_it_was_interrupted(
     def interrupted() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("petmjx.engines.doctor.examine", interrupted)
+    monkeypatch.setattr("petmjx.show.doctor_report.examine", interrupted)
     assert run("doctor") == 130
     assert only_line(capsys.readouterr().err) == "petmjx: interrupted"

@@ -12,7 +12,7 @@ from support.runs import leave_unfinished
 pytest.importorskip("scipy")
 pytest.importorskip("shapely")
 
-from petmjx.statics.judged import CELLS
+from petmjx.analysis.criteria_vs_physics import CELLS
 
 ONE = ("--processes", "1")
 

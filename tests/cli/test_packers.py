@@ -11,8 +11,8 @@ from support.command_line import OVERHANG, TOWER, only_line, run, write
 from support.plan_files import order_for
 
 import petmjx
-from petmjx.packers.kpis import KPIS
-from petmjx.results.reader import load_run
+from petmjx.analysis.packer_kpis import KPIS
+from petmjx.results.run_reader import load_run
 
 FAST = ("--engine", "mujoco", "--threads", "1")
 

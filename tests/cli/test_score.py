@@ -22,11 +22,11 @@ from support.command_line import (
     write,
 )
 
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
-from petmjx.results.reader import load_run
-from petmjx.verdict import Outcome
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.results.run_reader import load_run
 from petmjx.world.job import Job
 
 
@@ -67,7 +67,7 @@ def test_options_reach_the_run(plans: Path, tmp_path: Path) -> None:
 def test_score_without_files_takes_the_bundled_samples(
     plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("petmjx.plans.gather.bundled_path", lambda: plans)
+    monkeypatch.setattr("petmjx.plans.plan_sources.bundled_path", lambda: plans)
     monkeypatch.chdir(tmp_path)
     assert run("score") == 0
     [folder] = (tmp_path / "petmjx-results").iterdir()
@@ -166,7 +166,7 @@ def three_plans(tmp_path: Path) -> Path:
 def test_a_failure_inside_takes_one_line(
     three_plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("petmjx.engines.cpu.engine.MujocoEngine", _BrokenEngine)
+    monkeypatch.setattr("petmjx.engines.mujoco.engine.MujocoEngine", _BrokenEngine)
     assert run("score", three_plans, "--engine", "mujoco", "--out", tmp_path / "out") == 1
     errors = capsys.readouterr().err
     assert "petmjx: failure inside petmjx: RuntimeError: the floor caved in" in errors
@@ -180,7 +180,7 @@ def test_an_interrupted_run_says_how_far_it_came(
     three_plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(_BrokenEngine, "error", KeyboardInterrupt())
-    monkeypatch.setattr("petmjx.engines.cpu.engine.MujocoEngine", _BrokenEngine)
+    monkeypatch.setattr("petmjx.engines.mujoco.engine.MujocoEngine", _BrokenEngine)
     assert run("score", three_plans, "--engine", "mujoco", "--out", tmp_path / "out") == 130
     assert f"interrupted: 2 of 3 plans are done and in {tmp_path / 'out'}" in capsys.readouterr().err
     results = load_run(tmp_path / "out")

@@ -11,10 +11,10 @@ import pytest
 from support.pictures import falling_story, needs_pictures, standing_story
 
 import petmjx
-from petmjx.basics.errors import InputError
+from petmjx.analysis.story import events, headline
 from petmjx.cli.main import main
-from petmjx.pictures.viewer import Player, play, show, viewer_model
-from petmjx.story.events import events, headline
+from petmjx.common.errors import InputError
+from petmjx.show.pictures.mujoco_viewer import Player, play, show, viewer_model
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -80,7 +80,9 @@ PLAN = json.dumps(
 def test_several_files_from_one_simulation(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
     tell = petmjx.tell
-    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: calls.append(given) or tell(*given, **named))
+    monkeypatch.setattr(
+        "petmjx.analysis.story.tell", lambda *given, **named: calls.append(given) or tell(*given, **named)
+    )
     size = ("--size", "120x100")
     printed = lines_of(capsys, "hand-falls-off", "--png", "a.png", "--gif", "b.gif", "--svg", "c.svg", *size)
     assert len(calls) == 1
@@ -140,7 +142,7 @@ def test_no_opengl_is_said_before_anything_is_simulated(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MUJOCO_GL", "vulkan")
-    monkeypatch.setattr("petmjx.story.tell.tell", lambda *given, **named: pytest.fail("simulated"))
+    monkeypatch.setattr("petmjx.analysis.story.tell", lambda *given, **named: pytest.fail("simulated"))
     printed = lines_of(capsys, "hand-bridge", "--html", "x.html", "--gif", "x.gif", code=2)
     assert "x.gif: MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw" in printed
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from petmjx.cli.runs import stoppable
+from petmjx.cli.run_command import stoppable
 
 
 @pytest.fixture(autouse=True)

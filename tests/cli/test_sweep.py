@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from support.command_line import INTERRUPT_AFTER, TOWER, only_line, run, run_interrupted, write
 
-from petmjx.results.reader import load_run
+from petmjx.results.run_reader import load_run
 
 GRID = """
 [simulation]

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import jax
 import pytest
 
-from petmjx.verdict import Outcome
+from petmjx.engines.verdict import Outcome
 
 
 @pytest.fixture

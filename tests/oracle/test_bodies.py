@@ -10,15 +10,15 @@ import jax
 import numpy as np
 import pytest
 
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.engines.base import Engine
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.history import Record
-from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome, Verdict
-from petmjx.world.body import Body
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.world.body_shapes import Body
+from petmjx.world.friction_pairs import no_pairs
+from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
-from petmjx.world.pairs import no_pairs
 from petmjx.world.scene import Scene
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -26,7 +26,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 from support.plans import make_scene
 from support.tiny_worlds import engine as warp_engine
 
-from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+from petmjx.engines.mjx.engine import MjxJaxEngine
 
 pytestmark = pytest.mark.slow
 

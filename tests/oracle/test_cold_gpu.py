@@ -11,10 +11,10 @@ import pytest
 from support.plans import make_plan, make_world, stack
 
 import petmjx
+from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.choose import make_engine
-from petmjx.engines.retry import score_worlds
-from petmjx.options.config import Simulation
+from petmjx.engines.engine_choice import make_engine
+from petmjx.options.simulation import Simulation
 
 LIGHT_UNDER_HEAVY = make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))
 """Attempts 1 and 6; with conjugate gradients the first one, too, is C MuJoCo's."""
@@ -23,12 +23,12 @@ KERNEL_ON_THREADS = """
 import sys
 import numpy as np
 from support.plans import make_plan, make_world, stack
-from petmjx.options.config import Simulation
-from petmjx.options.config import Simulation
+from petmjx.options.simulation import Simulation
+from petmjx.options.simulation import Simulation
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.choose import make_engine
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.warp.cpu import MjxWarpCpuEngine
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 
 job = make_world(make_plan("light", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))).job
 (outcome,) = MjxWarpCpuEngine(1).run([job], ATTEMPTS[5].apply_to_sim(Simulation()))

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.reference import assert_matches, real_plans, reference_run
 
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Check
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.options.simulation import Check
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.job import Job
 
 FORCE_N = 0.1

@@ -9,13 +9,13 @@ import mujoco
 import numpy as np
 from support.reference import real_plans
 
-from petmjx.basics.units import FloatArray
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.live import GROWTH_BLOCK
-from petmjx.history import History, Record
-from petmjx.options.config import SOFT_START_STEPS, Schedule, Simulation
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.live_world import GROWTH_BLOCK
+from petmjx.options.simulation import SOFT_START_STEPS, Schedule, Simulation
+from petmjx.world.history import History, Record
 from petmjx.world.job import Job
-from petmjx.world.model import add_boxes, build_spec
+from petmjx.world.mujoco_model import add_boxes, build_spec
 from petmjx.world.scene import Scene, build_scene
 
 SAME_PLACE_M = 1e-9
@@ -85,7 +85,7 @@ class PlainLoop:
         self.data.qvel[self.v(box)] = self.data.qacc_warmstart[self.v(box)] = 0.0
         self.data.xfrc_applied[FIRST_BOX + box] = 0.0
         self.placed += 1
-        # pressed as hard as the boxes that wait would press on the floor (petmjx/engines/cpu/live.py)
+        # pressed as hard as the boxes that wait would press on the floor (petmjx/engines/mujoco/live_world.py)
         waiting_kg = self.scene.mass[self.placed :].sum()
         self.data.xfrc_applied[2, 2] = SIM.physics.gravity_m_s2 * (1.0 - sqrt(3.97 * waiting_kg))
 

@@ -11,8 +11,8 @@ import pytest
 
 import petmjx
 import petmjx.jax
-from petmjx.basics.errors import InputError
-from petmjx.jax.told import REASONS, Told
+from petmjx.common.errors import InputError
+from petmjx.jax.placement_results import REASONS, PlacementArrays
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -22,7 +22,7 @@ STEPS = np.array([[[0, 0, 0], [100, 100, 0]], [[0, 0, 200], [110, 100, 250]], [[
 MASS = np.array([6.0, 3.0], np.float32)
 
 
-def assert_told(report: Told, expected: petmjx.Told, exactly: bool) -> None:
+def assert_told(report: PlacementArrays, expected: petmjx.PlacementResults, exactly: bool) -> None:
     close = {"rtol": 1e-6} if exactly else {"rtol": 2e-3, "atol": 2e-2}
     np.testing.assert_array_equal(report.stable, expected.stable)
     assert [REASONS[number] for number in report.reason] == expected.reason.tolist()
@@ -37,7 +37,7 @@ def assert_told(report: Told, expected: petmjx.Told, exactly: bool) -> None:
 
 def check_program(
     engine: Any, steps: np.ndarray, candidates: tuple[np.ndarray, ...], most_boxes: int
-) -> tuple[Told, Told]:
+) -> tuple[PlacementArrays, PlacementArrays]:
     """A program that places box after box, and then asks about candidates, tells what pallets tell."""
     state = petmjx.jax.empty(2, engine=engine, most_boxes=most_boxes)
 
@@ -100,8 +100,8 @@ def test_what_cannot_get_a_box_stays_as_it_is() -> None:
 
 
 def test_settled_worlds_are_built_again_when_they_are_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.jax.host.KEPT_PER_PALLET", 2)
-    monkeypatch.setattr("petmjx.jax.host.MOST_ASKED", 1)
+    monkeypatch.setattr("petmjx.jax.host_pallets.KEPT_PER_PALLET", 2)
+    monkeypatch.setattr("petmjx.jax.host_pallets.MOST_ASKED", 1)
     state = petmjx.jax.empty(2, engine="mujoco", most_boxes=4)
     place = jax.jit(petmjx.jax.place)
     first, report = place(state, SIZE, STEPS[0], MASS)

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import petmjx.jax
-from petmjx.basics.errors import InputError
+from petmjx.common.errors import InputError
 from petmjx.jax import REASONS, StepType
 
 TABLE = pd.DataFrame(

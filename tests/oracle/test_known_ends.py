@@ -7,11 +7,11 @@ import pytest
 from support.plans import falling, make_scene, stack
 from support.worlds import run_one
 
-from petmjx.basics.units import seconds_to_steps
-from petmjx.history import Record
-from petmjx.options.carrier import Carrier
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.common.units import seconds_to_steps
+from petmjx.engines.verdict import Flag, Reason, Verdict
+from petmjx.options.carriers import Carrier
+from petmjx.options.simulation import Simulation
+from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import Scene
 

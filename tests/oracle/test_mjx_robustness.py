@@ -13,14 +13,14 @@ import pytest
 from support.fake_stepper import FakeEngine, FakeStepper, assert_same, fake_scene, run_all
 from support.histories import assert_equal
 
-from petmjx.engines.base import Progress
-from petmjx.engines.batch.mjx_jax import Program
-from petmjx.engines.batch.padded import PaddedModel, Stepped
-from petmjx.engines.batch.template import FIRST_BOX_BODY
-from petmjx.engines.batch.upload import Batch, is_out_of_memory
-from petmjx.history import Record
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.mjx.engine import Program
+from petmjx.engines.mjx.host_to_device import Batch, is_out_of_memory
+from petmjx.engines.mjx.model_template import FIRST_BOX_BODY
+from petmjx.engines.mjx.padded_model import PaddedModel, StepResult
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.world.history import Record
 from petmjx.world.job import Job
 
 SHORT = Simulation(interval_s=0.3, sample_interval_s=0.05)
@@ -38,7 +38,7 @@ class PoisonedStepper(FakeStepper):
 
     def step(
         self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array, *others: None
-    ) -> Stepped:
+    ) -> StepResult:
         after = super().step(fields, inputs, forces)
         marked = fields["body_mass"][:, FIRST_BOX_BODY:] == MARKED_KG
         happens = (marked & (after.top_force == HAPPENS_AT_AGE)).any(-1, keepdims=True)

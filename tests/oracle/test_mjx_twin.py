@@ -18,9 +18,9 @@ from support.worlds import (
     simulate,
 )
 
-from petmjx.engines.batch.mjx_jax import MjxJaxEngine
-from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.engines.mjx.engine import MjxJaxEngine
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 
 SAME_PLACE_M = 1e-3
 """MJX-JAX makes at most four contacts a pair of boxes, C up to eight: soft contacts then give way differently."""

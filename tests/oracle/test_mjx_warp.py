@@ -11,13 +11,15 @@ import pandas as pd
 import pytest
 
 import petmjx
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.carrier import Carrier
-from petmjx.options.config import Check, Schedule, Simulation
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import bundled_path, generate_one, write_plans
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.carriers import Carrier
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.packers.sample_plans import generate_one
+from petmjx.plans.bundled import bundled_path
+from petmjx.plans.json_writer import write_plans
+from petmjx.plans.plan_reader import load_plans
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene
 
@@ -36,12 +38,12 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.batch.state import fresh_state
-from petmjx.engines.batch.template import MAX_ITERATIONS
-from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.batch.upload import load
+from petmjx.engines.mjx.host_to_device import load
+from petmjx.engines.mjx.model_template import MAX_ITERATIONS
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.mjx.world_state import fresh_state
 from petmjx.engines.warp import programs
-from petmjx.engines.warp import rollout as rollouts
+from petmjx.engines.warp import time_slices as rollouts
 from petmjx.engines.warp.engine import MjxWarpEngine
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")

@@ -17,20 +17,19 @@ import pytest
 from support.plans import falling, make_scene, stack
 from support.worlds import run_one
 
-from petmjx.engines.base import GrowingJobs, Progress
-from petmjx.engines.clock import Clock
-from petmjx.engines.cpu import live as mujoco_live
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.metrics.force_np import contact_normal_and_tangents
-from petmjx.metrics.motion_np import lowest_z, tilt_deg
-from petmjx.options.carrier import Carrier
-from petmjx.options.config import Schedule, Simulation, Thresholds
+from petmjx.engines.mujoco import live_world as mujoco_live
+from petmjx.engines.mujoco.box_motion import lowest_z, tilt_deg
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.running_metrics import OracleMetrics
+from petmjx.engines.mujoco.top_forces import contact_normal_and_tangents
+from petmjx.engines.protocol import GrowingJobs, Progress
+from petmjx.engines.step_clock import Clock
+from petmjx.engines.verdict import Flag, Reason, Verdict, judge
+from petmjx.options.carriers import Carrier
 from petmjx.options.physics import PHYSICS, Cone
-from petmjx.verdict import Flag, Reason, Verdict, judge
+from petmjx.options.simulation import Schedule, Simulation, Thresholds
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.mjcf import to_mjcf
-from petmjx.world.model import build_spec
+from petmjx.world.mujoco_model import build_spec, to_mjcf
 from petmjx.world.scene import Scene
 
 SAME_M = 1e-9
@@ -274,8 +273,8 @@ def test_closing_the_run_stops_it_and_jobs_are_taken_as_needed() -> None:
 
 INTERRUPTED = """
 import sys
-from petmjx.options.config import Check, Schedule, Simulation
-from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.world.job import Job
 from support.plans import falling, make_scene, stack
 from support.worlds import run_one

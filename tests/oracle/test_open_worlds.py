@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.basics.errors import InputError
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.open import OpenWorlds
-from petmjx.options.config import Quiet, Schedule, Simulation
-from petmjx.verdict import Flag, Outcome, Verdict
+from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.open_worlds import OpenWorlds
+from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.options.simulation import Quiet, Schedule, Simulation
 from petmjx.world.job import FORCE, Drive, Excitation, Job
 from petmjx.world.scene import Scene, build_scene
 
@@ -23,11 +23,11 @@ from support.fake_stepper import assert_same
 from support.tiny_worlds import engine as warp_engine
 from support.worlds import boxes_by_plan, make_plan
 
-from petmjx.engines.batch.mjx_jax import MjxJaxEngine
-from petmjx.engines.batch.worlds import upload_worlds
+from petmjx.engines.mjx.engine import MjxJaxEngine
+from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.open_simulator import OpenState
 from petmjx.engines.warp.open_worlds import fork
-from petmjx.engines.warp.simulator import Open
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -188,7 +188,7 @@ def test_a_jitted_program_goes_on_with_them() -> None:
     more = upload_worlds([Job(scene.first(3))], 1, 4, {}, SIM)._replace(pauses=jnp.ones(1, bool))
 
     @jax.jit
-    def program(open_: Open) -> Open:
+    def program(open_: OpenState) -> OpenState:
         settled = fork(simulator.go_on(open_, still), jnp.array([0]), jnp.array([1]))
         return simulator.go_on(simulator.put(settled, jnp.array([1]), more), still)
 

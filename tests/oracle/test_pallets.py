@@ -11,13 +11,13 @@ import pandas as pd
 import pytest
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.engines.base import Engine
-from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine
 from petmjx.loop.pallets import Pallets
-from petmjx.loop.told import Told
-from petmjx.plans.samples.packer import PackRules, _Pile
-from petmjx.results.reader import RunResults
+from petmjx.loop.placement_results import PlacementResults
+from petmjx.packers.baseline_packer import PackRules, _Pile
+from petmjx.results.run_reader import RunResults
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
@@ -45,18 +45,20 @@ def carton(*corners: tuple[float, float, float]) -> dict[str, Any]:
     return {"size_mm": (400, 300, 200), "corner_mm": corners, "mass_kg": 6}
 
 
-def assert_same(one: Told, other: Told, *skipped: str) -> None:
+def assert_same(one: PlacementResults, other: PlacementResults, *skipped: str) -> None:
     """To the last bit."""
-    for field in fields(Told):
+    for field in fields(PlacementResults):
         if field.name not in skipped:
             np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name), field.name)
 
 
-def placed_box_by_box(engine: Engine, names: Sequence[str], most_boxes: int) -> tuple[Pallets, dict[int, Told]]:
+def placed_box_by_box(
+    engine: Engine, names: Sequence[str], most_boxes: int
+) -> tuple[Pallets, dict[int, PlacementResults]]:
     """A pallet for each plan, and what was told last of each."""
     plans = [make_plan(name, boxes_by_plan()[name]) for name in names]
     pallets = Pallets(len(plans), engine=engine, most_boxes=most_boxes)
-    report_by_row: dict[int, Told] = {}
+    report_by_row: dict[int, PlacementResults] = {}
     for number in range(max(plan.n_boxes for plan in plans)):
         rows = [k for k, plan in enumerate(plans) if plan.n_boxes > number and not pallets.ended[k]]
         boxes = [(plans[k].size_mm[number], plans[k].corner_mm[number], plans[k].mass_kg[number]) for k in rows]

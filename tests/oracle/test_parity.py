@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from support.reference import assert_matches, real_plans, reference_run
 
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Check, Schedule, Simulation
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

@@ -11,12 +11,12 @@ from support.fake_stepper import FakeEngine, assert_same, fake_scene, run_all
 from support.histories import assert_equal, history_of
 from support.plans import make_scene, stack
 
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.history import Record
-from petmjx.options.config import Check, Simulation
-from petmjx.verdict import Outcome
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Check, Simulation
+from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.release import release_of
+from petmjx.world.release_places import release_of
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -146,11 +146,11 @@ def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
     room: int | None, device: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = warp_engine(slice_ns=300_000)
-    from petmjx.engines.warp import frames
+    from petmjx.engines.warp import frame_buffers
 
     if room is not None:
-        monkeypatch.setattr(frames, "FRAMES_PER_WORLD", 0)
-        monkeypatch.setattr(frames, "FRAMES_PER_BLOCK", room)
+        monkeypatch.setattr(frame_buffers, "FRAMES_PER_WORLD", 0)
+        monkeypatch.setattr(frame_buffers, "FRAMES_PER_BLOCK", room)
     marched = run_all(engine, recorded(piles()), SIM)
     exact = run_all(MujocoEngine(1), recorded(piles()), SIM)
     for one, plain, twin in zip(marched, plain_piles(), exact, strict=True):
@@ -179,7 +179,7 @@ def compare(outcome: Outcome, twin: Outcome) -> None:
 @pytest.mark.slow
 def test_room_is_next_to_nothing_where_no_world_is_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     engine = warp_engine()
-    rollout = pytest.importorskip("petmjx.engines.warp.rollout").Rollout
+    rollout = pytest.importorskip("petmjx.engines.warp.time_slices").Rollout
     wait, rooms = rollout.wait, []
 
     def watched(self: Any, group: Any) -> Any:

@@ -18,11 +18,11 @@ from support.plans import Box, make_scene, stack
 from support.traces import Seen, every_step
 from support.worlds import boxes_by_plan
 
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.engines.base import Engine
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Check, Quiet, Schedule, Simulation
-from petmjx.verdict import Flag, Reason
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Flag, Reason
+from petmjx.options.simulation import Check, Quiet, Schedule, Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("ranks_may_differ")]
@@ -46,11 +46,11 @@ NEAR = {
     ("mjx-jax", "pushed"): {"corner overhang of 70 %": 1},
 }
 """Worlds whose events are up to so many looks earlier or later: a corner that lands and slides. Engines know the excess
-of its friction to a tolerance (petmjx/world/slip.py): on mjx-warp its speed differs by 2 mm/s after that, and not with
-a twentieth of the tolerance. On mjx-jax, whose collider is another one, its way differs by some micrometres while it
-still tips, and then grows. In all others events are at the same step: they are at looks, at samples or at steps that
-are known beforehand, so float32 changes a step only where a speed or a pose is within rounding of a threshold at a
-look."""
+of its friction to a tolerance (petmjx/world/contact_laws.py): on mjx-warp its speed differs by 2 mm/s after that, and
+not with a twentieth of the tolerance. On mjx-jax, whose collider is another one, its way differs by some micrometres
+while it still tips, and then grows. In all others events are at the same step: they are at looks, at samples or at
+steps that are known beforehand, so float32 changes a step only where a speed or a pose is within rounding of a
+threshold at a look."""
 
 
 def push(kind: str, level: float, rest_s: float, steps: int = 60, yaw_rad: float = 0.5) -> Drive:
@@ -138,7 +138,7 @@ def on_warp(kind: str) -> dict[str, Seen]:
 @functools.cache
 def on_jax(kind: str) -> dict[str, Seen]:
     """Small worlds alone, as many as go into one batch: the last ones, most of which fall and land."""
-    from petmjx.engines.batch.mjx_jax import MjxJaxEngine
+    from petmjx.engines.mjx.engine import MjxJaxEngine
 
     worlds = worlds_of(kind)
     small = [k for k, job in enumerate(worlds.jobs) if job.scene.n_boxes <= CAPACITY][-BATCH:]

@@ -9,10 +9,10 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 
-from petmjx.basics.warp_cpp import with_cpp
-from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.warp import newton
-from petmjx.engines.warp.records import FrameBuffer, filled
+from petmjx.common.warp_cpp import with_cpp
+from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.warp.solver import newton
+from petmjx.engines.warp.world_arrays import FrameBuffer, filled_record
 
 set_up_warp()
 
@@ -42,4 +42,4 @@ def test_numbers_are_found_by_rows() -> None:
 def test_arrays_with_gaps_are_refused() -> None:
     values = dict.fromkeys(FrameBuffer.vars, wp.zeros(8, dtype=int)[::2])
     with pytest.raises(AssertionError):
-        filled(FrameBuffer, values)
+        filled_record(FrameBuffer, values)

@@ -12,12 +12,12 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 
-from petmjx.basics.units import FloatArray
-from petmjx.basics.warp_cpp import with_cpp
-from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.warp import newton
-from petmjx.engines.warp.launch import SIZES
-from petmjx.engines.warp.records import MAX_BOXES, PANEL, most_panels
+from petmjx.common.units import FloatArray
+from petmjx.common.warp_cpp import with_cpp
+from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.warp.block_launch import SIZES
+from petmjx.engines.warp.solver import newton
+from petmjx.engines.warp.world_arrays import MAX_BOXES, PANEL, most_panels
 
 set_up_warp()
 

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from petmjx.engines.base import GrowingJobs, JobsInParts
-from petmjx.engines.batch.scene_rows import Rows
-from petmjx.engines.batch.state import SOFT_START_BEGIN, State
-from petmjx.history import Record
-from petmjx.verdict import Outcome
+from petmjx.engines.mjx.scene_rows import Rows
+from petmjx.engines.mjx.world_state import SOFT_START_BEGIN, State
+from petmjx.engines.protocol import GrowingJobs, JobsInParts
+from petmjx.engines.verdict import Outcome
+from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -39,13 +39,12 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import rounds
-from petmjx.engines.warp.ahead import Ahead
+from petmjx.engines.warp import slice_result
+from petmjx.engines.warp.block_launch import Launch
+from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.handover import Left
-from petmjx.engines.warp.launch import Launch
-from petmjx.engines.warp.queues import Queues
-from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.group_schedule import GroupHandover, RowPrefetcher
+from petmjx.engines.warp.time_slices import Rollout
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -132,10 +131,10 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     ended: list[int] = []
     ready: list[int] = []
     rows: list[int] = []
-    before: list[weakref.ref[Left]] = []
-    put_into, take, leave = Left.put_into, Ahead.take, Left.leave
+    before: list[weakref.ref[GroupHandover]] = []
+    put_into, take, leave = GroupHandover.put_into, RowPrefetcher.take, GroupHandover.leave
 
-    def watched(self: Left, table: Any, first_row: int) -> Any:
+    def watched(self: GroupHandover, table: Any, first_row: int) -> Any:
         next_table = put_into(self, table, first_row)
         assert next_table is not table
         assert self.ready is not None
@@ -146,20 +145,20 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
         assert steps[first_row] > steps[0]  # which has not begun
         return next_table
 
-    def leaves(self: Left, *args: Any) -> None:
+    def leaves(self: GroupHandover, *args: Any) -> None:
         assert all(left() is None for left in before)  # with their tables
         before.append(weakref.ref(self))
         leave(self, *args)
 
-    def taken(self: Ahead, jobs: Sequence[Job], width: int) -> Rows | None:
+    def taken(self: RowPrefetcher, jobs: Sequence[Job], width: int) -> Rows | None:
         rows = take(self, jobs, width)
         ready.append(0 if rows is None else len(rows["n_boxes"]))
         return rows
 
-    monkeypatch.setattr(Left, "put_into", watched)
-    monkeypatch.setattr(Ahead, "made", True)  # what is not is waited for
-    monkeypatch.setattr(Left, "leave", leaves)
-    monkeypatch.setattr(Ahead, "take", taken)
+    monkeypatch.setattr(GroupHandover, "put_into", watched)
+    monkeypatch.setattr(RowPrefetcher, "made", True)  # what is not is waited for
+    monkeypatch.setattr(GroupHandover, "leave", leaves)
+    monkeypatch.setattr(RowPrefetcher, "take", taken)
     scenes = tiny_scenes(TINY[:3])
     jobs = [Job(scene) for scene in scenes.values()]
     run = engine(group_size=16, slice_ns=STEP_NS).run(in_parts(jobs * 8, jobs), SHORT)
@@ -180,17 +179,17 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
 ) -> None:
     """Wider tables, in which the worlds that are left go on; or it comes too late to be taken."""
     widths: list[tuple[int, int]] = []
-    put_into = Left.put_into
+    put_into = GroupHandover.put_into
 
-    def watched(self: Left, table: State, first_row: int) -> State:
+    def watched(self: GroupHandover, table: State, first_row: int) -> State:
         next_table = put_into(self, table, first_row)
         widths.append((self.table.qpos.shape[1], table.qpos.shape[1]))
         assert (np.asarray(next_table.step)[first_row:] > SOFT_START_BEGIN).any()
         some.slice_ns = SOME_NS
         return next_table
 
-    monkeypatch.setattr(Left, "put_into", watched)
-    monkeypatch.setattr(Ahead, "made", True)  # what is not is waited for
+    monkeypatch.setattr(GroupHandover, "put_into", watched)
+    monkeypatch.setattr(RowPrefetcher, "made", True)  # what is not is waited for
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)  # all may be left, as soon as there are tables for them
     monkeypatch.setattr(mjx_warp, "LOADING_NS", 0)
     some = engine(group_size=32, slice_ns=SOME_NS if polls == 10_000 else STEP_NS)
@@ -215,21 +214,21 @@ def test_memory_that_runs_out_for_outcomes_loses_no_world(
 ) -> None:
     """The device is ahead: it has left the last worlds of the first group to the next one by then."""
     has_left = threading.Event()
-    leave, make = Left.leave, rounds.outcomes
+    leave, make = GroupHandover.leave, slice_result.outcomes
 
-    def watched(self: Left, *args: Any) -> None:
+    def watched(self: GroupHandover, *args: Any) -> None:
         leave(self, *args)
         has_left.set()
 
     def fails_once(*args: Any) -> Iterator[Outcome]:
-        monkeypatch.setattr(rounds, "outcomes", make)
+        monkeypatch.setattr(slice_result, "outcomes", make)
         assert has_left.wait(60)
         raise MemoryError
 
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
-    monkeypatch.setattr(rounds, "MOST_AHEAD", 1 << 20)
-    monkeypatch.setattr(Left, "leave", watched)
-    monkeypatch.setattr(rounds, "outcomes", fails_once)
+    monkeypatch.setattr(slice_result, "MOST_AHEAD", 1 << 20)
+    monkeypatch.setattr(GroupHandover, "leave", watched)
+    monkeypatch.setattr(slice_result, "outcomes", fails_once)
     scenes = tiny_scenes()
     outcomes = run_all(engine(group_size=8, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
     for first in (0, len(scenes)):

@@ -11,10 +11,10 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 import warp as wp
 
-from petmjx.basics.warp_cpp import with_cpp
-from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.warp import newton
-from petmjx.engines.warp.records import EFC_WORDS
+from petmjx.common.warp_cpp import with_cpp
+from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.warp.solver import newton
+from petmjx.engines.warp.world_arrays import EFC_WORDS
 
 set_up_warp()
 

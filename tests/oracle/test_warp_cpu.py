@@ -25,12 +25,12 @@ from support.tiny_worlds import SHORT, TINY, assert_equal_worlds, in_one_slice, 
 from support.worlds import simulate
 
 import petmjx
-from petmjx.basics.errors import EngineUnavailable, InputError
-from petmjx.engines.choose import make_engine
-from petmjx.engines.warp import blocks
-from petmjx.engines.warp.cpu import MjxWarpCpuEngine
-from petmjx.history import Record
-from petmjx.verdict import Outcome
+from petmjx.common.errors import EngineUnavailable, InputError
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.verdict import Outcome
+from petmjx.engines.warp import block_launch
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
+from petmjx.world.history import Record
 from petmjx.world.job import Job
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="jax uses a GPU in this process")
@@ -80,14 +80,14 @@ def test_engines_of_several_threads_work_at_the_same_time(monkeypatch: pytest.Mo
     """As those do that make further attempts beside a GPU. The first slice waits for the second one, which is the other
     engine's: its own needs the states of the first."""
     met, slices = threading.Barrier(2), itertools.count()
-    inner = blocks.wait
+    inner = block_launch.wait
 
     def wait(*some: Any, **more: Any) -> Any:
         if next(slices) < 2:
             met.wait(timeout=60.0)
         return inner(*some, **more)
 
-    monkeypatch.setattr(blocks, "wait", wait)
+    monkeypatch.setattr(block_launch, "wait", wait)
     scenes = tiny_scenes()
     with ThreadPoolExecutor(2) as pool:
         both = [pool.submit(simulate, MjxWarpCpuEngine(1), scenes, SHORT) for _ in range(2)]
@@ -117,16 +117,16 @@ def test_an_error_waits_for_blocks_that_still_use_the_memory(
     error: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock = np.zeros(1, np.int32)
-    call, inner = Blocks(clock), blocks.wait
+    call, inner = Blocks(clock), block_launch.wait
 
     def wait(*some: Any, **more: Any) -> Any:
         if error is KeyboardInterrupt and "timeout" in more:
             raise error
         return inner(*some, **more)
 
-    monkeypatch.setattr(blocks, "wait", wait)
+    monkeypatch.setattr(block_launch, "wait", wait)
     with wp.ScopedDevice("cpu"), pytest.raises(error):
-        blocks.launch_all([call], SimpleNamespace(numpy=lambda: clock), slice_ns=50_000_000)  # type: ignore[list-item]  # stands in
+        block_launch.launch_all([call], SimpleNamespace(numpy=lambda: clock), slice_ns=50_000_000)  # type: ignore[list-item]  # stands in
     assert call.ended
 
 
@@ -144,7 +144,7 @@ def test_options_of_other_engines_are_refused(options: dict[str, Any], match: st
 
 
 def test_without_warp_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.engines.warp.cpu.why_no_warp_on_cpu", lambda: "Warp is not installed")
+    monkeypatch.setattr("petmjx.engines.warp.cpu_engine.why_no_warp_on_cpu", lambda: "Warp is not installed")
     with pytest.raises(EngineUnavailable, match="cannot run here: Warp is not installed"):
         make_engine("mjx-warp-cpu")
     with pytest.raises(ValueError, match="threads must be at least 1"):

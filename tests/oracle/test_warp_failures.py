@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from petmjx.basics.errors import InputError
-from petmjx.engines.base import JobsInParts
-from petmjx.engines.batch.upload import GRANULE
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.common.errors import InputError
+from petmjx.engines.mjx.host_to_device import GRANULE
+from petmjx.engines.protocol import JobsInParts
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -34,14 +34,14 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
+from petmjx.engines.warp import block_pool
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import fleets
+from petmjx.engines.warp.block_launch import SIZES
+from petmjx.engines.warp.block_pool import most_room
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.fleets import most_room
-from petmjx.engines.warp.group import Group
-from petmjx.engines.warp.launch import SIZES
-from petmjx.engines.warp.march import MORE_BOXES
-from petmjx.engines.warp.records import MAX_BOXES
+from petmjx.engines.warp.kernel_launcher import MORE_BOXES
+from petmjx.engines.warp.world_arrays import MAX_BOXES
+from petmjx.engines.warp.world_groups import Group
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -55,8 +55,8 @@ def test_buffers_that_are_too_small_grow_and_give_the_same(
     # 4 of each a world: of the bricks at least 5 pairs touch, in 20 contacts.
     some = tiny_scenes(("hand-one-box", "brickwork"))
     expected = simulate(shared_engine(), some, SHORT)
-    monkeypatch.setattr(fleets, buffer, 1)
-    monkeypatch.setattr(fleets, "MORE_BOXES", 0)
+    monkeypatch.setattr(block_pool, buffer, 1)
+    monkeypatch.setattr(block_pool, "MORE_BOXES", 0)
     outcomes = simulate(engine(), some, SHORT)
     assert outcomes["brickwork"].flags & Flag.RERUN_AFTER_OVERFLOW
     for name, outcome in outcomes.items():
@@ -70,8 +70,8 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
     some = {**tiny_scenes(("hand-one-box", "brickwork")), "one more": tiny("hand-one-box")}
     expected = simulate(shared_engine(), some, SHORT)
     sizes_apart(monkeypatch, 1)
-    monkeypatch.setattr(fleets, "CONTACTS_PER_BOX", 2)
-    monkeypatch.setattr(fleets, "MORE_BOXES", 0)
+    monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(block_pool, "MORE_BOXES", 0)
     made = watched_rollouts(monkeypatch, lambda *_: None)
     for name, outcome in simulate(engine(), some, SHORT).items():
         assert_same(outcome, expected[name])
@@ -82,7 +82,7 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.slow
 def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleets, "CONTACTS_PER_BOX", 0)
+    monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 0)
     small = engine()
     outcome = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OVERFLOW)

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.engines.base import GrowingJobs
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.engines.protocol import GrowingJobs
+from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -40,14 +40,14 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
+from petmjx.engines.warp import block_pool, kernel_launcher
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import fleets, march
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.group import Group, Run
-from petmjx.engines.warp.launch import Launch
-from petmjx.engines.warp.march import March
-from petmjx.engines.warp.records import BUFFER_WORDS, axes, buffer_rows
-from petmjx.engines.warp.rollout import Rollout
+from petmjx.engines.warp.kernel_launcher import KernelLauncher
+from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.warp.world_arrays import BUFFER_WORDS, axes, buffer_rows
+from petmjx.engines.warp.world_groups import Group, Run
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -113,7 +113,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
 ) -> None:
     """One world has its outcome already, one waits for its drive, and one needs more room than there is. If no more
     jobs may come the slice in which the drive ends is under way when that is seen."""
-    monkeypatch.setattr(fleets, "CONTACTS_PER_BOX", 2)
+    monkeypatch.setattr(block_pool, "CONTACTS_PER_BOX", 2)
     small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
@@ -166,14 +166,14 @@ def test_a_slice_in_which_memory_runs_out_loses_nothing(
     slice_number: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     """The blocks' memory and the tables are lost with it; another slice may have begun behind it."""
-    launch, launched = March.launch, itertools.count(1)
+    launch, launched = KernelLauncher.launch, itertools.count(1)
 
-    def fails_once(self: March, arrays: dict[str, Any]) -> None:
+    def fails_once(self: KernelLauncher, arrays: dict[str, Any]) -> None:
         if next(launched) == slice_number:
             raise out_of_memory()
         launch(self, arrays)
 
-    monkeypatch.setattr(March, "launch", fails_once)
+    monkeypatch.setattr(KernelLauncher, "launch", fails_once)
     begun = engine(slice_ns=SOME_NS)
     assert_equal_worlds(simulate(begun, tiny_scenes(), SHORT), crowd)
     assert_equal_worlds(simulate(begun, tiny_scenes(TINY[:2]), SHORT), crowd)
@@ -250,8 +250,8 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
     alone = simulate(MjxWarpEngine(), some, SHORT)
     gc.collect()  # that engine's memory, which would else become free in the middle of the next run
     crowded = MjxWarpEngine()
-    blocks, room = Launch.here(120).blocks, 120 + march.MORE_BOXES
-    sizes = axes(blocks, 120, 1, march.PAIRS_PER_BOX * room, march.CONTACTS_PER_BOX * room)
+    blocks, room = Launch.here(120).blocks, 120 + kernel_launcher.MORE_BOXES
+    sizes = axes(blocks, 120, 1, kernel_launcher.PAIRS_PER_BOX * room, kernel_launcher.CONTACTS_PER_BOX * room)
     buffer_bytes = 4 * BUFFER_WORDS * buffer_rows(sizes)
     # What shall be left is taken first, in one piece, and given back when all other memory is taken. JAX may have given
     # a piece that is up to 128 MB larger.

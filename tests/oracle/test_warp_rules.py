@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, State, Status, fresh_state
-from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.batch.worlds import Worlds, upload_worlds
-from petmjx.metrics import motion_jax as motion
-from petmjx.options.config import Check, Schedule, Simulation
-from petmjx.verdict import Flag
+from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.mjx.world_constants import Worlds, upload_worlds
+from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
+from petmjx.engines.verdict import Flag
+from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -23,12 +23,13 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 import warp as wp
 from support.fake_stepper import fake_scene
 
-from petmjx.basics.warp_cpp import with_cpp
-from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.warp import newton, records
-from petmjx.engines.warp.kernel.rules import after_step
+from petmjx.common.warp_cpp import with_cpp
+from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.kernels.rules import after_step
 from petmjx.engines.warp.programs import constants
-from petmjx.engines.warp.records import Model, Thread, Workspace, array_types, filled
+from petmjx.engines.warp.solver import newton
+from petmjx.engines.warp.world_arrays import Model, Thread, Workspace, array_types, filled_record
 
 set_up_warp()
 
@@ -40,8 +41,8 @@ SAME = 1e-5
 @wp.func
 def _one(
     model: Model,
-    worlds: records.Worlds,
-    state: records.State,
+    worlds: world_arrays.Worlds,
+    state: world_arrays.State,
     work: Workspace,
     world: int,
     presses: bool,
@@ -58,8 +59,8 @@ def _one(
 
 def _all(
     model: Model,
-    worlds: records.Worlds,
-    state: records.State,
+    worlds: world_arrays.Worlds,
+    state: world_arrays.State,
     work: Workspace,
     presses: wp.array[wp.bool],
     astray: wp.array[wp.bool],
@@ -180,9 +181,9 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
     after = after._replace(carrier_qvel=after.carrier_qvel.at[:, 2].set(jnp.where(astray, 1e12, 0.0)))
     expected = as_batched(sim, worlds, after, before, top_force, jnp.asarray(presses))
 
-    sizes = records.axes(WORLDS, BOXES, boards=1, npairmax=1, nconmax=1)
+    sizes = world_arrays.axes(WORLDS, BOXES, boards=1, npairmax=1, nconmax=1)
     with wp.ScopedDevice("cpu"):
-        model = filled(
+        model = filled_record(
             Model,
             {
                 **constants(sim, timetable),
@@ -196,12 +197,12 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         flat = after.flat()
         flat["step"] = after.step - 1
         flat_worlds = worlds._asdict() | {"profiles": np.zeros((1, 1, 3)), "order": np.zeros((1, 1))}
-        state = device_record(records.State, flat)
-        buffer = wp.zeros((records.buffer_rows(sizes), records.BUFFER_WORDS), dtype=float)
-        work = filled(Workspace, records.in_buffer(buffer, sizes))
+        state = device_record(world_arrays.State, flat)
+        buffer = wp.zeros((world_arrays.buffer_rows(sizes), world_arrays.BUFFER_WORDS), dtype=float)
+        work = filled_record(Workspace, world_arrays.in_buffer(buffer, sizes))
         work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
-        inputs = [model, device_record(records.Worlds, flat_worlds), state, work]
+        inputs = [model, device_record(world_arrays.Worlds, flat_worlds), state, work]
         inputs += [wp.array(mask, dtype=wp.bool) for mask in (presses, astray)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)
         fields = {name: getattr(state, name).numpy() for name in flat}
@@ -258,7 +259,7 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
 def device_record(kind: Any, values: Any) -> Any:
     """A record on Warp's device, from arrays by name."""
     types = array_types(kind)
-    return filled(kind, {name: wp.array(np.asarray(values[name]), dtype=types[name].dtype) for name in types})
+    return filled_record(kind, {name: wp.array(np.asarray(values[name]), dtype=types[name].dtype) for name in types})
 
 
 def as_batched(sim: Simulation, worlds: Worlds, after: State, before: State, *pressing: Any) -> State:

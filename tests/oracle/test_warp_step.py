@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from petmjx.metrics.force_np import top_forces
-from petmjx.options.config import Simulation
+from petmjx.engines.mujoco.top_forces import top_forces
 from petmjx.options.physics import PHYSICS, Cone, Physics
-from petmjx.world.model import build_spec, geom_bodies
+from petmjx.options.simulation import Simulation
+from petmjx.world.mujoco_model import build_spec, geom_bodies
 from petmjx.world.scene import Scene, build_scene
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
@@ -23,13 +23,14 @@ from support.marching import OneStep
 from support.plans import Box, heap, on_boards
 from support.worlds import make_plan
 
-from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.batch.upload import GRANULE
-from petmjx.engines.cpu.slip import SlipLaw
-from petmjx.engines.warp import launch, newton
-from petmjx.engines.warp.launch import Launch
+from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.mjx.host_to_device import GRANULE
+from petmjx.engines.mujoco.slip import SlipLaw
+from petmjx.engines.warp import block_launch
+from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.programs import friction_damping
-from petmjx.engines.warp.records import MAX_BOXES, PANEL
+from petmjx.engines.warp.solver import newton
+from petmjx.engines.warp.world_arrays import MAX_BOXES, PANEL
 
 set_up_warp()
 
@@ -149,7 +150,7 @@ TILTS = {"edge, 3°": (3.0, 0.0), "edge, 45°": (45.0, 0.0), "corner": (45.0, np
 
 @pytest.mark.slow
 def test_a_step_in_which_bricks_slide_and_tip_as_in_c() -> None:
-    """The law of contacts that slide (petmjx/world/slip.py), by iteration on both sides."""
+    """The law of contacts that slide (petmjx/world/contact_laws.py), by iteration on both sides."""
     physics = PHYSICS["pallet"]
     scene = build_scene(make_plan("bricks", BRICKS), Simulation(physics={"falls_into_place": True}))
     model, data = exact(scene, physics)
@@ -213,12 +214,12 @@ def test_damping_of_friction_as_mujoco_has_it(changes: dict[str, Any], damping: 
 
 def test_sizes_fit_tables_and_thread_blocks() -> None:
     """A table's width must say which blocks its worlds have; C++ has room for the sums of 8 warps."""
-    most = [size.most_boxes for size in launch.SIZES]
+    most = [size.most_boxes for size in block_launch.SIZES]
     assert most == sorted(most)
     assert most[-1] == MAX_BOXES
     assert all(boxes % GRANULE == 0 for boxes in most)
-    assert all(size.threads % 32 == 0 and 64 <= size.threads <= 256 for size in launch.SIZES)
-    assert [launch.size_for(n).most_boxes for n in (1, most[0], most[0] + 1, MAX_BOXES)] == [
+    assert all(size.threads % 32 == 0 and 64 <= size.threads <= 256 for size in block_launch.SIZES)
+    assert [block_launch.size_for(n).most_boxes for n in (1, most[0], most[0] + 1, MAX_BOXES)] == [
         *most[:1] * 2,
         *most[1:] * 2,
     ]
@@ -245,7 +246,7 @@ def test_compiler_errors_name_the_line_of_the_file() -> None:
 
 def test_a_changed_file_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     def digest() -> bytes:
-        return launch.kernel.__wrapped__(Launch.here(1)).module.get_module_hash(1)
+        return block_launch.kernel.__wrapped__(Launch.here(1)).module.get_module_hash(1)
 
     plain = digest()
     assert digest() == plain

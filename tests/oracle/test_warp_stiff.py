@@ -7,14 +7,14 @@ import pytest
 from support.plans import make_plan, make_world, stack
 from support.tiny_worlds import shared_engine
 
+from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.base import Engine
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.warp.cpu import MjxWarpCpuEngine
-from petmjx.engines.worlds import WorldResult
-from petmjx.options.config import Simulation
-from petmjx.verdict import Verdict
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Verdict
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
+from petmjx.engines.world_results import WorldResult
+from petmjx.options.simulation import Simulation
 
 SIM = Simulation()
 

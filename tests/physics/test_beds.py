@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 from support.plans import make_scene
 
-from petmjx.basics.units import FloatArray
-from petmjx.engines.batch.bed import Beds as JaxBeds
-from petmjx.engines.batch.bed import Faces, bed_of
-from petmjx.engines.batch.mjx import mjx
-from petmjx.engines.batch.template import override_fields, padded_template
-from petmjx.engines.batch.worlds import upload_worlds
-from petmjx.engines.cpu.bed import Beds, pressed
-from petmjx.engines.cpu.live import LiveWorld
-from petmjx.options.config import Check, Simulation
-from petmjx.world.give import EDGE_SHARE
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.bed import Beds as JaxBeds
+from petmjx.engines.mjx.bed import Faces, bed_of
+from petmjx.engines.mjx.mjx_import import mjx
+from petmjx.engines.mjx.model_template import override_fields, padded_template
+from petmjx.engines.mjx.world_constants import upload_worlds
+from petmjx.engines.mujoco.bed import Beds, face_pressure
+from petmjx.engines.mujoco.live_world import LiveWorld
+from petmjx.options.simulation import Check, Simulation
+from petmjx.world.compliance import EDGE_SHARE
 from petmjx.world.job import Job
-from petmjx.world.model import geom_bodies
+from petmjx.world.mujoco_model import geom_bodies
 
 GRID = 321
 OF_GRID = 0.02
@@ -67,7 +67,9 @@ def test_points_of_a_bed_have_its_force_and_moments() -> None:
     """Whatever part of the faces presses: their edges cross at any angle."""
     pos, turn, half = drawn(12, 1, 0.01)
     one, two = np.arange(0, 24, 2), np.arange(1, 24, 2)
-    flat, normal, points, depth, area, least = pressed(pos, turn, half, one, two, turn[one].reshape(-1, 3, 3)[:, :, 2])
+    flat, normal, points, depth, area, least = face_pressure(
+        pos, turn, half, one, two, turn[one].reshape(-1, 3, 3)[:, :, 2]
+    )
     assert flat.all()
     wide = area > least
     assert wide.sum() > 6, "on narrower ones the pressure goes outward"
@@ -112,7 +114,7 @@ def test_the_force_goes_to_the_edge_as_one_side_lifts_off(lean: float, lever: fl
     rotation = turn.reshape(3, 3)
     pos = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1 - depth_m] + rotation @ [0.0, 0.0, 0.1]])
     up = np.array([[0.0, 0.0, 1.0]])
-    bed = pressed(pos, np.array([np.eye(3).ravel(), turn]), half, np.array([0]), np.array([1]), up)
+    bed = face_pressure(pos, np.array([np.eye(3).ravel(), turn]), half, np.array([0]), np.array([1]), up)
     _, _, points, depth, area, least = bed
     spring = max(float(area[0]), float(least[0])) / (length * 0.3) / 4
     forces = spring * depth[0]
@@ -124,7 +126,7 @@ def test_faces_that_only_meet_or_stand_apart_do_not_press() -> None:
     eye = np.eye(3).ravel()
     pos = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.201], [0.5, 0.0, 0.199]])
     up = np.array([[0.0, 0.0, 1.0]] * 2)
-    area = pressed(pos, np.array([eye] * 3), np.array([HALF[0]] * 3), np.array([0, 0]), np.array([1, 2]), up)[4]
+    area = face_pressure(pos, np.array([eye] * 3), np.array([HALF[0]] * 3), np.array([0, 0]), np.array([1, 2]), up)[4]
     assert area.tolist() == [0.0, 0.0]
 
 
@@ -133,7 +135,7 @@ def test_mjx_jax_has_the_same_beds() -> None:
     pos, turn, half = drawn(200, 2, 0.02)
     one, two = np.arange(0, 400, 2), np.arange(1, 400, 2)
     up = turn[one].reshape(-1, 3, 3)[:, :, 2]
-    flat, normal, points, depth, area, least = pressed(pos, turn, half, one, two, up)
+    flat, normal, points, depth, area, least = face_pressure(pos, turn, half, one, two, up)
     arguments = (pos[one], turn[one].reshape(-1, 3, 3), half[one], pos[two], turn[two].reshape(-1, 3, 3), half[two], up)
     bed = jax.jit(jax.vmap(bed_of))(*(jnp.asarray(argument, jnp.float32) for argument in arguments))
     np.testing.assert_array_equal(bed.flat, flat)

@@ -11,11 +11,11 @@ from support.pictures import needs_pictures
 from support.plans import Box, make_plan
 
 import petmjx
-from petmjx.basics.units import MM_PER_M, STANDARD_GRAVITY
-from petmjx.options.carrier import CARRIER_EXTENT_M, Carrier, OwnCarrier
+from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY
+from petmjx.engines.verdict import Verdict
+from petmjx.options.carriers import CARRIER_EXTENT_M, Carrier, OwnCarrier
 from petmjx.options.physics import PHYSICS
-from petmjx.verdict import Verdict
-from petmjx.world.carriers import PALLETS, body_of, pallet
+from petmjx.world.carrier_boards import PALLETS, body_of, pallet
 
 DECK_EDGE_MM = 145.0
 """Of the first deck board of ``epal-1`` along y; the gap behind it is 41 mm wide."""

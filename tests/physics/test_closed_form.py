@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from support.plans import Box, make_scene, stack
 
-from petmjx.basics.units import FloatArray
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.carrier import Carrier
-from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.carriers import Carrier
 from petmjx.options.physics import PHYSICS
-from petmjx.verdict import Outcome, Verdict
+from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Drive, Excitation, Job
 
 G = 9.81

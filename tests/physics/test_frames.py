@@ -11,14 +11,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from petmjx.basics.units import STANDARD_GRAVITY, FloatArray
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Check, Schedule, Simulation
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import bundled_path
-from petmjx.verdict import Outcome
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.plans.bundled import bundled_path
+from petmjx.plans.plan_reader import load_plans
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.profiles.registry import BUILT_IN
+from petmjx.world.profiles.profile_registry import BUILT_IN
 from petmjx.world.scene import Scene, build_scene
 
 HEAVY_KG = 1e6

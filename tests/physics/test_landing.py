@@ -14,22 +14,22 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan, make_scene, stack
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.engines.batch.landing import Landing, act
-from petmjx.engines.batch.line_search import solve
-from petmjx.engines.batch.mjx import mjx
-from petmjx.engines.batch.template import FLOAT32_TOLERANCE
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.forces import largest_top_forces, pressed
-from petmjx.engines.cpu.landing import Landings
-from petmjx.engines.cpu.live import LiveWorld
-from petmjx.history import Record
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mjx.landing import Landing, act
+from petmjx.engines.mjx.line_search import solve
+from petmjx.engines.mjx.mjx_import import mjx
+from petmjx.engines.mjx.model_template import FLOAT32_TOLERANCE
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.landing import Landings
+from petmjx.engines.mujoco.live_world import LiveWorld
+from petmjx.engines.mujoco.top_forces import largest_top_forces, top_force_inputs
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import LANDING_S, RESTITUTION
+from petmjx.options.simulation import Simulation
+from petmjx.world.friction_pairs import filled_up_landings
+from petmjx.world.history import Record
 from petmjx.world.job import Job
-from petmjx.world.pairs import filled_up_landings
 from petmjx.world.scene import Scene, build_scene
 
 STACK: tuple[Box, ...] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 200), 5.0))
@@ -40,7 +40,8 @@ SAME_ROW = 1e-3
 """Of reference accelerations, m/s², and of constraints' stiffness: float32."""
 
 SAME_SLIDE_M = 1e-4
-"""The box that lands askew slides: engines know the excess of its contacts to 0.1 m/s² (petmjx/world/slip.py)."""
+"""The box that lands askew slides: engines know the excess of its contacts to 0.1 m/s²
+(petmjx/world/contact_laws.py)."""
 
 SAME_PEAK = 0.05
 """Of a peak at half the timestep, relative: it lasts for dozens of steps."""
@@ -75,12 +76,12 @@ def test_forces_of_many_steps_are_those_of_each() -> None:
     for number in range(60):
         counts = 2 if number < 10 else 3
         live.step(1)
-        steps.append(pressed(live.data, live.geom_bodies, counts))
+        steps.append(top_force_inputs(live.data, live.geom_bodies, counts))
         expected[:counts] = np.maximum(expected[:counts], live.top_forces()[:counts])
     assert expected[1] > 3 * 2.0 * STANDARD_GRAVITY
     np.testing.assert_array_equal(largest_top_forces(steps, 3), expected)
     mujoco.mj_resetData(live.model, live.data)
-    assert largest_top_forces([pressed(live.data, live.geom_bodies, 3)], 3).tolist() == [0.0, 0.0, 0.0]
+    assert largest_top_forces([top_force_inputs(live.data, live.geom_bodies, 3)], 3).tolist() == [0.0, 0.0, 0.0]
 
 
 def scene_of(boxes: Sequence[Box], material: str, sim: Simulation) -> Scene:
@@ -220,7 +221,8 @@ def test_kernels_land_boxes_as_c_does() -> None:
     for exact, outcome in zip(
         sorted(MujocoEngine(1).run(jobs, sim), key=lambda answer: answer.job), outcomes, strict=True
     ):
-        # boxes that slide rest a look or two earlier or later: their excess is known to 0.1 m/s² (petmjx/world/slip.py)
+        # boxes that slide rest a look or two earlier or later: their excess is known to 0.1 m/s²
+        # (petmjx/world/contact_laws.py)
         assert abs(outcome.n_steps - exact.n_steps) <= 2 * sim.quiet.poll_steps
         np.testing.assert_allclose(outcome.boxes.max_top_force_n, exact.boxes.max_top_force_n, rtol=SAME_ROW)
         np.testing.assert_allclose(outcome.boxes.pos, exact.boxes.pos, atol=SAME_SLIDE_M)

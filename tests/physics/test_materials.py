@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan
 
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.materials import FrictionPair
+from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Outcome, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from support.plans import make_plan
 
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.carrier import Carrier
-from petmjx.options.config import Simulation
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome
+from petmjx.options.carriers import Carrier
+from petmjx.options.simulation import Simulation
+from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import bundled_path
-from petmjx.verdict import Outcome
+from petmjx.plans.plan_reader import load_plans
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from support.plans import Box, make_scene
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.history import History, Record
-from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome, Verdict
+from petmjx.common.errors import InputError
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.world.approach_paths import FREE_M, approach_path_of
+from petmjx.world.history import History, Record
 from petmjx.world.job import Job
-from petmjx.world.placing import FREE_M, course_of
 from petmjx.world.scene import Scene
 
 CUBE: Box = ((300.0, 300.0, 300.0), (0.0, 0.0, 0.0), 6.0)
@@ -89,7 +89,7 @@ def test_a_hand_that_meets_a_wall_stops_at_its_force(force_n: float) -> None:
     boxes = [wall, ((300.0, 300.0, 300.0), (340.0, 0.0, 0.0), 6.0)]
     scene = from_the_side(boxes, sim, (-1.0, 0.0))
     outcome, history = watched(scene, sim)
-    course = course_of(scene, sim)
+    course = approach_path_of(scene, sim)
     assert course is not None
     arrives = begins(history, 1) + int(course.steps[1]) - 1
     assert abs(pressed_n(history, arrives, 0, 1)[0]) == pytest.approx(force_n, rel=0.05)
@@ -120,7 +120,7 @@ def test_a_box_comes_from_where_nothing_stands() -> None:
     """The second box comes from +x, the third, in a corner, from −x and +y; the last one goes between two."""
     places = [(300.0, 0.0, 0.0), (600.0, 0.0, 0.0), (300.0, 300.0, 0.0), (0.0, 300.0, 0.0), (0.0, 0.0, 0.0)]
     sim = simulation(name="hand", side_mm=20.0, height_mm=5.0)
-    course = course_of(make_scene([(CUBE[0], place, 6.0) for place in places], sim), sim)
+    course = approach_path_of(make_scene([(CUBE[0], place, 6.0) for place in places], sim), sim)
     assert course is not None
     np.testing.assert_allclose(
         course.offset * 1000, [(0, 0, 5), (20, 0, 5), (0, 20, 5), (-20, 0, 5), (-20, -20, 5)], atol=1e-9

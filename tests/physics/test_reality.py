@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.plans.read import load_plans
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.plans.plan_reader import load_plans
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.engines.base import Engine, Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.verdict import Outcome
+from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.verdict import Outcome
 from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 

@@ -22,7 +22,7 @@ from benchmarks.rocking import (
     tilting,
     trapezoid,
 )
-from petmjx.verdict import Flag
+from petmjx.engines.verdict import Flag
 
 pytestmark = pytest.mark.slow
 needs_warp = pytest.mark.skipif(find_spec("warp") is None, reason="warp-lang is not installed (extra: warp)")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from benchmarks.scaled import changes, scaled
-from petmjx.verdict import Flag
+from petmjx.engines.verdict import Flag
 
 SEED = 43242
 """Of the 500 piles in docs/validation.md; here are the first ones."""

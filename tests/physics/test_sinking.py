@@ -11,13 +11,19 @@ import pytest
 from support.outcomes import make_outcome
 from support.plans import Box, make_plan, make_scene, make_world, stack
 
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.sinking import note_softness, sank, sinking_m, stiffened, surely_did_not_sink
-from petmjx.engines.worlds import World, WorldResult
-from petmjx.options.config import Simulation
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.contact_penetration import (
+    contact_penetration_m,
+    has_penetrated,
+    note_softness,
+    penetration_excluded,
+    stiffened_physics,
+)
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.world_results import World, WorldResult
 from petmjx.options.physics import PHYSICS
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
@@ -132,10 +138,10 @@ def test_the_reference_keeps_its_verdict_and_says_so() -> None:
 @pytest.mark.parametrize("boxes", [one_on_another(1.0, 100.0), one_on_another(0.5, 250.0), column(0.2, 20.0, 6)])
 def test_the_estimate_is_what_boxes_sink_by(boxes: Sequence[Box], stiff: float | None) -> None:
     """Above all on one box there is one way down: the estimate is exact but for rounding and the 0.1 mm gaps."""
-    physics = EXACT.physics if stiff is None else stiffened(EXACT.physics, stiff)
+    physics = EXACT.physics if stiff is None else stiffened_physics(EXACT.physics, stiff)
     sim = EXACT.changed(physics=physics, size_reduction_mm=0.0)
     scene, outcome = make_scene(boxes, sim), simulate(boxes, sim)
-    estimate = sinking_m(scene, physics, outcome.boxes.rest_top_force_n)
+    estimate = contact_penetration_m(scene, physics, outcome.boxes.rest_top_force_n)
     np.testing.assert_allclose(-outcome.boxes.shift_m[:, 2], estimate, rtol=0.05, atol=0.05 * MM)
 
 
@@ -144,7 +150,7 @@ def test_the_estimate_of_the_reference() -> None:
     sim = EXACT.changed(physics=PHYSICS["reference"], size_reduction_mm=0.0)
     boxes = one_on_another(1.0, 100.0)
     outcome = simulate(boxes, sim)
-    estimate = sinking_m(make_scene(boxes, sim), sim.physics, outcome.boxes.rest_top_force_n)
+    estimate = contact_penetration_m(make_scene(boxes, sim), sim.physics, outcome.boxes.rest_top_force_n)
     assert -outcome.boxes.shift_m[1, 2] == pytest.approx(47.7 * MM, rel=0.02)
     assert estimate[1] == pytest.approx(47.7 * MM, rel=0.05)
 
@@ -182,7 +188,9 @@ def test_an_impact_is_no_sinking() -> None:
     hit = replace(outcome, boxes=replace(outcome.boxes, max_top_force_n=100 * force))
     assert note_softness([hit], [Job(scene)], Simulation())[0] is hit
     np.testing.assert_allclose(
-        sinking_m(scene, PHYSICS["pallet"], 100 * force), sinking_m(scene, PHYSICS["pallet"], force), rtol=0.1
+        contact_penetration_m(scene, PHYSICS["pallet"], 100 * force),
+        contact_penetration_m(scene, PHYSICS["pallet"], force),
+        rtol=0.1,
     )
 
 
@@ -201,8 +209,8 @@ def test_the_look_at_many_worlds_together_misses_none() -> None:
         fields = {"max_top_force_n": top_n, "shift_m": shift, "n_placed": placed}
         outcomes.append(make_outcome(n, Verdict.UNSTABLE if reason else Verdict.STABLE, reason, **fields))
         scenes.append(scene)
-    did_not = surely_did_not_sink(outcomes, scenes, sim)
-    sinks = [sank(outcome, scene, sim) for outcome, scene in zip(outcomes, scenes, strict=True)]
+    did_not = penetration_excluded(outcomes, scenes, sim)
+    sinks = [has_penetrated(outcome, scene, sim) for outcome, scene in zip(outcomes, scenes, strict=True)]
     assert not any(no and yes for no, yes in zip(did_not, sinks, strict=True))
     assert sum(did_not) > 50
     assert sum(sinks) > 50

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from support.plans import make_scene
 
-from petmjx.basics.units import FloatArray
+from petmjx.common.units import FloatArray
 from petmjx.options.physics import PHYSICS, Physics
-from petmjx.world.mjcf import to_mjcf
-from petmjx.world.model import build_spec
+from petmjx.world.mujoco_model import build_spec, to_mjcf
 
 LOWER, UPPER = ((400, 300, 200), (0, 0, 0), 8.0), ((300, 200, 150), (0, 0, 200), 5.0)
 SKIN_M = 2e-4

@@ -1,4 +1,4 @@
-"""Contacts that slide (petmjx/world/slip.py): Coulomb's law by closed forms, on all engines."""
+"""Contacts that slide (petmjx/world/contact_laws.py): Coulomb's law by closed forms, on all engines."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 import petmjx
-from petmjx.engines.cpu.slip import SlipLaw
-from petmjx.sweeps.sliding import slide_m
-from petmjx.world.profiles.acceleration import eumos_40509
-from petmjx.world.slip import FIRST_SHARE, MOST_ROUNDS, next_share
+from petmjx.engines.mujoco.slip import SlipLaw
+from petmjx.runs.transport_limits import slide_m
+from petmjx.world.contact_laws import FIRST_SHARE, MOST_ROUNDS, next_share
+from petmjx.world.profiles.accelerations import eumos_40509
 
 G = petmjx.Physics().gravity_m_s2
 ENGINES = ("mujoco", "mjx-warp-cpu")

@@ -11,22 +11,22 @@ import pytest
 from support.plans import Box, make_plan
 
 import petmjx
-from petmjx.basics.errors import InputError
+from petmjx.common.errors import InputError
+from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.soft import SoftWorld
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.worlds import World
-from petmjx.history import CARRIER, Record
-from petmjx.options.config import Simulation
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.soft_boxes import SoftWorld
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.world_results import World
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.world.history import CARRIER, Record
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.mjcf import to_mjcf
+from petmjx.world.mujoco_model import to_mjcf
+from petmjx.world.rotation import rotations
 from petmjx.world.scene import build_scene
-from petmjx.world.soft import points_of, shares, soft_friction, tetrahedra
-from petmjx.world.turned import rotations
+from petmjx.world.soft_boxes import points_of, shares, soft_friction, tetrahedra
 
 GRAVITY = 9.81
 WITHIN = 0.03

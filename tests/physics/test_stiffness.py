@@ -11,22 +11,22 @@ from support.plans import Box, make_plan, make_scene
 from support.tiny_worlds import shared_engine
 
 import petmjx
-from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Engine
-from petmjx.engines.batch.give import laws
-from petmjx.engines.batch.template import padded_template
-from petmjx.engines.batch.worlds import upload_worlds
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.compliance import laws
+from petmjx.engines.mjx.model_template import padded_template
+from petmjx.engines.mjx.world_constants import upload_worlds
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.options.wrap import Wrap
 from petmjx.plans.articles import Article, Articles, with_articles
-from petmjx.verdict import Flag, Outcome, Verdict
-from petmjx.world.bearing import find_bearing
-from petmjx.world.give import sinks_m
+from petmjx.world.compliance import sinks_m
+from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.model import HeldCarrier, build_spec
+from petmjx.world.mujoco_model import HeldCarrier, build_spec
 from petmjx.world.scene import IDENTITY_QUAT, Scene, build_scene
-from petmjx.world.surfaces import check_surfaces
+from petmjx.world.supports import find_bearing
 
 GRAVITY = 9.81
 WITHIN = 0.05

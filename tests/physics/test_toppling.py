@@ -10,11 +10,11 @@ import pytest
 from support.plans import Box, make_plan, make_scene, make_world
 
 from benchmarks.small_stacks import CHECKS, cases, judge, summary
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.worlds import WorldResult
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Outcome, Verdict
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.engines.world_results import WorldResult
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Drive, Excitation, Job
 
 

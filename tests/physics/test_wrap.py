@@ -12,19 +12,19 @@ import pytest
 from support.plans import Box, make_plan
 from support.tiny_worlds import shared_engine
 
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.engines.base import Engine
-from petmjx.engines.batch.film import hold
-from petmjx.engines.batch.state import fresh_state
-from petmjx.engines.batch.worlds import upload_worlds
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.film import ActingFilm
-from petmjx.history import Record
-from petmjx.options.config import Check, Schedule, Simulation
-from petmjx.verdict import Outcome, Verdict
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mjx.film import hold
+from petmjx.engines.mjx.world_constants import upload_worlds
+from petmjx.engines.mjx.world_state import fresh_state
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.film import ActingFilm
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.world.film import film_of
+from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.wrap import film_of
 
 WITHIN = 0.05
 """A wrapped box slides within 5 % of the closed form: it holds that much below and fails that much above."""

@@ -18,7 +18,7 @@ INTERRUPT_AFTER = 10
 _INTERRUPTED = f"""
 import os, signal, sys, threading, time
 from petmjx.cli import main
-from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.engines.mujoco.engine import MujocoEngine
 
 whole_run = MujocoEngine.run
 

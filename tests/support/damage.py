@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from petmjx.basics.errors import InputError
+from petmjx.common.errors import InputError
 from support.sound_files import KINDS
 
 SLOW_S = 2.0

@@ -29,11 +29,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import petmjx
-from petmjx.basics.errors import InputError
 from petmjx.cli import main as command_line
-from petmjx.results.files import OF_WORLDS, TABLES
-from petmjx.results.plain import plain
-from petmjx.results.writer import RunWriter
+from petmjx.common.errors import InputError
+from petmjx.results.run_folder import OF_WORLDS, TABLES
+from petmjx.results.run_writer import RunWriter
+from petmjx.results.to_json import to_json
 from support.damage import damaged as damaged_bytes
 from support.plan_files import order_for, placement, tower
 
@@ -266,7 +266,7 @@ def tables_of(folder: Path) -> str:
     frames = {name: getattr(run, name) for name in (*TABLES, "skipped")}
     units = {name: run.units(name) for name in OF_WORLDS}
     text = {name: None if frame is None else frame.to_csv() for name, frame in frames.items() if name != "plans"}
-    return json.dumps(plain([text, units, run.info["counts"], run.plans.drop(columns="source").to_csv()]))
+    return json.dumps(to_json([text, units, run.info["counts"], run.plans.drop(columns="source").to_csv()]))
 
 
 def told(folder: Path) -> str:

@@ -1,12 +1,12 @@
-"""Edges of boxes by the plan, as ``petmjx.engines.looked_at`` finds them."""
+"""Edges of boxes by the plan, as ``petmjx.engines.outcome_checks`` finds them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from petmjx.world.bearing import bearings_of
-from petmjx.world.edges import Edges, edges_of
+from petmjx.world.edge_distances import Edges, edges_of
 from petmjx.world.scene import Scene
+from petmjx.world.supports import bearings_of
 
 
 def plan_edges(scenes: Sequence[Scene], placed: Sequence[int]) -> list[Edges]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from petmjx.engines.base import Engine, Progress
-from petmjx.engines.worlds import World
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.world_results import World
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_world, stack

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from petmjx.engines.base import Engine
-from petmjx.engines.beside.process import Answer, Task
+from petmjx.engines.protocol import Engine
+from petmjx.engines.subprocess.attempt_process import Answer, Task
 
 
 @dataclass

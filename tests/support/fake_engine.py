@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from petmjx.engines.base import Progress
-from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from support.outcomes import make_outcome
 

@@ -20,14 +20,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from petmjx.engines.base import Engine, Progress
-from petmjx.engines.batch.mjx_jax import MjxJaxEngine
-from petmjx.engines.batch.padded import PaddedModel, Stepped
-from petmjx.engines.batch.template import CARRIER_BODY, FIRST_BOX_BODY
-from petmjx.options.carrier import Carrier
-from petmjx.options.config import Simulation
+from petmjx.engines.mjx.engine import MjxJaxEngine
+from petmjx.engines.mjx.model_template import CARRIER_BODY, FIRST_BOX_BODY
+from petmjx.engines.mjx.padded_model import PaddedModel, StepResult
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.carriers import Carrier
 from petmjx.options.physics import PHYSICS
-from petmjx.verdict import Outcome
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 from support.plans import make_scene
@@ -76,7 +76,7 @@ class FakeStepper(PaddedModel):
         forces: jax.Array,
         faces: None = None,
         landing: None = None,
-    ) -> Stepped:
+    ) -> StepResult:
         n, c, k = len(inputs["qpos"]), self.capacity, self.capacity + (not self.held)
         mass = fields["body_mass"][:, FIRST_BOX_BODY:]
         pose = inputs["qpos"].reshape(n, k, 7)
@@ -92,7 +92,7 @@ class FakeStepper(PaddedModel):
         pose = pose.at[:, -c:, 1].add(sways * ((age == 1.0).astype(jnp.float32) - (age == jnp.ceil(mass))))
         flat = (n, -1)
         still = jnp.zeros((n, 6 * k))
-        return Stepped(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), forces, age)
+        return StepResult(pose.reshape(flat), vel.reshape(flat), still, warm.reshape(flat), forces, age)
 
 
 class FakeEngine(MjxJaxEngine):

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.history import Contacts, History
-from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.history import Contacts, History
 from petmjx.world.job import Job
 
 

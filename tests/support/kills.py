@@ -19,9 +19,9 @@ import mujoco
 import pandas as pd
 
 import petmjx
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.results.writer import RunWriter
-from petmjx.sweeps.batching import Batching
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.results.run_writer import RunWriter
+from petmjx.runs.sweep_run import Batching
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from support.plans import make_plan, stack

@@ -10,17 +10,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.units import FloatArray
-from petmjx.engines.base import Progress
-from petmjx.engines.batch.timetable import build_timetable
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.protocol import Progress
+from petmjx.engines.warp.block_launch import Launch, size_for
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.group import Group, Run
-from petmjx.engines.warp.launch import Launch, size_for
-from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, Fleet
-from petmjx.engines.warp.needs import Needs
-from petmjx.engines.warp.rollout import Rollout
-from petmjx.options.config import Check, Simulation
+from petmjx.engines.warp.kernel_features import KernelFeatures
+from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, BlockPool
+from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.warp.world_groups import Group, Run
 from petmjx.options.physics import Physics
+from petmjx.options.simulation import Check, Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
@@ -47,12 +47,12 @@ class OneStep:
 
     def __init__(self, scene: Scene, physics: str | Physics) -> None:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
-        needs = Needs({size_for(scene.n_boxes).most_boxes: scene.n_boxes})
+        needs = KernelFeatures({size_for(scene.n_boxes).most_boxes: scene.n_boxes})
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), needs, Progress())
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         boards = len(scene.carrier.half_size)
         room, launch = scene.n_boxes + boards - 1 + MORE_BOXES, Launch.here(scene.n_boxes)
-        fleet = Fleet(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
+        fleet = BlockPool(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
         self.rollout = Rollout(run, [fleet], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.group.table)
         self.most_contacts = 0

@@ -25,14 +25,14 @@ import pandas as pd
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from petmjx.basics.errors import PetmjxError
-from petmjx.results import files
-from petmjx.results.by_place import Places
-from petmjx.results.manifest import Manifest, records_of
-from petmjx.results.placements import placements_table
-from petmjx.results.reader import load_run
+from petmjx.common.errors import PetmjxError
+from petmjx.results import run_folder
+from petmjx.results.part_order import Places
+from petmjx.results.placement_table import placements_table
+from petmjx.results.run_manifest import Manifest, records_of
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table
-from petmjx.results.writer import RunWriter
 from support.outcomes import make_outcome, make_plan
 
 KINDS: Final = ("in order", "sorted", "by place", "resumed", "merged")
@@ -65,7 +65,7 @@ class Moments:
         monkeypatch.setattr(os, "fsync", lambda descriptor: None)
         for name in (*WRITING, *(TAKING_AWAY if taking_away else ())):
             monkeypatch.setattr(os, name, self._after_passing(getattr(os, name)))
-        monkeypatch.setattr(files.pq, "write_table", self._after_passing(files.pq.write_table))
+        monkeypatch.setattr(run_folder.pq, "write_table", self._after_passing(run_folder.pq.write_table))
         real = os.open
 
         def opened(path: Any, flags: int, *rest: Any, **options: Any) -> int:
@@ -117,7 +117,7 @@ class Run:
 
     def write(self, out: Path) -> None:
         """The run, or the rest of one that is there."""
-        if self.kind == "merged" and not (out / files.RUN_FILE).exists():
+        if self.kind == "merged" and not (out / run_folder.RUN_FILE).exists():
             with self._writer(out) as writer:
                 for name in ("one", "two"):
                     others = load_run(self.folder / name)
@@ -158,7 +158,7 @@ class Run:
 def worlds_said(out: Path) -> int:
     """Worlds that a folder's run.json has; 0 where there is none."""
     try:
-        n_worlds: int = json.loads((out / files.RUN_FILE).read_text())["counts"]["worlds"]
+        n_worlds: int = json.loads((out / run_folder.RUN_FILE).read_text())["counts"]["worlds"]
         return n_worlds
     except FileNotFoundError:
         return 0
@@ -166,7 +166,7 @@ def worlds_said(out: Path) -> int:
 
 def assert_sound(out: Path, at_least: int, ended: list[str] | None = None) -> None:
     """What a folder has is whole: each of its worlds once, with its boxes; and it has enough of them."""
-    if not (out / files.RUN_FILE).exists():
+    if not (out / run_folder.RUN_FILE).exists():
         assert at_least == 0
         return
     results = load_run(out)
@@ -186,7 +186,7 @@ def assert_complete(out: Path) -> None:
     assert results.placements["plan_id"].tolist() == results.boxes["plan_id"].tolist()
     assert results.summary is not None
     listed = {f"{table}/{name}" for table, names in results.info["parts"].items() for name in names}
-    assert {str(file.relative_to(out)) for file in out.rglob("*") if file.is_file()} == listed | {files.RUN_FILE}
+    assert {str(file.relative_to(out)) for file in out.rglob("*") if file.is_file()} == listed | {run_folder.RUN_FILE}
 
 
 def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:

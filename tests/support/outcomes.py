@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.metrics.spec import BoxMetrics
-from petmjx.options.config import Thresholds
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, margin_of
+from petmjx.options.simulation import Thresholds
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Flag, Outcome, Reason, Verdict, margin_of
 from support import plans
 
 

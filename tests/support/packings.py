@@ -9,10 +9,10 @@ import numpy as np
 from hypothesis import strategies as st
 from shapely import MultiPoint, Point
 
-from petmjx.plans.samples.balance import MARGIN_M, MARGIN_SHARE
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item
-from petmjx.plans.samples.packer import MAX_HEIGHT_MM, Placed
-from petmjx.plans.samples.packing import LEAST_SUPPORT
+from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
+from petmjx.packers.packing_state import LEAST_SUPPORT
+from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item
 
 EPS = 1e-6
 EURO = (1200.0, 800.0)
@@ -34,7 +34,7 @@ orders = st.lists(st.tuples(articles, st.integers(1, 6)), min_size=1, max_size=7
 targets = st.sampled_from([*TARGET_EXTENT_MM.values()])
 
 
-def corners(placed: Sequence[Placed]) -> tuple[np.ndarray, np.ndarray]:
+def corners(placed: Sequence[PlacedBox]) -> tuple[np.ndarray, np.ndarray]:
     """(n, 3) low and high corners, mm."""
     low = np.array([box.corner_mm for box in placed]).reshape(-1, 3)
     size = []
@@ -54,7 +54,7 @@ def contacts(low: np.ndarray, high: np.ndarray, box: int) -> list[tuple[int, np.
     return rectangles
 
 
-def least_slack_mm(placed: Sequence[Placed]) -> float:
+def least_slack_mm(placed: Sequence[PlacedBox]) -> float:
     """How much further inside the hull of its contacts than the margin the resultant of the worst box acts, mm.
 
     Loads go down box by box; on several supports the pressure is the plane a + b·x + c·y that carries the load, found
@@ -87,7 +87,7 @@ def gauss(low: np.ndarray, high: np.ndarray) -> list[tuple[float, float, float]]
 
 
 def check_sound(
-    placed: Sequence[Placed],
+    placed: Sequence[PlacedBox],
     items: Sequence[Item],
     extent: tuple[float, float],
     clearance_mm: float = 0.0,

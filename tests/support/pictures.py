@@ -8,13 +8,13 @@ import importlib.util
 import numpy as np
 import pytest
 
-from petmjx.history import Contacts, History
-from petmjx.metrics.spec import BoxMetrics
-from petmjx.options.config import Simulation
-from petmjx.pictures.offscreen import why_no_pictures
+from petmjx.analysis.story import Story
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.story.tell import Story
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.show.pictures.offscreen import why_no_pictures
+from petmjx.world.history import Contacts, History
 from petmjx.world.scene import build_scene
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from petmjx.engines.worlds import World
-from petmjx.options.config import Simulation
+from petmjx.engines.world_results import World
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.world.body import Body
+from petmjx.world.body_shapes import Body
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene, build_scene
 

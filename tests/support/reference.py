@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.basics.units import FloatArray
-from petmjx.metrics.motion_np import tilt_deg
-from petmjx.options.config import Check
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco.box_motion import tilt_deg
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.simulation import Check
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Outcome, Verdict
 from support.plans import make_plan
 
 TILT_DEG = 0.1

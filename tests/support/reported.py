@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.options.config import Simulation
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.plans.read import load_plans
-from petmjx.results.manifest import Manifest, records_of
-from petmjx.results.writer import RunWriter
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.plans.plan_reader import load_plans
+from petmjx.results.run_manifest import Manifest, records_of
+from petmjx.results.run_writer import RunWriter
 from petmjx.world.scene import build_scene
 from support.outcomes import make_outcome
 from support.plan_files import placement

@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.basics.errors import InputError
-from petmjx.options.carrier import read_carrier
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError
+from petmjx.options.carriers import read_carrier
+from petmjx.options.simulation import Simulation
+from petmjx.packers.sample_plans import generate_one
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import generate_one
-from petmjx.plans.samples.order_files import read_orders
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.world.profiles.files import read_psd, read_windows
+from petmjx.plans.plan_reader import load_plans
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.world.profiles.profile_files import read_psd, read_windows
 from petmjx.world.scene import build_scene
 
 SWEEPS = Path(__file__).resolve().parents[2] / "sweeps"

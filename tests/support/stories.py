@@ -7,13 +7,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from petmjx.basics.units import FloatArray
-from petmjx.history import CARRIER, Contacts, History
-from petmjx.metrics.spec import BoxMetrics
-from petmjx.options.config import Simulation
-from petmjx.results.plain import plain
-from petmjx.story.tell import Story
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.analysis.story import Story
+from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.results.to_json import to_json
+from petmjx.world.history import CARRIER, Contacts, History
 from petmjx.world.job import ACCELERATION, Drive, Excitation
 from petmjx.world.scene import Scene, build_scene
 from support.plans import Box, make_plan
@@ -39,7 +39,7 @@ def falling_story(plan_id: str = "plan-1", articles: tuple[str, ...] = ("tea", "
     plan = replace(make_plan(plan_id, BOXES), articles=articles)
     scene = build_scene(plan, Simulation())
     history = _history(scene)
-    story = Story(plan, scene, _outcome(scene, history), history, "mujoco", options=plain(Simulation().model_dump()))
+    story = Story(plan, scene, _outcome(scene, history), history, "mujoco", options=to_json(Simulation().model_dump()))
     return replace(story, **changes)
 
 
@@ -98,7 +98,7 @@ def long_story(n: int = 45, n_frames: int = 1200, pairs: int = 160) -> Story:
         drive=np.zeros((n_frames, 3)),
         contacts=contacts,
     )
-    return Story(plan, scene, _outcome(scene, history), history, "mujoco", options=plain(Simulation().model_dump()))
+    return Story(plan, scene, _outcome(scene, history), history, "mujoco", options=to_json(Simulation().model_dump()))
 
 
 def _history(scene: Scene) -> History:

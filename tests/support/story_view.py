@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from petmjx.basics.units import FloatArray
-from petmjx.pages.story_data import framed
-from petmjx.pages.story_page import story_page
-from petmjx.story.tell import Story
+from petmjx.analysis.story import Story
+from petmjx.common.units import FloatArray
+from petmjx.show.pages.story_data import framed_corners
+from petmjx.show.pages.story_page import story_page
 from support.browser import Opened, OpenPage
 from support.stories import END_S
 
-# The first view of petmjx/pages/static/camera.js
+# The first view of petmjx/show/pages/static/camera.js
 AZIMUTH, ELEVATION, SLOPE, MARGIN = -0.65, 0.4, np.tan(np.radians(16)), 1.06
 
 
@@ -46,7 +46,7 @@ def on_canvas(opened: Opened, story: Story, point: FloatArray) -> tuple[float, f
     back = np.array([np.sin(AZIMUTH) * np.cos(ELEVATION), -np.cos(AZIMUTH) * np.cos(ELEVATION), np.sin(ELEVATION)])
     right = np.cross([0.0, 0.0, 1.0], back) / np.cos(ELEVATION)
     up = np.cross(back, right)
-    low, high = framed(story)
+    low, high = framed_corners(story)
     middle = (low + high) / 2
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     corners = signs * (high - low) / 2

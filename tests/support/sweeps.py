@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Outcome
 from petmjx.world.job import Job
 from support.command_line import write
 from support.plans import make_plan, stack

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from petmjx.engines.verdict import Outcome
+from petmjx.engines.warp import block_launch
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import launch
+from petmjx.engines.warp.block_launch import Launch, size_for
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.group import Group, Run
-from petmjx.engines.warp.launch import Launch, size_for
-from petmjx.engines.warp.march import Fleet
-from petmjx.engines.warp.records import most_panels
-from petmjx.engines.warp.rollout import Rollout, Slice
-from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome
+from petmjx.engines.warp.kernel_launcher import BlockPool
+from petmjx.engines.warp.time_slices import Rollout, Slice
+from petmjx.engines.warp.world_arrays import most_panels
+from petmjx.engines.warp.world_groups import Group, Run
+from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
 from support.worlds import boxes_by_plan, make_plan, simulate
@@ -71,7 +71,7 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
     Returns a list of what is made."""
     made: list[Rollout] = []
 
-    def rollout(run: Run, fleets: Sequence[Fleet], slice_ns: int) -> Rollout:
+    def rollout(run: Run, fleets: Sequence[BlockPool], slice_ns: int) -> Rollout:
         for fleet in fleets:
             look(fleet.n_boxes, fleet.nconmax, fleet.blocks)
         made.append(Rollout(run, fleets, slice_ns))
@@ -86,7 +86,7 @@ def room_for_one_fleet(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     were tried."""
     tried: list[int] = []
 
-    def rollout(run: Run, fleets: Sequence[Fleet], slice_ns: int) -> Rollout:
+    def rollout(run: Run, fleets: Sequence[BlockPool], slice_ns: int) -> Rollout:
         tried.append(len(fleets))
         if len(fleets) > 1:
             raise out_of_memory()
@@ -98,9 +98,9 @@ def room_for_one_fleet(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
     """Blocks of two sizes also for tiny worlds, with as many threads each."""
-    small, large = launch.SIZES
+    small, large = block_launch.SIZES
     alike = replace(small, most_boxes=most_boxes), replace(small, most_boxes=large.most_boxes)
-    monkeypatch.setattr(launch, "SIZES", alike)
+    monkeypatch.setattr(block_launch, "SIZES", alike)
     here = Launch.here
 
     def sized(n_boxes: int, *features: bool) -> Launch:

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from petmjx.basics.units import FloatArray, seconds_to_steps
-from petmjx.history import History, Record
-from petmjx.metrics import motion_np
-from petmjx.options.config import Schedule, Simulation
-from petmjx.verdict import Flag, Outcome, Reason
+from petmjx.common.units import FloatArray, seconds_to_steps
+from petmjx.engines.mujoco import box_motion
+from petmjx.engines.verdict import Flag, Outcome, Reason
+from petmjx.options.simulation import Schedule, Simulation
+from petmjx.world.history import History, Record
 from petmjx.world.job import Job
 from support.histories import history_of
 
@@ -102,7 +102,7 @@ class Seen:
         count, quiet_by_look, every = 0, {}, self.sim.quiet.poll_steps
         for frame, step in enumerate(self.steps[1:], start=1):
             if step % every == 0:
-                moved_m = motion_np.moved(pose[frame - 1], pose[frame], radius_m)  # NaN: not placed yet
+                moved_m = box_motion.moved(pose[frame - 1], pose[frame], radius_m)  # NaN: not placed yet
                 fast = (moved_m >= self.sim.quiet.quiet_m_s * self.sim.physics.timestep_s).any()
                 quiet_by_look[step] = count = 0 if fast else count + every
             if step in self.placed:
@@ -134,9 +134,9 @@ class Seen:
         """(placed,) of the boxes of a frame."""
         scene, limits, k = self.job.scene, self.sim.thresholds, int(self.history.n_placed[frame])
         pos, quat = self.history.pos[frame, :k], self.history.quat[frame, :k]
-        dropped = motion_np.has_dropped(pos, quat, scene.half_size[:k], limits)
-        shift = motion_np.shift(pos, scene.target[:k], limits.shift_floor_m)
-        over: FloatArray = motion_np.excess(shift, motion_np.tilt_deg(quat), dropped, limits)
+        dropped = box_motion.has_dropped(pos, quat, scene.half_size[:k], limits)
+        shift = box_motion.shift(pos, scene.target[:k], limits.shift_floor_m)
+        over: FloatArray = box_motion.excess(shift, box_motion.tilt_deg(quat), dropped, limits)
         return over
 
     def first_sign(self) -> tuple[int, int]:
@@ -153,7 +153,7 @@ class Seen:
     def tilt_deg(self) -> FloatArray:
         """(n,) the largest in all poses that are looked at."""
         quat = self.history.quat[[frame for _, frame in self.poses]]
-        angles = np.array([motion_np.tilt_deg(orientation) for orientation in quat])
+        angles = np.array([box_motion.tilt_deg(orientation) for orientation in quat])
         return np.nan_to_num(np.fmax.reduce(angles, axis=0))
 
     def rest_force_n(self) -> FloatArray:

@@ -6,12 +6,12 @@ import functools
 
 import jax
 
-from petmjx.engines.base import Engine
-from petmjx.engines.batch.mjx_jax import MjxJaxEngine
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
-from petmjx.plans.samples.handmade import HANDMADE
-from petmjx.verdict import Outcome
+from petmjx.engines.mjx.engine import MjxJaxEngine
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.packers.bundled_plans import HANDMADE
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 from support.plans import Box, make_scene, stack

@@ -13,14 +13,14 @@ from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation, Thresholds
+from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.gather import find_plan, gather_plans, usable_plans
+from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.plans.plan_set import PlanSet, Skipped
-from petmjx.simulate import RunStart
-from petmjx.study import MAX_WORLDS, FinishedWorld, Nominal
+from petmjx.plans.plan_sources import find_plan, gather_plans, usable_plans
+from petmjx.runs.simulate import RunStart
+from petmjx.runs.study import MAX_WORLDS, FinishedWorld, Nominal
 
 STANDS = make_plan("stands", stack(2, 100.0))
 FALLS = make_plan("falls", stack(2, 260.0))

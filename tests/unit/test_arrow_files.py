@@ -13,12 +13,12 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
-from petmjx.basics.arrow_files import parquet_table
-from petmjx.basics.errors import InputError
-from petmjx.loop.orders import Orders
+from petmjx.common.errors import InputError
+from petmjx.common.safe_read import parquet_table
+from petmjx.loop.order_sources import Orders
 from petmjx.plans.articles import read_articles
-from petmjx.plans.write import plans_table
-from petmjx.results.listed import opened
+from petmjx.plans.plan_writer import plans_table
+from petmjx.results.run_tables import open_part
 
 NAMES = ("plans.parquet", "s3:plans.parquet", "a=1.parquet", os.fsdecode(b"\xff.parquet"))
 
@@ -28,7 +28,7 @@ def read_orders(path: Path) -> int:
 
 
 def read_part(path: Path) -> int:
-    with opened(path) as part:
+    with open_part(path) as part:
         rows: int = part.read().num_rows
     return rows
 

@@ -10,15 +10,14 @@ import pytest
 from support.command_line import only_line, run, write
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError
 from petmjx.options.physics import PHYSICS
+from petmjx.options.simulation import Simulation
 from petmjx.plans.articles import Article, read_articles, with_articles
 from petmjx.plans.plan import Plan
-from petmjx.results.manifest import plan_digest
-from petmjx.world.apply import apply
+from petmjx.results.run_manifest import plan_digest
 from petmjx.world.scene import build_scene
-from petmjx.world.variants import PlacementChange, Variant
+from petmjx.world.variants import PlacementChange, Variant, apply
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

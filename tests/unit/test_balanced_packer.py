@@ -15,14 +15,14 @@ from support.command_line import only_line, run, write
 from support.packings import EPS, EURO, check_sound, corners, least_slack_mm, orders, targets
 from support.plan_files import order
 
-from petmjx.basics.errors import InputError
-from petmjx.plans.samples import LeftOut, as_placements, generate, generate_one, pack_orders
-from petmjx.plans.samples import parallel as parallel_module
-from petmjx.plans.samples.balance import MARGIN_M, Balance, hull_planes
-from petmjx.plans.samples.balanced import TASTES, pack_balanced
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, draw_order
-from petmjx.plans.samples.packer import PackRules, Placed, pack_best
-from petmjx.plans.samples.parallel import in_order
+from petmjx.common import parallel_map as parallel_module
+from petmjx.common.errors import InputError
+from petmjx.common.parallel_map import ordered_results
+from petmjx.packers.balanced_packer import TASTES, pack_balanced
+from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack_best
+from petmjx.packers.pile_balance import MARGIN_M, Balance, hull_planes
+from petmjx.packers.sample_plans import LeftOutItems, as_placements, generate, generate_one, pack_orders
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, draw_order
 
 
 @settings(max_examples=60, deadline=None)
@@ -49,11 +49,11 @@ def test_what_fits_easily_is_placed_as_a_whole() -> None:
 def test_boxes_left_out_are_told_by_their_numbers(tmp_path: Path) -> None:
     orders_file = {"fits": order(), "some": order(4, **{"height/mm": 2500}), "none": order(2, **{"length/mm": 1300})}
     orders_file["none"]["item_sequence"]["1"]["length/mm"] = 1300
-    left_out: list[LeftOut] = []
+    left_out: list[LeftOutItems] = []
     path = write(tmp_path / "orders.json", orders_file)
     packed = dict(pack_orders(path, packer="balanced", on_left_out=left_out.append))
     assert {plan_id: len(plan) for plan_id, plan in packed.items()} == {"fits": 3, "some": 3}
-    assert left_out == [LeftOut("some", 4, (2,)), LeftOut("none", 2, (1, 2))]
+    assert left_out == [LeftOutItems("some", 4, (2,)), LeftOutItems("none", 2, (1, 2))]
 
 
 def test_equal_boxes_that_find_no_place_are_counted() -> None:
@@ -88,8 +88,8 @@ def test_the_other_tastes_are_for_orders_that_do_not_fit(monkeypatch: pytest.Mon
     assert len(every) > len(first)
 
 
-def packed_with(items: tuple[Item, ...], tastes: int, target: str, monkeypatch: pytest.MonkeyPatch) -> list[Placed]:
-    monkeypatch.setattr("petmjx.plans.samples.balanced.TASTES", TASTES[:tastes])
+def packed_with(items: tuple[Item, ...], tastes: int, target: str, monkeypatch: pytest.MonkeyPatch) -> list[PlacedBox]:
+    monkeypatch.setattr("petmjx.packers.balanced_packer.TASTES", TASTES[:tastes])
     return pack_balanced(items, TARGET_EXTENT_MM[target])
 
 
@@ -207,7 +207,7 @@ def test_a_packer_that_is_named_packs_no_plan_loosely(tmp_path: Path, capsys: py
 
 def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel_module, "ALONE", 4)
-    left_out: dict[int, list[LeftOut]] = {1: [], 2: []}
+    left_out: dict[int, list[LeftOutItems]] = {1: [], 2: []}
     plans = {
         workers: list(generate(24, 2, workers=workers, on_left_out=left_out[workers].append)) for workers in left_out
     }
@@ -217,7 +217,7 @@ def test_processes_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_few_tasks_are_done_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel_module, "process_pool", None)
-    assert list(in_order(abs, range(-5, 0), workers=8)) == [5, 4, 3, 2, 1]
+    assert list(ordered_results(abs, range(-5, 0), workers=8)) == [5, 4, 3, 2, 1]
 
 
 def test_an_unknown_packer_is_one_line(tmp_path: Path) -> None:

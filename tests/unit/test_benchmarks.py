@@ -20,17 +20,18 @@ from benchmarks.agreement import agreement
 from benchmarks.cases import CASES, GROUPS, STACK_PLAN, chosen_cases, oracle_case
 from benchmarks.measure import Bench, bricks, spread_over_sizes
 from benchmarks.record import COMMIT_VARIABLE, append_line, read_lines
-from petmjx.basics.errors import InputError
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.workers import pool
-from petmjx.engines.workers.actor import Worker
-from petmjx.options.config import Schedule, Simulation
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import bundled_path, generate_one
-from petmjx.plans.warnings import check_layout
-from petmjx.results.reader import load_run
-from petmjx.verdict import Outcome
+from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.remote import worker_pool
+from petmjx.engines.remote.ray_actor import Worker
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Schedule, Simulation
+from petmjx.packers.sample_plans import generate_one
+from petmjx.plans.bundled import bundled_path
+from petmjx.plans.plan_reader import load_plans
+from petmjx.plans.plan_warnings import check_layout
+from petmjx.results.run_reader import load_run
 from petmjx.world.job import Job
 
 SIZE = {"length/mm": 400, "width/mm": 300, "height/mm": 200, "weight/kg": 5.0}
@@ -393,7 +394,7 @@ def test_a_million_worlds_in_small(tmp_path: Path) -> None:
     assert million.written(case.out) == million.load(case)["rows"] == 12
     assert million.report_of(case)["bytes"] == (tmp_path / "report.html").stat().st_size
     assert "boxes" not in million.tables(case.out)
-    assert vars(pool)["Worker"] is Worker  # other runs of this process have workers that simulate
+    assert vars(worker_pool)["Worker"] is Worker  # other runs of this process have workers that simulate
     boxes = [plan.n_boxes for plan in million.made(5)]
     assert boxes == sorted(boxes)
     assert (min(boxes), max(boxes)) == (million.FEWEST, million.MOST)

@@ -15,15 +15,13 @@ from rich.console import Console
 from support.stories import falling_story
 
 import petmjx
-from petmjx.basics.text import box_in_words, box_label
-from petmjx.pages.still import still_svg
-from petmjx.pictures.colours import colouring
-from petmjx.pictures.options import Colour
-from petmjx.show.story import story_tables
-from petmjx.show.tables import worlds_table
-from petmjx.story.events import box_name, events, headline
-from petmjx.story.tell import Story
-from petmjx.story.words import first_box_in_words
+from petmjx.analysis.story import Story, box_name, events, first_box_in_words, headline
+from petmjx.common.text import box_in_words, box_label
+from petmjx.show.pages.still_svg import still_svg
+from petmjx.show.pictures.colours import colouring
+from petmjx.show.pictures.picture_options import Colour
+from petmjx.show.run_tables import worlds_table
+from petmjx.show.story_text import story_tables
 
 HOLE = re.compile(r"\(\s*[,)]|\s\(\d+\)$|:\s*[,;)]|\bof article (?!\w)")
 STATIC = Path(__file__).resolve().parents[2] / "petmjx" / "pages" / "static"

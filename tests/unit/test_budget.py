@@ -8,13 +8,13 @@ import pytest
 from support.plans import make_plan, make_scene, stack
 
 import petmjx
-from petmjx.engines.base import Progress
-from petmjx.engines.cost import MEASURED
-from petmjx.engines.cpu import budget as budgets
-from petmjx.engines.cpu.budget import LEAST_S, MOST_TIMES, Budget
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Check, Simulation
-from petmjx.verdict import Flag
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.mujoco import cpu_budget as budgets
+from petmjx.engines.mujoco.cpu_budget import LEAST_S, MOST_TIMES, Budget
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag
+from petmjx.options.simulation import Check, Simulation
 from petmjx.world.job import Job
 
 STATIC = Simulation(check="static")
@@ -99,7 +99,7 @@ def test_what_has_fallen_by_then_is_unstable(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_it_is_shown_how_far_a_long_world_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(budgets, "LONG_S", 0.0)
-    monkeypatch.setattr("petmjx.engines.cpu.engine.LOOK_S", 0.01)
+    monkeypatch.setattr("petmjx.engines.mujoco.engine.LOOK_S", 0.01)
     progress = Progress(pauses=True)
     shown = []
     for outcome in MujocoEngine(1).run([Job(make_scene(stack(12, size_mm=(400, 300, 50))))], Simulation(), progress):

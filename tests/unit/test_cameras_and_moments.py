@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from support.pictures import falling_story, standing_story
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.hull import convex_hull
-from petmjx.pages.palette import article_colours, rgb_of
-from petmjx.pictures.camera import FIELD_OF_VIEW_DEG, VIEWS, Margins, View, framing, view_of
-from petmjx.pictures.colours import colouring, ramp_colours
-from petmjx.pictures.draw import forces_of_pairs, framed_points, newtons_per_m
-from petmjx.pictures.film import film_times, usual_speed
-from petmjx.pictures.options import Colour, PictureOptions, size_of
-from petmjx.pictures.overlay import first_outline
-from petmjx.pictures.poses import moments, nearest_frame, poses_at, poses_of_frame
-from petmjx.world.turned import corners, rotations
+from petmjx.common.convex_hull import convex_hull
+from petmjx.common.errors import InputError
+from petmjx.show.pages.palette import article_colours, rgb_of
+from petmjx.show.pictures.animation import film_times, usual_speed
+from petmjx.show.pictures.camera import FIELD_OF_VIEW_DEG, VIEWS, Margins, View, framing, view_of
+from petmjx.show.pictures.colours import colouring, ramp_colours
+from petmjx.show.pictures.draw_story import forces_of_pairs, framed_points, newtons_per_m
+from petmjx.show.pictures.overlay import first_outline
+from petmjx.show.pictures.picture_options import Colour, PictureOptions, size_of
+from petmjx.show.pictures.story_poses import moments, nearest_frame, poses_at, poses_of_frame
+from petmjx.world.rotation import corners, rotations
 
 STORY = falling_story()
 CUBE = np.array([[x, y, z] for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0, 1.0)])

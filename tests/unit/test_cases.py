@@ -1,9 +1,9 @@
 """Plans that once had a wrong answer, as they were reported: each has the right one.
 
 Other cases of these kinds have tests of their own. So do those that are no plans: commands that replaced files
-(test_outputs.py, test_overwriting.py), leaderboards (test_ratings.py), outcomes held back (test_held_back.py), Parquet
-(test_parquet_bounds.py), read-only homes (test_caches.py), Gymnasium (test_gym.py), strength (test_stacking.py),
-rocking, landings and soft boxes (tests/physics).
+(test_overwrite_guard.py, test_overwriting.py), leaderboards (test_ratings.py), outcomes held back
+(test_outcomes_held_back.py), Parquet (test_parquet_bounds.py), read-only homes (test_compile_caches.py), Gymnasium
+(test_gym.py), strength (test_stacking_strength.py), rocking, landings and soft boxes (tests/physics).
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import pandas as pd
 import pytest
 
 import petmjx
-from petmjx.basics.errors import PlanWarning
-from petmjx.verdict import Flag
+from petmjx.common.errors import PlanWarning
+from petmjx.engines.verdict import Flag
 
 CASES = Path(__file__).parents[3] / "shared/cases"
 FILES = ("counterweight_last", "edge_hidden", "edge_springs_pull", "tipped_but_stable", "turned_twice")

@@ -10,10 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from petmjx.pages.report.charts import bars, equal_groups, histogram
-from petmjx.pages.report.distributions import SHIFT
-from petmjx.pages.report.markup import element
-from petmjx.pages.report.svg import Frame, Scale, path
+from petmjx.show.report.charts import bars, equal_groups, histogram
+from petmjx.show.report.distributions import SHIFT
+from petmjx.show.report.markup import element
+from petmjx.show.report.svg_charts import Frame, Scale, path
 
 
 @pytest.mark.parametrize(

@@ -12,12 +12,12 @@ from support.failing_engine import FailingEngine, outcome_of, worlds_failing
 from support.plans import make_plan, make_world, stack
 from support.waiting import wait_for
 
-import petmjx.engines.retry as retry_module
-from petmjx.engines.base import JobsInParts, Progress
-from petmjx.engines.retry import score_worlds
-from petmjx.engines.worlds import World
-from petmjx.options.config import Simulation
-from petmjx.verdict import Outcome, Verdict
+import petmjx.engines.attempt_stream as retry_module
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.protocol import JobsInParts, Progress
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.engines.world_results import World
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 
@@ -76,7 +76,7 @@ def test_an_engine_may_take_the_next_chunk_before_it_is_through_with_this_one(mo
     assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(10))
     assert [len(jobs) for _, jobs in engine.calls] == [10]
     assert engine.parts == [4, 4, 2]
-    monkeypatch.setattr("petmjx.engines.making.MOST_TOGETHER", 1)
+    monkeypatch.setattr("petmjx.engines.attempt_runner.MOST_TOGETHER", 1)
     engine = InParts()
     results = list(score_worlds(worlds_failing(*[1] * 10), Simulation(), engine, chunk_worlds=4))
     assert sorted(len(r.attempts) for r in results) == [2] * 10

@@ -11,14 +11,14 @@ import pandas as pd
 import pytest
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Simulation, Thresholds
-from petmjx.results.compare import FORCE_FLOOR_N, compare_runs, thresholds_of
-from petmjx.results.reader import load_run
+from petmjx.analysis.run_comparison import FORCE_FLOOR_N, compare_runs, thresholds_of
+from petmjx.common.errors import InputError
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param
-from petmjx.results.writer import RunWriter
 from petmjx.show.compare_tables import comparison_tables
-from petmjx.verdict import Outcome, Reason, Verdict
 
 FLOAT32 = 1e-6
 """Relative rounding of what `boxes` holds as float32, with a margin of ten."""

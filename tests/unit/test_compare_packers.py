@@ -16,16 +16,16 @@ from support import plans
 from support.outcomes import dropped_outcome, make_outcome
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Simulation
-from petmjx.packers.compare import ALL_SIZES, compare_packers, size_names
-from petmjx.packers.write import write_comparison
+from petmjx.analysis.packer_comparison import ALL_SIZES, compare_packers, size_names
+from petmjx.analysis.packer_tables import write_comparison
+from petmjx.analysis.run_comparison import compare_runs
+from petmjx.common.errors import InputError
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.results.compare import compare_runs
-from petmjx.results.manifest import Manifest, records_of
-from petmjx.results.writer import RunWriter
+from petmjx.results.run_manifest import Manifest, records_of
+from petmjx.results.run_writer import RunWriter
 from petmjx.show.packer_tables import packer_tables
-from petmjx.verdict import Outcome, Reason, Verdict
 
 CONFIG = {"command": "score", "simulation": Simulation().model_dump(mode="json"), "engine": "mujoco"}
 IDENTITY = {"command": "score", "simulation": CONFIG["simulation"], "engine": "mujoco", "shard": None}

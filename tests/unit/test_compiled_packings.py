@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.packings import orders, targets
 
-import petmjx.plans.samples.beam as beam_module
-from petmjx.plans.samples.balanced import TASTES
-from petmjx.plans.samples.beam import search
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, draw_order
-from petmjx.plans.samples.packing import Packing, Taste
+import petmjx.packers.beam_search as beam_module
+from petmjx.packers.balanced_packer import TASTES
+from petmjx.packers.beam_search import search
+from petmjx.packers.packing_state import Packing, Taste
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, draw_order
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
-compiled = pytest.importorskip("petmjx.plans.samples.compiled")
+compiled = pytest.importorskip("petmjx.packers.compiled_fill")
 
 DRAWN = draw_order(33, 1)
 EXTENT = TARGET_EXTENT_MM[DRAWN.target]

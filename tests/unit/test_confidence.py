@@ -19,24 +19,19 @@ from support.outcomes import make_outcome
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import bundled_path
-from petmjx.plans.samples.handmade import HANDMADE
-from petmjx.results.writer import RunWriter
-from petmjx.show.layout import print_each
-from petmjx.show.tables import run_tables
-from petmjx.sweeps.confidence import (
-    READY_MADE,
-    confidence_sweep,
-    contradicted,
-    write_confidence,
-)
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.ready import ready_sweeps
-from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Flag, Reason, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.packers.bundled_plans import HANDMADE
+from petmjx.plans.bundled import bundled_path
+from petmjx.plans.plan_reader import load_plans
+from petmjx.results.run_writer import RunWriter
+from petmjx.runs.confidence import READY_MADE, confidence_sweep, contradiction_mask, write_confidence
+from petmjx.runs.sweep_file import ready_sweeps
+from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.show.run_tables import run_tables
+from petmjx.show.table_layout import print_renderables
 from petmjx.world.scene import Scene
 
 STANDS = make_plan("stands", stack(2, 100.0))
@@ -156,7 +151,7 @@ def test_a_box_could_not_be_placed_where_its_gap_is_too_narrow_and_stands_there_
     assert row["p_value"] == pytest.approx(2 * 0.5**n)
     assert row["placing_matters"] is True
     console = Console(width=120, file=StringIO())
-    print_each(run_tables(results), console)
+    print_renderables(run_tables(results), console)
     printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
     assert re.search(rf"could not be placed │ +{n} ", printed)
     assert "stands more often, beyond chance, if boxes are placed exactly: gap" in printed
@@ -304,7 +299,7 @@ def test_a_coin_toss_has_one_half_in_its_interval(
 def test_shares_against_the_nominal_verdict(
     nominal: Verdict, counts: tuple[int, int], expected: bool, tmp_path: Path
 ) -> None:
-    assert contradicted(written(tmp_path, counts, nominal).summary).tolist() == [expected]
+    assert contradiction_mask(written(tmp_path, counts, nominal).summary).tolist() == [expected]
 
 
 @pytest.mark.parametrize("n_plans", [12, 50])
@@ -312,7 +307,7 @@ def test_what_is_printed_names_the_plans_to_think_about(n_plans: int, tmp_path: 
     for counts, line in (((8, 8), "coin toss: "), ((0, 16), "most worlds contradict the nominal verdict: ")):
         results = written(tmp_path / str(counts[0]), counts, ids=[f"plan-{k:02}" for k in range(n_plans)])
         console = Console(width=80, file=StringIO())
-        print_each(run_tables(results), console)
+        print_renderables(run_tables(results), console)
         printed = console.file.getvalue()  # type: ignore[attr-defined]  # it is a StringIO
         names = ", ".join(f"plan-{k:02}" for k in range(10))
         assert f"{line}{names} and {n_plans - 10} more, in summary\n" in printed

@@ -15,15 +15,16 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
-from petmjx.basics.errors import InputError, PlanWarning
-from petmjx.basics.units import FloatArray
 from petmjx.cli import main
-from petmjx.options.carrier import Carrier
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError, PlanWarning
+from petmjx.common.units import FloatArray
+from petmjx.options.carriers import Carrier
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.gather import gather_plans
+from petmjx.options.simulation import Simulation
+from petmjx.packers.sample_plans import generate
+from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import bundled_path, generate
+from petmjx.plans.plan_sources import gather_plans
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

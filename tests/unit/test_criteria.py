@@ -14,17 +14,22 @@ pytest.importorskip("shapely")
 
 from scipy.optimize import nnls
 
-from petmjx.basics.errors import InputError
-from petmjx.history import CARRIER
-from petmjx.statics.answers import NO, NOT_ASKED, YES, Answers, answer
-from petmjx.statics.balance import _slack_alone, _VerticalSystem, balance_slack
-from petmjx.statics.base import support_share
-from petmjx.statics.contacts import find_contacts
-from petmjx.statics.friction import Friction
-from petmjx.statics.hulls import contact_hulls
-from petmjx.statics.load_polygon import load_polygons
-from petmjx.statics.loads import even_bedding, load_slack
-from petmjx.statics.named import CRITERIA, NAMES, chosen_criteria
+from petmjx.analysis.criteria import (
+    CRITERIA,
+    NAMES,
+    NO,
+    NOT_ASKED,
+    YES,
+    Answers,
+    answer,
+    chosen_criteria,
+    support_share,
+)
+from petmjx.analysis.force_balance import Friction, _slack_alone, _VerticalSystem, balance_slack
+from petmjx.analysis.load_paths import even_bedding, load_polygons, load_slack
+from petmjx.analysis.plan_contacts import contact_hulls, find_contacts
+from petmjx.common.errors import InputError
+from petmjx.world.history import CARRIER
 
 MU = Friction(0.5)
 

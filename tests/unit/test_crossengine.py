@@ -13,9 +13,9 @@ from benchmarks.crossengine import sieve
 from benchmarks.referees.base import CARRIER, FIRST_BOX, FLOOR, top_forces
 from benchmarks.referees.stand import stand
 from benchmarks.stack_forces import PILES, by_statics
-from petmjx.basics.units import FloatArray
-from petmjx.options.config import Simulation
-from petmjx.verdict import Reason, Verdict
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene, build_scene
 
 STABLE, UNSTABLE, INVALID = (verdict.value for verdict in Verdict)

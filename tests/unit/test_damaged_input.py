@@ -22,18 +22,18 @@ from support.damage import try_one
 from support.plan_files import order, placement, tower
 from support.sound_files import KINDS
 
-from petmjx.basics.bounded import read_regular
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError
+from petmjx.common.safe_read import read_regular
 from petmjx.options.physics import Physics
-from petmjx.plans import read as reading
-from petmjx.plans import unpack
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import generate_one, pack_orders
-from petmjx.plans.scan import NotPlans, scan_plans
-from petmjx.sweeps.file import load_sweep
-from petmjx.world.profiles.acceleration import HalfSine
-from petmjx.world.profiles.files import read_psd, read_windows
+from petmjx.options.simulation import Simulation
+from petmjx.packers.sample_plans import generate_one, pack_orders
+from petmjx.plans import json_reader
+from petmjx.plans import plan_reader as reading
+from petmjx.plans.json_reader import MalformedPlans, scan_plans
+from petmjx.plans.plan_reader import load_plans
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.world.profiles.accelerations import HalfSine
+from petmjx.world.profiles.profile_files import read_psd, read_windows
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -89,7 +89,7 @@ def test_folders_and_fifos_among_plan_files_do_not_stop_the_others() -> None:
 
 def test_a_file_that_is_too_large_is_refused_before_it_is_read() -> None:
     with open("huge.json", "wb") as stream:
-        stream.truncate(unpack.MOST_BYTES + 1)  # sparse: it takes no room on the disk
+        stream.truncate(json_reader.MOST_BYTES + 1)  # sparse: it takes no room on the disk
     begin = time.process_time()
     (skipped,) = load_plans("huge.json").skipped
     assert str(skipped) == "huge.json: cannot be read (it is larger than 4 GiB)"
@@ -115,7 +115,7 @@ def test_a_gzip_bomb_costs_a_line() -> None:
 
 
 def test_gzip_of_well_packed_plans_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unpack, "FREE_BYTES", 1 << 16)
+    monkeypatch.setattr(json_reader, "FREE_BYTES", 1 << 16)
     plans = dict(generate_one(number, 0) for number in range(8))
     Path("p.json.gz").write_bytes(gzip.compress(json.dumps(plans, indent=4).encode(), 9))
     assert Path("p.json.gz").stat().st_size < 20_000
@@ -124,7 +124,7 @@ def test_gzip_of_well_packed_plans_is_read(monkeypatch: pytest.MonkeyPatch) -> N
 
 MEMORY = """
 import resource, sys
-from petmjx.plans.read import load_plans
+from petmjx.plans.plan_reader import load_plans
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 found = load_plans(sys.argv[1])
 print(len(found.plans), len(found.skipped), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
@@ -174,7 +174,7 @@ SLOW = {
 def test_damage_is_found_in_linear_time(case: str) -> None:
     data = SLOW[case].encode()
     begin = time.process_time()
-    with pytest.raises(NotPlans, match="not JSON at line 1, column "):
+    with pytest.raises(MalformedPlans, match="not JSON at line 1, column "):
         list(scan_plans(data))
     assert time.process_time() - begin < QUICK_S
 

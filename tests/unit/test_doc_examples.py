@@ -17,7 +17,7 @@ from support.plan_files import placement
 from test_docs import CODE_BLOCK, REPOSITORY
 
 from petmjx.plans.articles import read_articles
-from petmjx.plans.read import load_plans
+from petmjx.plans.plan_reader import load_plans
 
 
 def blocks(document: str, language: str) -> list[str]:

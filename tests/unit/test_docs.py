@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from petmjx.basics.checked import Checked
-from petmjx.options.config import Simulation
+from petmjx.common.checked_records import CheckedRecord
+from petmjx.options.simulation import Simulation
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 DOCUMENTS = (
@@ -236,9 +236,9 @@ def test_the_rules_name_the_defaults() -> None:
 def test_the_rules_name_every_option_of_a_run() -> None:
     text = (REPOSITORY / "docs" / "rules.md").read_text(encoding="utf-8")
 
-    def fields(record: Checked, prefix: str = "") -> Iterator[str]:
+    def fields(record: CheckedRecord, prefix: str = "") -> Iterator[str]:
         for name in type(record).model_fields:
             value = getattr(record, name)
-            yield from fields(value, f"{name}.") if isinstance(value, Checked) else [f"{prefix}{name}"]
+            yield from fields(value, f"{name}.") if isinstance(value, CheckedRecord) else [f"{prefix}{name}"]
 
     assert [path for path in fields(Simulation()) if f"`{path}`" not in text] == []

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.worlds import make_plan
 
-from petmjx.engines.batch.worlds import upload_worlds
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
+from petmjx.engines.mjx.world_constants import upload_worlds
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.scene import build_scene
 

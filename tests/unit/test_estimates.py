@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from benchmarks.record import read_lines
-from petmjx.engines.cost import MEASURED, Work
-from petmjx.options.config import SOFT_START_STEPS, Simulation
+from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.options.simulation import SOFT_START_STEPS, Simulation
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
 RECORDS = [

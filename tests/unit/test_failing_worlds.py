@@ -11,13 +11,13 @@ import pytest
 from support.plans import make_plan, make_scene, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.engines.choose import make_engine
-from petmjx.engines.cpu import world as cpu_world
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.mujoco import world_run as cpu_world
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 

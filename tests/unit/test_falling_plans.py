@@ -7,18 +7,17 @@ import pytest
 from support.plans import Box, make_plan
 
 from benchmarks.estimates import shelf_plan
-from petmjx.engines.choose import choose
-from petmjx.engines.cost import FALL_BOXES, FALL_STEPS, MEASURED, SOFT_STARTS, STATIC_FALL_STEPS, STEP_SHARE, Work
-from petmjx.options.config import Check, Schedule, Simulation
+from petmjx.engines.cost_model import FALL_BOXES, FALL_STEPS, MEASURED, SOFT_STARTS, STATIC_FALL_STEPS, STEP_SHARE, Work
+from petmjx.engines.engine_choice import choose
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.loose import MOST_LOOKED_AT, first_loose, placed_shares
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.packers.sample_plans import generate_one
+from petmjx.plans.loose_boxes import MOST_LOOKED_AT, first_loose, placed_shares
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import generate_one
-from petmjx.plans.validate import parse_plan
-from petmjx.study import Nominal
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.ready import find_sweep
+from petmjx.plans.plan_validation import parse_plan
+from petmjx.runs.study import Nominal
+from petmjx.runs.sweep_file import find_sweep, load_sweep
+from petmjx.runs.sweep_worlds import SweepPlan
 
 SIM = Simulation()
 CPU = MEASURED.mujoco
@@ -71,7 +70,7 @@ def test_where_the_mass_is() -> None:
 
 def test_of_many_plans_some_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[str] = []
-    monkeypatch.setattr("petmjx.plans.loose.first_loose", lambda plan: seen.append(plan.plan_id) or 0)  # type: ignore[func-returns-value]
+    monkeypatch.setattr("petmjx.plans.loose_boxes.first_loose", lambda plan: seen.append(plan.plan_id) or 0)  # type: ignore[func-returns-value]
     plans = [boxes((0, 0, 0), (0, 0, 200))] * (3 * MOST_LOOKED_AT)
     assert placed_shares(plans).tolist() == [0.5] * len(plans)
     assert len(seen) == MOST_LOOKED_AT

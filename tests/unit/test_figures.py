@@ -12,13 +12,13 @@ from support.outcomes import make_outcome
 from unit.test_compare_packers import write
 
 import petmjx
-from petmjx.basics.errors import InputError
+from petmjx.analysis.criteria_run import CriteriaResults
+from petmjx.analysis.packer_comparison import pair_in_words
 from petmjx.cli import main
-from petmjx.figures.paper import WIDTH_IN
-from petmjx.figures.sweeps import survival_curve
-from petmjx.packers.words import pair_in_words
-from petmjx.statics.record import CriteriaResults
-from petmjx.verdict import Reason, Verdict
+from petmjx.common.errors import InputError
+from petmjx.engines.verdict import Reason, Verdict
+from petmjx.show.figures.figure_style import WIDTH_IN
+from petmjx.show.figures.sweep_figures import survival_curve
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("scipy")

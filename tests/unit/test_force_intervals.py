@@ -15,11 +15,11 @@ from support.plans import Box, make_plan, stack
 pytest.importorskip("scipy")
 
 import petmjx
-from petmjx.basics.units import FloatArray
-from petmjx.options.config import Simulation
-from petmjx.plans.samples import bundled_path
-from petmjx.statics import intervals
-from petmjx.statics.intervals import force_intervals
+from petmjx.analysis import force_intervals as intervals
+from petmjx.analysis.force_intervals import force_intervals
+from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Simulation
+from petmjx.plans.bundled import bundled_path
 from petmjx.world.scene import build_scene
 
 MU = 0.5

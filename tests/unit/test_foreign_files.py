@@ -12,10 +12,10 @@ import openpyxl
 import pytest
 
 import petmjx
-from petmjx.basics.errors import InputError
+from petmjx.common.errors import InputError
+from petmjx.packers.sample_plans import pack_orders
 from petmjx.plans.articles import read_articles
-from petmjx.plans.foreign import number_hint
-from petmjx.plans.samples import pack_orders
+from petmjx.plans.file_formats import number_hint
 
 COLUMNS = ("plan_id", "sequence", "article", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "height_mm", "weight_kg")
 

@@ -22,14 +22,14 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import petmjx.gym
 from benchmarks.episodes import SETTINGS, episodes
-from petmjx.basics.errors import InputError
-from petmjx.engines.choose import make_engine
+from petmjx.common.errors import InputError
+from petmjx.engines.engine_choice import make_engine
 from petmjx.gym.actions import _in_turn
 from petmjx.gym.env import PalletizingEnv
-from petmjx.gym.vector import PalletizingVectorEnv
-from petmjx.loop.orders import KG_PER_M3, Orders
-from petmjx.pictures.save import why_nothing_is_drawn
-from petmjx.plans.samples.orders import Item, Order
+from petmjx.gym.vector_env import PalletizingVectorEnv
+from petmjx.loop.order_sources import KG_PER_M3, Orders
+from petmjx.plans.order_generator import Item, Order
+from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 
 NAME = "petmjx/Palletizing-v0"
 

@@ -19,19 +19,18 @@ from support.kills import assert_same, tables
 from support.plans import make_plan, make_scene, make_world, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.retry import score_worlds
-from petmjx.history import Record
-from petmjx.options.config import Check, Schedule, Simulation, Solver
-from petmjx.results import histories as history_tables
-from petmjx.results import parts
-from petmjx.results.histories import read_history
+from petmjx.common.errors import InputError
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Check, Schedule, Simulation, Solver
+from petmjx.results import history_tables, part_buffer
+from petmjx.results.history_tables import read_history
 from petmjx.results.schema import schemas
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
-from petmjx.world.release import release_of
+from petmjx.world.release_places import release_of
 
 PLANS = (
     make_plan("stands", stack(3)),
@@ -252,14 +251,14 @@ def test_drives_come_back_as_they_were() -> None:
     sim = Simulation(**SHORT)
     for drive, column in ((SHAKE, "drive_force_x_n"), (TILT, "drive_acc_x")):
         history = history_of(simulate(make_scene(1), sim, Record(0.1), drive=drive))
-        columns = history_tables.frame_columns([history_tables.Recorded("p", 0, history)])
+        columns = history_tables.frame_columns([history_tables.RecordedWorld("p", 0, history)])
         np.testing.assert_array_equal(columns[column], history.drive[:, 0])
         others = {"drive_force_x_n", "drive_acc_x"} - {column}
         assert np.isnan(columns[others.pop()]).all()
 
 
 def test_histories_end_a_part_before_they_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parts, "HISTORY_BYTES_PER_PART", 10_000)
+    monkeypatch.setattr(part_buffer, "HISTORY_BYTES_PER_PART", 10_000)
     run = recorded(tmp_path / "run")
     assert len(list((run.path / "worlds").iterdir())) > 2
     assert_same(run, tables(recorded(tmp_path / "other")))

@@ -11,22 +11,18 @@ from pathlib import Path
 import pytest
 
 LAYERS: tuple[frozenset[str], ...] = (
-    frozenset({"_version", "version", "basics"}),
+    frozenset({"_version", "version", "common"}),
     frozenset({"options"}),
-    frozenset({"plans", "history"}),
+    frozenset({"plans"}),
     frozenset({"world"}),
-    frozenset({"metrics"}),
-    frozenset({"verdict"}),
     frozenset({"engines"}),
     frozenset({"results"}),
-    frozenset({"study"}),
-    frozenset({"simulate", "sweeps", "statics", "rating"}),
-    frozenset({"option_types", "notebook"}),
-    frozenset({"api", "packers", "story"}),
-    frozenset({"packing"}),
-    frozenset({"show", "pages", "pictures", "figures"}),
+    frozenset({"runs"}),
+    frozenset({"analysis"}),
+    frozenset({"api"}),
+    frozenset({"packers"}),
+    frozenset({"show"}),
     frozenset({"loop"}),
-    frozenset({"free_motion"}),
     frozenset({"gym", "jax"}),
     frozenset({"cli", "__main__"}),
 )
@@ -35,14 +31,14 @@ no layer fails the test. ``petmjx/__init__`` imports only the version: it looks 
 no other module imports it."""
 
 READERS = (
-    "petmjx.results.reader",
-    "petmjx.results.compare",
-    "petmjx.packers.compare",
-    "petmjx.show.tables",
-    "petmjx.pages.story_page",
-    "petmjx.pages.report.make",
+    "petmjx.results.run_reader",
+    "petmjx.analysis.run_comparison",
+    "petmjx.analysis.packer_comparison",
+    "petmjx.show.run_tables",
+    "petmjx.show.pages.story_page",
+    "petmjx.show.report.report_page",
     "petmjx.plans",
-    "petmjx.statics.run",
+    "petmjx.analysis.criteria_run",
 )
 SIMULATORS = ("jax", "mujoco", "warp")
 

@@ -12,13 +12,13 @@ from support.command_line import write
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
-from petmjx.results.files import TABLES
-from petmjx.results.reader import RunResults
-from petmjx.results.writer import RunWriter
-from petmjx.verdict import Outcome
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.results.run_folder import TABLES
+from petmjx.results.run_reader import RunResults
+from petmjx.results.run_writer import RunWriter
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 

@@ -13,8 +13,8 @@ from support.fake_engine import LargestFirst
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.rating.stability import read_stability
-from petmjx.show.tables import run_tables
+from petmjx.analysis.kpi_stability import read_stability
+from petmjx.show.run_tables import run_tables
 
 PLANS = [make_plan(f"p{k}", stack(1 + k % 3)) for k in range(6)]
 NOT_KEPT = r"the run kept no boxes \(keep worlds\)"

@@ -23,11 +23,10 @@ from support.plan_files import order_for, placement, tower
 from support.runs import leave_unfinished, relisted
 
 import petmjx
-from petmjx.basics.units import FloatArray
-from petmjx.plans.read import load_plans
-from petmjx.rating.columns import COLUMNS
-from petmjx.rating.files import write_kpis
-from petmjx.rating.support import direct_support
+from petmjx.analysis.kpi_files import write_kpis
+from petmjx.analysis.kpis import COLUMNS, direct_support
+from petmjx.common.units import FloatArray
+from petmjx.plans.plan_reader import load_plans
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -39,7 +38,7 @@ PUBLISHED = (
 )
 
 
-def rate(plans: dict[str, Any], orders: dict[str, Any] | None = None, **options: Any) -> petmjx.rating.kpis.Kpis:
+def rate(plans: dict[str, Any], orders: dict[str, Any] | None = None, **options: Any) -> petmjx.analysis.kpis.Kpis:
     orders = {name: order_for(plan) for name, plan in plans.items()} if orders is None else orders
     return petmjx.kpis(write(Path("plans.json"), plans), write(Path("orders.json"), orders), **options)
 

@@ -14,13 +14,13 @@ from support.plans import make_plan, stack
 from support.waiting import wait_for
 
 import petmjx
-from petmjx.engines.base import Progress
-from petmjx.options.config import Simulation
-from petmjx.results import by_place, tables
-from petmjx.results.by_place import Places
-from petmjx.results.writer import RunWriter
-from petmjx.sweeps import run as sweep_run
-from petmjx.verdict import Outcome
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.results import part_order, table_files
+from petmjx.results.part_order import Places
+from petmjx.results.run_writer import RunWriter
+from petmjx.runs import sweep_run
 from petmjx.world.job import Job
 
 PLANS = [make_plan(f"p{(7 * k) % 9}", stack(1 + k % 3)) for k in range(9)]
@@ -44,8 +44,8 @@ class InTurn(LargestFirst):
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.simulate.LARGE", 20)
-    monkeypatch.setattr(by_place, "PIECE_WORLDS", 3)
+    monkeypatch.setattr("petmjx.runs.simulate.LARGE", 20)
+    monkeypatch.setattr(part_order, "PIECE_WORLDS", 3)
     monkeypatch.setattr(Places.__init__, "__defaults__", (10,))
     defaults = sweep_run.Batching.__init__.__defaults__
     assert defaults is not None
@@ -80,13 +80,13 @@ def written_as_given(folder: Path) -> None:
 def writes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The parts of worlds that are written, by name."""
     names: list[str] = []
-    write = tables.write_table
+    write = table_files.write_table
 
     def noted(table: Any, path: Path) -> str:
         names.extend([path.name] if path.parent.name == "worlds" else [])
         return write(table, path)
 
-    monkeypatch.setattr(tables, "write_table", noted)
+    monkeypatch.setattr(table_files, "write_table", noted)
     return names
 
 
@@ -120,7 +120,7 @@ def test_it_goes_on_after_any_number_of_worlds(sweep: Any, tmp_path: Path) -> No
 def test_worlds_that_take_too_much_memory_are_written_early(
     sweep: Any, tmp_path: Path, writes: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(by_place, "MOST_WAITING_BYTES", 0)
+    monkeypatch.setattr(part_order, "MOST_WAITING_BYTES", 0)
     sweep(tmp_path / "run")
     assert len(writes) == 36  # each as it comes; the last one of a part with all others
     written_as_given(tmp_path / "run")

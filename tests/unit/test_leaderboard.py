@@ -17,11 +17,11 @@ from support.outcomes import make_outcome
 from unit.test_compare_packers import write
 
 import petmjx
-from petmjx.basics.errors import InputError
+from petmjx.analysis.packer_rating import rate, rating_interval
 from petmjx.cli import main
-from petmjx.packers.rating import rate, rating_interval
+from petmjx.common.errors import InputError
+from petmjx.engines.verdict import Reason, Verdict
 from petmjx.results.shares import wilson_interval
-from petmjx.verdict import Reason, Verdict
 
 pytest.importorskip("scipy")
 

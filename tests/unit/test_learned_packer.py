@@ -16,23 +16,23 @@ from support.plan_files import order
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.plans.samples import generate
-from petmjx.plans.samples.balanced import TASTES
-from petmjx.plans.samples.online import learned as learned_module
-from petmjx.plans.samples.online.corners import COARSE_MM, LEAST_SUPPORT, AllSides, lowest_first
-from petmjx.plans.samples.online.features import NAMES, features
-from petmjx.plans.samples.online.learned import CLEARANCE_MM, LEARNED, Policy, pack_learned, published
-from petmjx.plans.samples.online.network import Network
-from petmjx.plans.samples.online.room import AIR, LARGE, LEVEL_MM, SMALL, room
-from petmjx.plans.samples.online.stability import NAMES as STABILITY_NAMES
-from petmjx.plans.samples.online.stability import likely
-from petmjx.plans.samples.online.stream import Stream, by_taste, pack_stream
-from petmjx.plans.samples.online.surface import CELL_MM, Surface
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order, draw_order
-from petmjx.plans.samples.packers import WHY
-from petmjx.plans.samples.packing import Packing
-from petmjx.plans.samples.parallel import in_order
+from petmjx.common.errors import InputError
+from petmjx.common.parallel_map import ordered_results
+from petmjx.packers import learned_packer as learned_module
+from petmjx.packers.balanced_packer import TASTES
+from petmjx.packers.free_space import AIR, LARGE, LEVEL_MM, SMALL, free_space
+from petmjx.packers.height_map import CELL_MM, HeightMap
+from petmjx.packers.item_stream import ItemStream, by_taste, pack_stream
+from petmjx.packers.learned_candidates import COARSE_MM, LEAST_SUPPORT, FourSidedStream, lowest_first
+from petmjx.packers.learned_features import NAMES, features
+from petmjx.packers.learned_packer import CLEARANCE_MM, LEARNED, Policy, pack_learned, published_policy
+from petmjx.packers.packer_registry import WHY
+from petmjx.packers.packing_state import Packing
+from petmjx.packers.placement_stability import NAMES as STABILITY_NAMES
+from petmjx.packers.placement_stability import likely
+from petmjx.packers.policy_network import Network
+from petmjx.packers.sample_plans import generate
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order, draw_order
 
 DRAWN = draw_order(5, 3)
 EXTENT = TARGET_EXTENT_MM[DRAWN.target]
@@ -54,7 +54,7 @@ def test_what_has_not_come_yet_changes_nothing() -> None:
     other = [replace(item, length_mm=item.length_mm + 40.0, item_id="other") for item in items[20:]]
     assert pack_learned([*items[:20], *other], EXTENT)[: len(first)] == first
     # and of the next five only those are seen
-    seen = AllSides(items, EXTENT, CLEARANCE_MM, 5)
+    seen = FourSidedStream(items, EXTENT, CLEARANCE_MM, 5)
     assert len(seen.seen) == 5
     assert {items[i] for i in range(5)} >= {items[0]}
     assert set(seen.places().kind.tolist()) == set(seen.seen)
@@ -69,7 +69,7 @@ def test_with_a_look_ahead_boxes_wait_for_their_turn() -> None:
 
 def test_plans_depend_on_the_order_alone() -> None:
     one = partial(_packed, seed=5)
-    assert list(in_order(one, range(3), 2, alone=1, chunk=1)) == [one(index) for index in range(3)]
+    assert list(ordered_results(one, range(3), 2, alone=1, chunk=1)) == [one(index) for index in range(3)]
     assert [plan for _, plan in generate(2, 5, packer=LEARNED)] == [
         plan for _, plan in list(generate(3, 5, packer=LEARNED))[:2]
     ]
@@ -87,20 +87,20 @@ def test_the_rule_on_a_stream_is_that_of_balanced() -> None:
     """With the whole order in sight, the stream's packing is the one of ``balanced``."""
     packing = Packing(DRAWN.items, EXTENT, TASTES[0])
     packing.fill()
-    stream = Stream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items), TASTES[0])
+    stream = ItemStream(DRAWN.items, EXTENT, 0.0, len(DRAWN.items), TASTES[0])
     assert pack_stream(stream, by_taste) == packing.placed
 
 
 def test_a_copy_of_a_stream_goes_its_own_way() -> None:
     """It packs as the first one did, which has gone on."""
 
-    def go_on(stream: AllSides) -> None:
+    def go_on(stream: FourSidedStream) -> None:
         for _ in range(6):
             chosen = lowest_first(stream)
             assert chosen is not None
             stream.put(chosen)
 
-    stream = AllSides(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
+    stream = FourSidedStream(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
     go_on(stream)
     twin = stream.copy()
     go_on(stream)
@@ -114,7 +114,7 @@ def test_a_copy_of_a_stream_goes_its_own_way() -> None:
 
 
 def test_places_say_where_the_box_would_rest() -> None:
-    stream = AllSides(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
+    stream = FourSidedStream(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
     for _ in range(12):
         chosen = lowest_first(stream)
         assert chosen is not None
@@ -136,8 +136,8 @@ def test_places_say_where_the_box_would_rest() -> None:
 def test_places_are_on_all_sides() -> None:
     """The pile in a mirror has the places in that mirror, and those of ``balanced`` are among them."""
     items = DRAWN.items[:14]
-    straight, plain = AllSides(items, EXTENT, CLEARANCE_MM), Stream(items, EXTENT, CLEARANCE_MM)
-    mirrored = AllSides(items, EXTENT, CLEARANCE_MM)
+    straight, plain = FourSidedStream(items, EXTENT, CLEARANCE_MM), ItemStream(items, EXTENT, CLEARANCE_MM)
+    mirrored = FourSidedStream(items, EXTENT, CLEARANCE_MM)
     extent = np.array(straight.extent_mm)
     for _ in items[:-1]:
         places, table = straight.places(0.5), plain._table
@@ -163,7 +163,7 @@ def test_places_are_on_all_sides() -> None:
         put_at(mirrored, chosen.shape, (float(extent[0]) - x - width, y, z))
 
 
-def put_at(stream: AllSides, shape: int, corner: tuple[float, float, float]) -> None:
+def put_at(stream: FourSidedStream, shape: int, corner: tuple[float, float, float]) -> None:
     """Place the next box at the candidate there."""
     places = stream.places(0.5)
     here = np.flatnonzero((places.shape == shape) & (np.abs(places.corner_mm - corner).max(axis=1) < 1e-6))
@@ -178,13 +178,13 @@ def _key(shape: int, *corner: float) -> tuple[float, ...]:
 
 def test_room_is_where_typical_cartons_could_stand() -> None:
     """Against loops over all places of all cartons, on a pile of steps."""
-    surface, rng = Surface(EXTENT, COARSE_MM), np.random.default_rng(2)
+    surface, rng = HeightMap(EXTENT, COARSE_MM), np.random.default_rng(2)
     for top in (150.0, 230.0, 300.0):
         low = np.array([*rng.uniform(0, 400, 2), 0.0])
         surface.put(low, np.array([*(low[:2] + rng.uniform(200, 400, 2)), top]))
     low = np.array([[0.0, 0.0, 100.0], [300.0, 200.0, 350.0]])
     high = low + np.array([400.0, 300.0, 120.0])
-    measures = room(surface, low, high)
+    measures = free_space(surface, low, high)
     for row in range(2):
         height = surface.height.copy()
         (x0, y0), (x1, y1) = surface.lines(low)[row], surface.lines(high)[row]
@@ -201,12 +201,12 @@ def test_room_is_where_typical_cartons_could_stand() -> None:
                 lowest.append(min(costs))
             assert measures[f"room_{name}"][row] == pytest.approx(np.mean(lowest) / 1000, abs=1e-4)
             assert measures[f"level_{name}"][row] == pytest.approx(np.mean(level))
-    nowhere = room(Surface((120.0, 90.0), COARSE_MM), np.zeros((1, 3)), np.full((1, 3), 80.0))
+    nowhere = free_space(HeightMap((120.0, 90.0), COARSE_MM), np.zeros((1, 3)), np.full((1, 3), 80.0))
     assert (nowhere["room_small"], nowhere["level_large"]) == (2.0, 0.0)  # no carton has room
 
 
 def test_sums_over_the_surface_are_those_of_its_cells() -> None:
-    surface, rng = Surface((1206.0, 806.0)), np.random.default_rng(0)
+    surface, rng = HeightMap((1206.0, 806.0)), np.random.default_rng(0)
     for top in range(100, 1100, 100):
         low = rng.uniform(0, 600, 3)
         surface.put(low, np.array([low[0] + 300, low[1] + 200, top]))
@@ -239,9 +239,9 @@ def test_slopes_are_those_of_scores() -> None:
 
 def policy_that_is(chance: float) -> Policy:
     """The published policy with a head that believes every placement to be as likely to stand."""
-    head = published().head
+    head = published_policy().head
     nothing = head.with_learned(np.zeros(head.learned.size))
-    return replace(published(), head=replace(nothing, constant=np.array(np.log(chance / (1 - chance)))))
+    return replace(published_policy(), head=replace(nothing, constant=np.array(np.log(chance / (1 - chance)))))
 
 
 def test_nothing_is_placed_that_is_more_likely_to_fall() -> None:
@@ -254,24 +254,24 @@ def test_nothing_is_placed_that_is_more_likely_to_fall() -> None:
 def test_the_surest_is_taken_where_none_is_sure(monkeypatch: pytest.MonkeyPatch) -> None:
     chances = iter([0.7, 0.9, 0.6, *[0.5] * 100])
     monkeypatch.setattr(learned_module, "likely", lambda head, rows: np.array([next(chances)]))
-    stream = AllSides(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
+    stream = FourSidedStream(DRAWN.items, EXTENT, CLEARANCE_MM, 3)
     for _ in range(8):
         chosen = lowest_first(stream)
         assert chosen is not None
         stream.put(chosen)
-    places, _ = published().seen(stream) or pytest.fail("no candidates")
-    choice = published().take(stream, places, -np.arange(len(places), dtype=float))
+    places, _ = published_policy().seen(stream) or pytest.fail("no candidates")
+    choice = published_policy().take(stream, places, -np.arange(len(places), dtype=float))
     assert choice is not None
     assert choice.chance == 0.9
 
 
 def test_the_weights_are_small_and_in_the_package(tmp_path: Path) -> None:
-    with files("petmjx.plans.samples.online").joinpath("learned.npz").open("rb") as file:
+    with files("petmjx.packers").joinpath("learned.npz").open("rb") as file:
         content = file.read()
     assert len(content) < LARGEST_FILE
-    published().save(tmp_path / "again.npz")
+    published_policy().save(tmp_path / "again.npz")
     again = Policy.load(tmp_path / "again.npz")
-    assert (again.taste.learned == published().taste.learned).all()
+    assert (again.taste.learned == published_policy().taste.learned).all()
     assert (len(again.taste.mean), len(again.head.mean)) == (len(NAMES), len(STABILITY_NAMES))
 
 
@@ -279,7 +279,7 @@ def test_chances_are_right_for_placements_that_were_kept_aside() -> None:
     """800 placements of orders to which the head was not fitted, simulated on a GPU (docs/packers.md)."""
     with np.load(Path(__file__).parents[1] / "support" / "held_out_placements.npz") as file:
         features, stands = file["features"].astype(float), file["stands"].astype(float)
-    chances = likely(published().head, features)
+    chances = likely(published_policy().head, features)
     assert ((chances >= 0) & (chances <= 1)).all()
     brier, constant = np.mean((chances - stands) ** 2), stands.mean() * (1 - stands.mean())
     assert brier < 0.6 * constant

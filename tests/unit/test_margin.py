@@ -13,13 +13,13 @@ from support.outcomes import make_boxes, make_outcome
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.metrics.spec import BoxMetrics
-from petmjx.options.config import Simulation, Thresholds
-from petmjx.results.compare import compare_runs
-from petmjx.sweeps.file import nominal_sweep
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.swept import Settled
-from petmjx.verdict import Flag, Reason, Verdict, judge, margin_of
+from petmjx.analysis.run_comparison import compare_runs
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.verdict import Flag, Reason, Verdict, judge, margin_of
+from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.runs.sweep_file import nominal_sweep
+from petmjx.runs.sweep_run import SettledPlacement
+from petmjx.runs.sweep_worlds import SweepPlan
 
 LIMITS = Thresholds()
 STANDS = make_plan("stands", stack(2, 100.0))
@@ -88,7 +88,7 @@ def test_a_world_that_was_shaken_though_it_did_not_stand_has_the_smaller_margin(
     plan = SweepPlan(nominal_sweep(Simulation()), [STANDS])
     group = next(plan.groups())
     for at_rest, margin in ((placed, -0.2), (replace(make_outcome(), margin=0.5), 0.9)):
-        assert Settled(group, plan.scene(group), at_rest, ()).shaken(shaken, LIMITS).margin == margin
+        assert SettledPlacement(group, plan.scene(group), at_rest, ()).shaken(shaken, LIMITS).margin == margin
 
 
 def test_results_have_it(tmp_path: Path) -> None:

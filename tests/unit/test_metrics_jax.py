@@ -10,16 +10,16 @@ import pytest
 from support.outcomes import make_plan
 from support.plans import make_scene
 
-from petmjx.engines.batch.picked import reduce_metrics
-from petmjx.engines.batch.state import fresh_state
-from petmjx.engines.batch.worlds import upload_worlds
-from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.metrics import force_jax as force
-from petmjx.metrics import force_np, motion_np
-from petmjx.metrics import motion_jax as motion
-from petmjx.options.config import Simulation, Thresholds
+from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx import top_forces as force
+from petmjx.engines.mjx.readback import reduce_metrics
+from petmjx.engines.mjx.world_constants import upload_worlds
+from petmjx.engines.mjx.world_state import fresh_state
+from petmjx.engines.mujoco import box_motion, top_forces
+from petmjx.engines.mujoco.running_metrics import OracleMetrics
+from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.world.job import Job
-from petmjx.world.model import geom_bodies
+from petmjx.world.mujoco_model import geom_bodies
 from petmjx.world.scene import build_scene
 
 RNG = np.random.default_rng(3)
@@ -38,7 +38,7 @@ def quaternions(shape: tuple[int, ...]) -> np.ndarray:
 
 def test_tilt_is_the_oracles() -> None:
     quat = quaternions((LANES, BOXES))
-    expected = motion_np.tilt_deg(quat.reshape(-1, 4)).reshape(LANES, BOXES)
+    expected = box_motion.tilt_deg(quat.reshape(-1, 4)).reshape(LANES, BOXES)
     tilts = motion.tilt_deg(jnp.asarray(quat, jnp.float32))
     # The oracle's arcsin is flat at 180°, so compare within 179°.
     inside = expected < 179.0
@@ -59,7 +59,7 @@ def test_small_tilts_are_not_lost(tilt_deg: float) -> None:
 def test_lowest_points_are_the_oracles() -> None:
     pos, half = RNG.normal(size=(LANES, BOXES, 3)), RNG.uniform(0.05, 0.3, (LANES, BOXES, 3))
     quat = quaternions((LANES, BOXES))
-    expected = motion_np.lowest_z(pos.reshape(-1, 3), quat.reshape(-1, 4), half.reshape(-1, 3))
+    expected = box_motion.lowest_z(pos.reshape(-1, 3), quat.reshape(-1, 4), half.reshape(-1, 3))
     lowest = motion.lowest_z(*(jnp.asarray(a, jnp.float32) for a in (pos, quat, half)))
     np.testing.assert_allclose(np.asarray(lowest).ravel(), expected, atol=METRES)
 
@@ -89,14 +89,14 @@ def test_drops_signs_and_shifts_are_the_oracles() -> None:
     flat = [array.reshape(-1, array.shape[-1]) for array in (pos, quat, half, target)]
     single = [jnp.asarray(array, jnp.float32) for array in (pos, quat, half, target)]
 
-    dropped = motion_np.has_dropped(*flat[:3], limits)
+    dropped = box_motion.has_dropped(*flat[:3], limits)
     assert 20 < dropped.sum() < 180
     assert motion.has_dropped(*single[:3], limits).ravel().tolist() == dropped.tolist()
-    shift = motion_np.shift(flat[0], flat[3], limits.shift_floor_m)
+    shift = box_motion.shift(flat[0], flat[3], limits.shift_floor_m)
     shifts = motion.shift(single[0], single[3], limits.shift_floor_m)
     np.testing.assert_allclose(np.asarray(shifts).reshape(-1, 3), shift, atol=METRES)
-    tilt = motion_np.tilt_deg(flat[1]) / 5
-    excess = motion_np.excess(shift, tilt, dropped, limits)
+    tilt = box_motion.tilt_deg(flat[1]) / 5
+    excess = box_motion.excess(shift, tilt, dropped, limits)
     tilt_32, dropped_32 = (jnp.asarray(a).reshape(LANES, BOXES) for a in (tilt.astype(np.float32), dropped))
     np.testing.assert_allclose(motion.excess(shifts, tilt_32, dropped_32, limits).ravel(), excess, rtol=1e-3)
 
@@ -106,7 +106,7 @@ def test_an_excess_above_one_is_a_shift_above_its_limit(limit: float) -> None:
     """Rounding the ratio does not move it across 1: C's engine asks for the ratio, the verdict for the shift."""
     shifts = np.array([np.nextafter(limit, 0), limit, np.nextafter(limit, 99)])
     shift_m = np.stack([shifts, np.zeros(3), np.zeros(3)], axis=1)
-    excess = motion_np.excess(shift_m, np.zeros(3), np.zeros(3, bool), Thresholds(shift_m=limit))
+    excess = box_motion.excess(shift_m, np.zeros(3), np.zeros(3, bool), Thresholds(shift_m=limit))
     assert (excess > 1).tolist() == [False, False, True]
 
 
@@ -135,7 +135,7 @@ def test_a_box_is_as_fast_as_its_fastest_point_may_be() -> None:
     vel = np.array([[0.009, 0, 0, 0, 0, 0.05], [0.003, 0.004, 0, 0, 0, 0], [0, 0, 0, 0.03, 0.04, 0]])
     expected = [0.024, 0.005, 0.015]
     np.testing.assert_allclose(motion.speed(jnp.asarray(vel)[None], jnp.asarray(half)[None])[0], expected, rtol=1e-5)
-    np.testing.assert_allclose(motion_np.speed(vel, np.full(3, 0.3)), expected, rtol=1e-12)
+    np.testing.assert_allclose(box_motion.speed(vel, np.full(3, 0.3)), expected, rtol=1e-12)
 
 
 def test_how_far_points_have_moved_is_path_and_turn() -> None:
@@ -148,7 +148,7 @@ def test_how_far_points_have_moved_is_path_and_turn() -> None:
     expected = [0.005, 0.3 * 0.01]
     distances = motion.moved(*(jnp.asarray(array)[None] for array in (before, after, half)))
     np.testing.assert_allclose(distances[0], expected, rtol=1e-4)
-    np.testing.assert_allclose(motion_np.moved(before, after, np.full(2, 0.3)), expected, rtol=1e-5)
+    np.testing.assert_allclose(box_motion.moved(before, after, np.full(2, 0.3)), expected, rtol=1e-5)
 
 
 # ---------------------------------------------------------------------- contact forces
@@ -203,7 +203,7 @@ def test_top_forces_are_mujocos(cone: str, seed: int) -> None:
     )
     np.add.at(total, np.asarray(box)[np.asarray(counts)], np.asarray(sign * forces)[np.asarray(counts)])
     np.testing.assert_allclose(
-        total, force_np.top_forces(data, bodies, model.nbody - 2, pyramidal), rtol=1e-4, atol=1e-3
+        total, top_forces.top_forces(data, bodies, model.nbody - 2, pyramidal), rtol=1e-4, atol=1e-3
     )
 
 

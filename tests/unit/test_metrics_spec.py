@@ -12,15 +12,15 @@ import pyarrow.parquet as pq
 import pytest
 from support.outcomes import make_outcome, make_plan
 
-from petmjx.basics.units import FloatArray
-from petmjx.metrics import spec
-from petmjx.metrics.spec import BoxMetric, BoxMetrics, OfWorld, Reduction, When, markdown, reduce_boxes
-from petmjx.options.config import Thresholds
-from petmjx.results.compare import compare_runs
-from petmjx.results.reader import load_run
-from petmjx.results.writer import RunWriter
-from petmjx.story.words import REASONS
-from petmjx.verdict import INVALID_FLAGS, Flag, Outcome, Reason, Verdict, judge
+from petmjx.analysis.run_comparison import compare_runs
+from petmjx.analysis.story import REASONS
+from petmjx.common.units import FloatArray
+from petmjx.engines import metrics
+from petmjx.engines.metrics import BoxMetric, BoxMetrics, Reduction, SampleAt, WorldReduction, markdown, reduce_boxes
+from petmjx.engines.verdict import INVALID_FLAGS, Flag, Outcome, Reason, Verdict, judge
+from petmjx.options.simulation import Thresholds
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def documentation(repository: Path) -> str:
 
 
 def test_the_documentation_has_the_tables_of_the_spec(documentation: str) -> None:
-    assert markdown() in documentation, "docs/metrics.md: paste what python -m petmjx.metrics.spec prints"
+    assert markdown() in documentation, "docs/metrics.md: paste what python -m petmjx.engines.metrics prints"
 
 
 def test_the_documentation_has_all_flags_and_reasons_in_their_order(documentation: str) -> None:
@@ -42,10 +42,10 @@ def test_the_documentation_has_all_flags_and_reasons_in_their_order(documentatio
 
 
 def test_every_metric_has_a_field_and_every_field_a_metric() -> None:
-    attributes = [metric.attribute for metric in spec.box_metrics()]
+    attributes = [metric.attribute for metric in metrics.box_metrics()]
     assert sorted(attributes) == sorted(field.name for field in fields(BoxMetrics))
-    assert {metric.name for metric in spec.world_metrics()} <= {field.name for field in fields(Outcome)}
-    for columns in (spec.box_columns(), spec.world_columns()):
+    assert {metric.name for metric in metrics.world_metrics()} <= {field.name for field in fields(Outcome)}
+    for columns in (metrics.box_columns(), metrics.world_columns()):
         assert len({column.name for column in columns}) == len(columns)
 
 
@@ -61,11 +61,11 @@ def add_metric(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[BoxMetric]
     """Puts a metric into the table, which is read anew, and after the test once more without it."""
 
     def read_anew() -> None:
-        spec.box_metrics.cache_clear()
-        spec.world_metrics.cache_clear()
+        metrics.box_metrics.cache_clear()
+        metrics.world_metrics.cache_clear()
 
     def add(metric: BoxMetric) -> None:
-        monkeypatch.setattr(spec, "METRICS", (*spec.METRICS, metric))
+        monkeypatch.setattr(metrics, "METRICS", (*metrics.METRICS, metric))
         read_anew()
 
     yield add
@@ -77,8 +77,8 @@ def test_a_new_metric_reaches_files_units_and_comparison(
     tmp_path: Path, add_metric: Callable[[BoxMetric], None]
 ) -> None:
     columns = {"spin_x": "turns about x", "spin_y": "turns about y"}
-    most = OfWorld("max_spin", Reduction.LARGEST, "most turns of any box")
-    spin = BoxMetric("spin", "1", columns, When.SAMPLES, "turns", of_world=most, relative=True)
+    most = WorldReduction("max_spin", Reduction.LARGEST, "most turns of any box")
+    spin = BoxMetric("spin", "1", columns, SampleAt.SAMPLES, "turns", of_world=most, relative=True)
     made = {"a": (make_outcome(), 1.0), "b": (make_outcome(), 1.5)}
     add_metric(spin)
     for folder, (outcome, factor) in made.items():
@@ -174,7 +174,7 @@ def test_what_was_not_measured_has_no_value() -> None:
 @pytest.mark.parametrize("shape", [(3,), (0,), (2, 3)])
 def test_metrics_are_the_same_after_a_pickle(shape: tuple[int, ...]) -> None:
     rng = np.random.default_rng(0)
-    columns = {metric.attribute: metric.nothing(*shape) for metric in spec.box_metrics()}
+    columns = {metric.attribute: metric.nothing(*shape) for metric in metrics.box_metrics()}
     some = {name: rng.random(values.shape) for name, values in columns.items() if values.dtype == np.float64}
     before = BoxMetrics(**(some | {"dropped": rng.random(shape) < 0.5, "drop_s": columns["drop_s"]}))
     after = pickle.loads(pickle.dumps(before))

@@ -17,10 +17,10 @@ import pytest
 from support.fake_stepper import FakeEngine, assert_same, fake_scene, run_all
 
 import petmjx
-from petmjx.basics.machine import cpu_threads, jax_devices
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.options.config import Simulation
-from petmjx.plans.samples import bundled_path
+from petmjx.common.machine import cpu_threads, jax_devices
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.options.simulation import Simulation
+from petmjx.plans.bundled import bundled_path
 from petmjx.world.job import Job
 
 THREADS = 4
@@ -34,7 +34,7 @@ for name in missing:
     sys.modules[name] = None
 import jax, mujoco
 before = dict(os.environ), sys.stdout, list(sys.meta_path), mujoco.MjLogConfig.get().logto_console
-from petmjx.engines.choose import make_engine
+from petmjx.engines.engine_choice import make_engine
 make_engine("mujoco")
 make_engine("mjx-jax", lanes=16)
 if not missing:
@@ -156,8 +156,8 @@ def test_a_batched_engine_in_the_middle_of_a_run_says_so() -> None:
 
 def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
     warp = pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
-    from petmjx.basics.caches import cache_folder
-    from petmjx.basics.warp_setup import set_up_warp
+    from petmjx.common.compile_caches import cache_folder
+    from petmjx.common.warp_setup import set_up_warp
 
     monkeypatch.delenv("WARP_CACHE_PATH", raising=False)
     warp.init()  # when Warp starts, it puts its version behind the folder's name
@@ -173,8 +173,8 @@ def test_warp_settings_of_the_user_win(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_cache_of_programs_is_where_the_user_has_it() -> None:
-    from petmjx.basics.caches import cache_folder
-    from petmjx.engines.batch.setup import MIN_COMPILE_S, set_up_jax
+    from petmjx.common.compile_caches import cache_folder
+    from petmjx.engines.mjx.jax_setup import MIN_COMPILE_S, set_up_jax
 
     names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
     config: Any = jax.config

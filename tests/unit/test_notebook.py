@@ -9,8 +9,8 @@ from collections.abc import Callable
 import pandas as pd
 
 import petmjx
-from petmjx.notebook import NotebookBar, notebook_bar
-from petmjx.results.notebook import MOST_ROWS, worlds_as_html
+from petmjx.results.notebook_tables import MOST_ROWS, worlds_as_html
+from petmjx.runs.notebook_progress import NotebookBar, notebook_bar
 
 
 def cells(text: str) -> list[list[str]]:

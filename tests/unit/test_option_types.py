@@ -11,9 +11,9 @@ from typing import get_type_hints
 import pytest
 
 from petmjx import api
-from petmjx.option_types import ScoreOptions, SweepOptions
-from petmjx.options.config import Simulation
 from petmjx.options.run_options import Confidence, RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.runs.option_types import ScoreOptions, SweepOptions
 from tools.option_types import TARGET, option_types
 
 KNOWN = """\

@@ -8,7 +8,7 @@ import pytest
 from support.outcomes import make_plan
 
 from petmjx.cli import main
-from petmjx.plans.write import save_plans
+from petmjx.plans.plan_writer import save_plans
 
 WRITERS = {
     "convert": ["convert", "plans.json", "--out"],

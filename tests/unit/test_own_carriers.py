@@ -15,11 +15,11 @@ from support.plans import make_plan
 from support.sound_files import own_carrier
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.options.carrier import MOST_BOARDS, OwnCarrier, read_carrier
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError
+from petmjx.options.carriers import MOST_BOARDS, OwnCarrier, read_carrier
 from petmjx.options.physics import PHYSICS
-from petmjx.world.carriers import carrier_notes, floor_z_m
+from petmjx.options.simulation import Simulation
+from petmjx.world.carrier_boards import carrier_notes, floor_z_m
 from petmjx.world.scene import build_scene
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")

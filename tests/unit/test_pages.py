@@ -16,19 +16,24 @@ import numpy as np
 import pytest
 from support.stories import FALLING, falling_story, long_story, shaken_story, standing_story
 
-from petmjx.history import Contacts
-from petmjx.pages.columns import Packed, block, quantised, whole
-from petmjx.pages.modules import joined_modules, static_text
-from petmjx.pages.page import escaped, page
-from petmjx.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb_of
-from petmjx.pages.still import drawing_order, still_svg
-from petmjx.pages.story_data import framed, placed_s, story_blocks, story_info
-from petmjx.pages.story_page import story_page
-from petmjx.show.story import story_tables
-from petmjx.story.events import headline
-from petmjx.story.tell import Story
-from petmjx.story.words import first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
-from petmjx.verdict import Flag, Reason, Verdict
+from petmjx.analysis.story import (
+    Story,
+    first_box_in_words,
+    headline,
+    how_it_was_simulated,
+    notes_in_words,
+    reason_in_words,
+)
+from petmjx.engines.verdict import Flag, Reason, Verdict
+from petmjx.show.pages.page import escaped_html, page
+from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
+from petmjx.show.pages.page_scripts import joined_modules, static_text
+from petmjx.show.pages.palette import OKABE_ITO, article_colours, category, ramp, rgb_of
+from petmjx.show.pages.still_svg import drawing_order, still_svg
+from petmjx.show.pages.story_data import framed_corners, placed_s, story_blocks, story_info
+from petmjx.show.pages.story_page import story_page
+from petmjx.show.story_text import story_tables
+from petmjx.world.history import Contacts
 
 NASTY = "</script><!--<script>alert(1)</script>\u2028&\"'<img src=x onerror=alert(2)>💥,\n"
 
@@ -46,7 +51,7 @@ def opened_block(text: str) -> dict[str, dict[str, Any]]:
     return header
 
 
-def restored(packed: Packed) -> np.ndarray[Any, Any]:
+def restored(packed: PackedArray) -> np.ndarray[Any, Any]:
     """What a reader makes of a packed column."""
     raw = packed.values
     if packed.steps:
@@ -60,7 +65,7 @@ def restored(packed: Packed) -> np.ndarray[Any, Any]:
 def test_quantised_numbers_come_back_within_half_a_part(steps: bool) -> None:
     values = np.random.default_rng(1).normal(0.0, 3.0, (50, 7, 3))
     values[:20, 2] = np.nan
-    back = restored(quantised(values, steps))
+    back = restored(quantised_column(values, steps))
     part = (np.nanmax(values) - np.nanmin(values)) / 65_534
     assert np.array_equal(np.isnan(back), np.isnan(values))
     assert np.nanmax(np.abs(back - values)) <= part / 2 * 1.001
@@ -68,23 +73,23 @@ def test_quantised_numbers_come_back_within_half_a_part(steps: bool) -> None:
 
 @pytest.mark.parametrize("values", [np.full((3, 2), np.nan), np.full((3, 2), 0.25), np.zeros((0, 2))])
 def test_columns_without_a_range(values: Any) -> None:
-    assert np.array_equal(restored(quantised(values, steps=True)), values, equal_nan=True)
+    assert np.array_equal(restored(quantised_column(values, steps=True)), values, equal_nan=True)
 
 
 @pytest.mark.parametrize("values", [[0, 255], [-1, 127], [-2, 200], [0, 70_000], [-70_000, 5]])
 def test_whole_numbers_come_back(values: list[int]) -> None:
-    packed = whole(np.array(values), steps=True)
+    packed = integer_column(np.array(values), steps=True)
     assert restored(packed).tolist() == values
     assert packed.values.dtype.itemsize <= 4
 
 
 def test_whole_numbers_beyond_32_bits_are_refused() -> None:
     with pytest.raises(ValueError, match="32 bits"):
-        whole(np.array([2**40]))
+        integer_column(np.array([2**40]))
 
 
 def test_a_block_has_its_arrays() -> None:
-    header = opened_block(block({"a": np.arange(3, dtype=np.uint8), "b": quantised(np.array([[0.0, 1.0]]))}))
+    header = opened_block(block({"a": np.arange(3, dtype=np.uint8), "b": quantised_column(np.array([[0.0, 1.0]]))}))
     assert header["a"]["values"].tolist() == [0, 1, 2]
     assert header["b"]["shape"] == [1, 2]
     assert (header["b"]["values"] * header["b"]["scale"] + header["b"]["offset"]).tolist() == pytest.approx([0, 1])
@@ -95,7 +100,9 @@ def test_a_block_has_its_arrays() -> None:
 def test_frames_at_rest_take_hardly_any_room() -> None:
     moving = np.random.default_rng(2).normal(size=(400, 45, 3))
     resting = np.tile(moving[:1], (400, 1, 1))
-    assert len(block({"pos": quantised(resting, steps=True)})) < 0.01 * len(block({"pos": quantised(moving, True)}))
+    assert len(block({"pos": quantised_column(resting, steps=True)})) < 0.01 * len(
+        block({"pos": quantised_column(moving, True)})
+    )
 
 
 def elements(html: str, tag: str) -> list[str]:
@@ -129,7 +136,7 @@ def test_markup_of_plans_is_text_everywhere_in_the_page() -> None:
     assert "alert(1)" in without_data
     assert "<img" not in without_data
     assert "<!--" not in without_data
-    assert escaped("<b>&'\"\n") == "&lt;b&gt;&amp;&#x27;&quot;\\n"
+    assert escaped_html("<b>&'\"\n") == "&lt;b&gt;&amp;&#x27;&quot;\\n"
 
 
 def test_names_of_blocks_are_checked() -> None:
@@ -156,7 +163,7 @@ def test_modules_are_joined_in_the_order_of_their_imports() -> None:
     ],
 )
 def test_what_cannot_be_joined_is_refused(text: str, complaint: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.pages.modules.static_text", lambda name: text)
+    monkeypatch.setattr("petmjx.show.pages.page_scripts.static_text", lambda name: text)
     with pytest.raises(ValueError, match=complaint):
         joined_modules("it.js")
 
@@ -221,7 +228,7 @@ def test_flags_that_make_a_verdict_doubtful_are_told() -> None:
     notes = notes_in_words(all_of_them)
     assert len(notes) == 4
     page = story_page(all_of_them)
-    assert all(escaped(note) in page for note in notes)
+    assert all(escaped_html(note) in page for note in notes)
     printed = "\n".join(str(table) for table in story_tables(all_of_them))
     assert all(f"note: {note}" in printed for note in notes)
     assert notes_in_words(told(Flag.MOVING, verdict=Verdict.INVALID, reason=Reason.FAILED)) == []
@@ -235,7 +242,7 @@ def test_every_reason_has_words(reason: Reason) -> None:
     outcome = replace(story.outcome, verdict=verdict, reason=reason, culprit=-1, first_sign_s=np.nan)
     changed_story = replace(story, outcome=outcome)
     assert len(reason_in_words(changed_story)) > 10
-    assert escaped(reason_in_words(changed_story)) in story_page(changed_story)
+    assert escaped_html(reason_in_words(changed_story)) in story_page(changed_story)
 
 
 def test_times_of_placements() -> None:
@@ -247,7 +254,7 @@ def test_times_of_placements() -> None:
 
 def test_the_picture_shows_plan_and_carrier_and_what_lies_near() -> None:
     story = falling_story()
-    low, high = framed(story)
+    low, high = framed_corners(story)
     assert low == pytest.approx([0.0, 0.0, -0.144], abs=1e-3)
     assert high[0] == pytest.approx(story.history.pos[-1, FALLING, 0])
     assert story_info(story)["first"]["box"] == FALLING

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from statsmodels.stats.contingency_tables import mcnemar
 from statsmodels.stats.multitest import multipletests
 
-from petmjx.basics.errors import InputError
-from petmjx.results.paired import PairedCounts, holm, mcnemar_p, newcombe_interval
-from petmjx.results.shares import wilson_interval
+from petmjx.common.errors import InputError
+from petmjx.results.shares import PairedCounts, holm, mcnemar_p, newcombe_interval, wilson_interval
 
 counts = st.builds(PairedCounts, *[st.integers(0, 200)] * 4)
 

@@ -15,11 +15,11 @@ import pytest
 from support.outcomes import make_outcome, make_plan
 
 import petmjx
-from petmjx.basics.arrow_files import open_for_arrow, read_within
-from petmjx.basics.errors import InputError
+from petmjx.common.errors import InputError
+from petmjx.common.safe_read import open_for_arrow, read_within
 from petmjx.plans.articles import read_articles
-from petmjx.results.files import digest_of
-from petmjx.results.writer import RunWriter
+from petmjx.results.run_folder import digest_of
+from petmjx.results.run_writer import RunWriter
 
 MOST_MB = 300
 """Of Arrow's memory at any time. Read whole, each of these files takes 1 to 60 GB."""
@@ -63,8 +63,8 @@ import sys
 from pathlib import Path
 import pyarrow
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.loop.orders import Orders
+from petmjx.common.errors import InputError
+from petmjx.loop.order_sources import Orders
 from petmjx.plans.articles import read_articles
 for file in sorted(Path(sys.argv[1]).glob("*.parquet")):
     print("plans", petmjx.load_plans(file).skipped[0].message)

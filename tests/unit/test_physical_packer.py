@@ -18,22 +18,22 @@ from support.plan_files import order
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Simulation
-from petmjx.packing import physical as physical_module
-from petmjx.packing.finalists import Finalist, finalists
-from petmjx.packing.judged import Judged, choose, judging
-from petmjx.packing.options import PhysicalOptions
-from petmjx.packing.packed import FALLS, NO_PLACE, PackedOrder
-from petmjx.packing.physical import pack_physical
-from petmjx.packing.worlds import WorldsOfPlans
-from petmjx.plans.samples import beam as beam_module
-from petmjx.plans.samples.balanced import TASTES, pack_balanced
-from petmjx.plans.samples.beam import search
-from petmjx.plans.samples.orders import TARGET_EXTENT_MM, Item, Order, draw_order
-from petmjx.plans.samples.packing import Packing
-from petmjx.results.reader import RunResults
-from petmjx.verdict import Outcome, Reason, Verdict
+from petmjx.common.errors import InputError
+from petmjx.engines.verdict import Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.packers import beam_search as beam_module
+from petmjx.packers import physical_packer as physical_module
+from petmjx.packers.balanced_packer import TASTES, pack_balanced
+from petmjx.packers.beam_search import search
+from petmjx.packers.pack_candidates import Finalist, finalists
+from petmjx.packers.pack_evaluation import Evaluation, choose, order_evaluation
+from petmjx.packers.pack_options import PhysicalOptions
+from petmjx.packers.pack_worlds import WorldsOfPlans
+from petmjx.packers.packed_orders import FALLS, NO_PLACE, PackedOrder
+from petmjx.packers.packing_state import Packing
+from petmjx.packers.physical_packer import pack_physical
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order, draw_order
+from petmjx.results.run_reader import RunResults
 from petmjx.world.job import Job
 
 CLEARANCE_MM = 7.0
@@ -131,8 +131,8 @@ def finalist(utilisation: float, boxes: int = 2, clearance_mm: float = 3.0) -> F
     return Finalist(placed, clearance_mm, boxes * JAM.volume_m3, 200.0, utilisation)
 
 
-def judged(utilisation: float, standing: int, boxes: int = 2, verdict: Verdict = Verdict.STABLE) -> Judged:
-    return Judged(finalist(utilisation, boxes), make_plan("p", stack(boxes)), verdict, 16, standing)
+def judged(utilisation: float, standing: int, boxes: int = 2, verdict: Verdict = Verdict.STABLE) -> Evaluation:
+    return Evaluation(finalist(utilisation, boxes), make_plan("p", stack(boxes)), verdict, 16, standing)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def tried(
     """What is made of an order with these finalists, of which so many of 16 worlds stand, and which worlds are asked
     for: utilisation, variants."""
     how = OPTIONS.changed(**options)
-    asking, requests = judging("o", packings, how, spare), []
+    asking, requests = order_evaluation("o", packings, how, spare), []
     try:
         while True:
             for trial, variants in next(asking):

@@ -17,16 +17,16 @@ import pytest
 from support.pictures import falling_story, needs_pictures, standing_story
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.history import History
-from petmjx.pictures.camera import VIEWS, framing, view_of
-from petmjx.pictures.colours import FIRST, colouring
-from petmjx.pictures.draw import framed_points
-from petmjx.pictures.encoder import h264_encoder
-from petmjx.pictures.options import Colour
-from petmjx.pictures.overlay import Overlay
-from petmjx.pictures.poses import poses_of_frame
-from petmjx.story.tell import Story
+from petmjx.analysis.story import Story
+from petmjx.common.errors import InputError
+from petmjx.show.pictures.camera import VIEWS, framing, view_of
+from petmjx.show.pictures.colours import FIRST, colouring
+from petmjx.show.pictures.draw_story import framed_points
+from petmjx.show.pictures.overlay import Overlay
+from petmjx.show.pictures.picture_options import Colour
+from petmjx.show.pictures.story_poses import poses_of_frame
+from petmjx.show.pictures.video_encoder import h264_encoder
+from petmjx.world.history import History
 
 STORY = falling_story()
 
@@ -218,7 +218,7 @@ def test_pictures_are_drawn_in_any_thread_and_leave_the_environment_alone(
 def test_512_boxes_with_arrows_fit_into_a_picture(tmp_path: Path) -> None:
     from support.pictures import cube_plan
 
-    from petmjx.options.config import Simulation
+    from petmjx.options.simulation import Simulation
     from petmjx.world.scene import build_scene
 
     places = [(200.0 * (i % 8), 200.0 * (i // 8 % 8), 200.0 * (i // 64)) for i in range(512)]
@@ -255,7 +255,7 @@ def test_files_that_cannot_be_written(file: str, message: str) -> None:
 @pytest.mark.usefixtures("in_tmp_path")
 def test_a_file_is_there_whole_or_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
     Path("x.html").write_text("before", encoding="utf-8")
-    monkeypatch.setattr("petmjx.pages.story_page.story_page", lambda story: 1 / 0)
+    monkeypatch.setattr("petmjx.show.pages.story_page.story_page", lambda story: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         petmjx.draw(STORY, "x.html")
     assert [path.name for path in Path().iterdir()] == ["x.html"]
@@ -267,13 +267,13 @@ def test_no_opengl_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(InputError, match="MUJOCO_GL=vulkan: pictures are drawn with one of egl, osmesa, glfw"):
         petmjx.draw(STORY, tmp_path / "x.png")
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    monkeypatch.setattr("petmjx.pictures.offscreen.importlib.import_module", lambda name: 1 / 0)
+    monkeypatch.setattr("petmjx.show.pictures.offscreen.importlib.import_module", lambda name: 1 / 0)
     with pytest.raises(InputError, match=r"no OpenGL that draws without a display \(osmesa: ZeroDivisionError"):
         petmjx.draw(STORY, tmp_path / "x.png")
 
 
 def test_a_missing_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.pictures.save.importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("petmjx.show.pictures.picture_files.importlib.util.find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"needs rerun, not installed: pip install 'petmjx\[rerun\]'"):
         petmjx.draw(STORY, tmp_path / "x.rrd")
     with pytest.raises(InputError, match=r"needs PIL, matplotlib, OpenGL, not installed: pip install 'petmjx\[show\]'"):

@@ -12,17 +12,16 @@ import pytest
 from support.plans import make_plan, make_scene
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Simulation
+from petmjx.common.errors import InputError
 from petmjx.options.placing import Placing, Way
-from petmjx.plans.write import save_plans
-from petmjx.sweeps.confidence import confidence_sweep
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.world.apply import apply
-from petmjx.world.placing import course_of
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan_writer import save_plans
+from petmjx.runs.confidence import confidence_sweep
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.world.approach_paths import approach_path_of
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant
+from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply
 
 BOXES = [((300.0, 300.0, 300.0), (0.0, 0.0, 0.0), 6.0), ((300.0, 300.0, 300.0), (300.0, 0.0, 0.0), 6.0)]
 SD_2 = Distribution(DistributionShape.NORMAL, 0.0, 2.0)
@@ -35,7 +34,7 @@ def varied(sim: Simulation, **changes: Any) -> Scene:
 @pytest.mark.parametrize("error", ["x_mm", "yaw_deg", "size_mm"])
 def test_worlds_with_errors_are_placed_by_hand_unless_told_otherwise(error: str) -> None:
     sim = Simulation()
-    assert course_of(make_scene(BOXES, sim), sim) is None
+    assert approach_path_of(make_scene(BOXES, sim), sim) is None
     assert varied(sim, **{error: SD_2}).placing.name is Way.HAND
     assert varied(sim, mass_rel=Distribution(DistributionShape.NORMAL, 0.0, 0.02)).placing.appears
     assert varied(Simulation(placing="exact"), **{error: SD_2}).placing.name is Way.EXACT
@@ -45,7 +44,7 @@ def test_worlds_with_errors_are_placed_by_hand_unless_told_otherwise(error: str)
 @pytest.mark.parametrize("options", [{"schedule": "fixed"}, {"check": "static"}, {"physics": "reference"}])
 def test_nobody_is_carried_where_nobody_waits(options: dict[str, Any]) -> None:
     sim = Simulation(**options)
-    assert course_of(varied(sim, x_mm=SD_2), sim) is None
+    assert approach_path_of(varied(sim, x_mm=SD_2), sim) is None
 
 
 @pytest.mark.parametrize(
@@ -89,7 +88,7 @@ def test_a_plan_says_from_where_its_boxes_come(tmp_path: Path) -> None:
         save_plans(plan, tmp_path / name)
         (read,) = petmjx.load_plans(tmp_path / name).plans
         np.testing.assert_array_equal(read.approach_deg, [np.nan, 90.0])
-        course = course_of(build_scene(read, sim), sim)
+        course = approach_path_of(build_scene(read, sim), sim)
         assert course is not None
         np.testing.assert_allclose(course.offset * 1000, [[0, 0, 5], [0, -5, 5]], atol=1e-9)
     plain = petmjx.Plan.from_boxes("p", size_mm=size, corner_mm=corner, mass_kg=[6, 6])
@@ -130,7 +129,7 @@ def test_a_run_goes_on_only_with_the_same_approaches(tmp_path: Path) -> None:
 def test_tines_tilt_a_box_by_half_of_the_threshold_at_most() -> None:
     """How a box was let go must not be taken for a sign: 28 mm wide it would lie at 21°."""
     sim = Simulation(placing="tines")
-    course = course_of(make_scene([((28.0, 300.0, 20.0), (0.0, 0.0, 0.0), 0.5)], sim), sim)
+    course = approach_path_of(make_scene([((28.0, 300.0, 20.0), (0.0, 0.0, 0.0), 0.5)], sim), sim)
     assert course is not None
     tilt_deg = 2 * np.degrees(np.arccos(abs(course.quat[0, 0])))
     assert tilt_deg == pytest.approx(sim.thresholds.tilt_deg / 2)

@@ -14,9 +14,8 @@ pytest.importorskip("shapely")
 
 from test_criteria import LEANING, beam, box, random_stack
 
-from petmjx.statics.contacts import PlanContacts, find_contacts, find_sides
-from petmjx.statics.hulls import contact_hulls
-from petmjx.statics.loads import even_bedding, lever_rule
+from petmjx.analysis.load_paths import even_bedding, lever_rule
+from petmjx.analysis.plan_contacts import PlanContacts, contact_hulls, find_contacts, find_sides
 
 
 @pytest.mark.parametrize("sharing", [lever_rule, even_bedding])

@@ -9,8 +9,8 @@ import pytest
 from support.command_line import write
 from support.plan_files import placement, tower
 
-from petmjx.plans.read import load_plans
-from petmjx.plans.warnings import DEFAULT_TOLERANCE_MM, check_layout
+from petmjx.plans.plan_reader import load_plans
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, check_layout
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

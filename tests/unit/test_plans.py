@@ -14,7 +14,7 @@ import pytest
 from support.command_line import write
 from support.plan_files import placement, tower
 
-from petmjx.plans.read import load_plans
+from petmjx.plans.plan_reader import load_plans
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

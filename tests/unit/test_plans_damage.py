@@ -15,11 +15,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from support.plan_files import placement
 
-from petmjx.basics.errors import InputError
-from petmjx.plans.foreign import foreign_kind
+from petmjx.common.errors import InputError
+from petmjx.plans.file_formats import foreign_kind
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.read import load_plans
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")  # boxes at random places look like anything
 

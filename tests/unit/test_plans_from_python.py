@@ -13,8 +13,8 @@ from test_tables import frame_of, ids, messages
 
 import petmjx
 from petmjx.plans.plan import Plan
-from petmjx.plans.read import load_plans
-from petmjx.results.manifest import plan_digest
+from petmjx.plans.plan_reader import load_plans
+from petmjx.results.run_manifest import plan_digest
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

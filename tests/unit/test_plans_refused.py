@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from support.command_line import write
 from support.plan_files import placement, tower
 
-from petmjx.basics.errors import InputError
-from petmjx.plans.read import DEFAULT_MAX_BOXES, load_plans
-from petmjx.plans.validate import PlanError, find_fault, parse_plan
+from petmjx.common.errors import InputError
+from petmjx.plans.plan_reader import DEFAULT_MAX_BOXES, load_plans
+from petmjx.plans.plan_validation import PlanError, find_fault, parse_plan
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from support.command_line import only_line
 
-from petmjx.basics.machine import own_environment
-from petmjx.plans.samples.parallel import AsTheyCome
+from petmjx.common.machine import own_environment
+from petmjx.common.parallel_map import UnorderedResults
 
 _SCRIPT = """
-from petmjx.plans.samples.parallel import in_order
+from petmjx.common.parallel_map import in_order
 
 if __name__ == "__main__":
     for value in in_order(abs, range(-9, 10**9), workers=2, alone=1, chunk=1):
@@ -48,7 +48,7 @@ def test_the_command_ends_when_plans_cannot_be_written() -> None:
 
 
 def test_results_are_taken_as_they_come() -> None:
-    with AsTheyCome(told, range(30), workers=2) as coming:
+    with UnorderedResults(told, range(30), workers=2) as coming:
         results = dict(coming.take(waits=True))
         assert results
         assert not coming.ended
@@ -57,7 +57,7 @@ def test_results_are_taken_as_they_come() -> None:
         assert coming.ended
     niceness = os.nice(0)
     assert results == {number: ("", niceness + 5, number**2) for number in range(30)}
-    with AsTheyCome(told, range(2), workers=1) as coming:
+    with UnorderedResults(told, range(2), workers=1) as coming:
         assert coming.alone
         assert coming.take(waits=False) == []
         assert not coming.ended
@@ -72,7 +72,7 @@ def test_what_tasks_raise_is_raised() -> None:
         raise ValueError("the second task")
 
     def take_all(workers: int) -> None:
-        with AsTheyCome(abs, tasks(), workers) as coming:
+        with UnorderedResults(abs, tasks(), workers) as coming:
             while coming.take(waits=True):
                 pass
 
@@ -88,6 +88,6 @@ def told(number: int) -> tuple[str | None, int, int]:
 
 def test_who_interrupts_a_search_does_not_wait_for_its_tasks() -> None:
     begin = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), AsTheyCome(time.sleep, [100.0] * 4, 2):
+    with pytest.raises(KeyboardInterrupt), UnorderedResults(time.sleep, [100.0] * 4, 2):
         raise KeyboardInterrupt
     assert time.monotonic() - begin < 50

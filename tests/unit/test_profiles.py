@@ -11,18 +11,17 @@ import pyarrow.parquet
 import pytest
 from support.plans import make_plan
 
-from petmjx.basics.errors import InputError
-from petmjx.basics.units import STANDARD_GRAVITY
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.world.profiles.acceleration import Tilt
-from petmjx.world.profiles.base import Profile, Strength
-from petmjx.world.profiles.files import read_psd, read_windows
-from petmjx.world.profiles.registry import BUILT_IN, FAMILIES, resolve
-from petmjx.world.profiles.tables import define_profiles
-from petmjx.world.profiles.vibration import RandomVibration, psd_integral, psd_rms_g
-from petmjx.world.profiles.windows import JOLTS, RADIAL, RADIAL_CHAIN, SINE, Window, WindowProfile, chain
-from petmjx.world.random import WorldKey
+from petmjx.common.errors import InputError
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.world.profiles.accelerations import RandomVibration, Tilt, psd_integral, psd_rms_g
+from petmjx.world.profiles.force_windows import JOLTS, RADIAL, RADIAL_CHAIN, SINE, Window, WindowProfile, chain
+from petmjx.world.profiles.profile import Profile, Strength
+from petmjx.world.profiles.profile_files import read_psd, read_windows
+from petmjx.world.profiles.profile_registry import BUILT_IN, FAMILIES, resolve
+from petmjx.world.profiles.profile_tables import define_profiles
+from petmjx.world.random_streams import WorldKey
 
 DT = 0.002
 FIRST_DRAWS = [0.08556518956524295, 0.26279225484417856, 0.4202946722471652]

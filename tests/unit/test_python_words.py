@@ -15,10 +15,10 @@ from support.outcomes import make_plan
 from support.plans import stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.basics.option_names import option, typed_options
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.notebook import ScriptLines
+from petmjx.common.checked_records import option, typed_options
+from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.runs.notebook_progress import ScriptLines
 
 CALLS = {
     "score": (lambda at: petmjx.score(make_plan(), engine="mujoco", out=at / "run"), "out, or pass overwrite=True"),

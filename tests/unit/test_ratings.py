@@ -19,16 +19,16 @@ from support.plan_files import order_for, placement
 from support.runs import relisted
 
 import petmjx
-from petmjx.basics.errors import InputError, PlanWarning
-from petmjx.options.carrier import Carrier
-from petmjx.packers.kpis import compare_with_orders
-from petmjx.packers.load import plans_of
-from petmjx.packers.rating import ratings
-from petmjx.pages.leaderboard import entries
-from petmjx.pages.leaderboard.replays import Replay, Sample
+from petmjx.analysis.packer_kpis import compare_with_orders
+from petmjx.analysis.packer_rating import ratings
+from petmjx.analysis.packer_runs import plans_of
+from petmjx.common.errors import InputError, PlanWarning
+from petmjx.options.carriers import Carrier
+from petmjx.plans.order_generator import Item, Order
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples.orders import Item, Order
-from petmjx.results.plans_again import PlansAgain
+from petmjx.results.plan_lookup import PlanLookup
+from petmjx.show.leaderboard import entries
+from petmjx.show.leaderboard.entry_replays import Replay, Sample
 
 pytest.importorskip("scipy")
 
@@ -280,9 +280,9 @@ def test_a_run_that_says_more_boxes_than_its_plans_have_is_not_rated(made: Path,
 def test_a_run_whose_plans_are_gone_is_not_rated(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     find = entries.find_plans
 
-    def of_honest(info: Any, records: Any, plan_ids: Any, *more: Any) -> PlansAgain:
+    def of_honest(info: Any, records: Any, plan_ids: Any, *more: Any) -> PlanLookup:
         gone = any("falling" in record.source for record in records.values())
-        return PlansAgain({}, tuple(plan_ids), (), ()) if gone else find(info, records, plan_ids, *more)
+        return PlanLookup({}, tuple(plan_ids), (), ()) if gone else find(info, records, plan_ids, *more)
 
     monkeypatch.setattr(entries, "find_plans", of_honest)
     with pytest.warns(PlanWarning, match="falling is not rated: its plans were not found again"):
@@ -386,10 +386,12 @@ def test_which_replays_contradict_a_run(exact: bool, firm: int, near: int, same:
 
 
 def test_what_is_near_a_threshold() -> None:
-    def near(verdict: str, margin: float, flags: petmjx.verdict.Flag = petmjx.verdict.Flag.NONE) -> bool:
+    def near(
+        verdict: str, margin: float, flags: petmjx.engines.verdict.Flag = petmjx.engines.verdict.Flag.NONE
+    ) -> bool:
         return Replay.from_row("p", "stable", verdict, "", margin, int(flags)).near
 
-    flag = petmjx.verdict.Flag
+    flag = petmjx.engines.verdict.Flag
     assert not near("unstable", -1.0)
     assert not near("unstable", -1.0, flag.EARLY_STOP | flag.FORKED)
     assert near("unstable", -0.05)

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from petmjx.basics.errors import InputError
-from petmjx.sweeps import ready as readymade
-from petmjx.sweeps.ready import find_sweep, ready_sweeps
+from petmjx.common.errors import InputError
+from petmjx.runs import sweep_file as readymade
+from petmjx.runs.sweep_file import find_sweep, ready_sweeps
 
 
 def test_every_sweep_of_the_checkout_is_ready_made(repository: Path) -> None:

@@ -109,7 +109,7 @@ def test_an_engine_by_name(copy: Copy) -> None:
     (copy.folder / "petmjx/engines/centre_rule.py").write_text(program, encoding="utf-8")
     copy.follow(engine)
     printed = copy.printed_by(
-        f"{STACK}from petmjx.engines.doctor import examine\n"
+        f"{STACK}from petmjx.show.doctor_report import examine\n"
         "run = petmjx.score(plan, engine='centre-rule')\n"
         "print(run.worlds[['engine', 'verdict']].iloc[0].tolist())\n"
         "print([report.works for report in examine().engines if report.name == 'centre-rule'])\n"
@@ -160,8 +160,8 @@ def test_a_property_of_boxes(copy: Copy) -> None:
         """
 import numpy as np
 import petmjx
-from petmjx.results.manifest import plan_digest
-from petmjx.world.model import build_spec
+from petmjx.results.run_manifest import plan_digest
+from petmjx.world.mujoco_model import build_spec
 from petmjx.world.scene import build_scenes
 boxes = dict(size_mm=[(400, 300, 200)] * 2, corner_mm=[(0, 0, 0), (0, 0, 200)], mass_kg=[5.0] * 2)
 plan = petmjx.Plan.from_boxes("stack", **boxes, friction=[0.3, None])
@@ -194,7 +194,7 @@ def test_a_reason(copy: Copy) -> None:
     overloaded = f"""{STACK}
 run = petmjx.score(plan, engine='mujoco', thresholds={{'load_n': 60}}, out='out', overwrite=True)
 petmjx.report('out', 'report.html', overwrite=True)
-from petmjx.story.words import reason_in_words
+from petmjx.analysis.story import reason_in_words
 print(run.worlds.reason[0], reason_in_words(petmjx.tell('stack', run)), petmjx.load_run('out').info['counts'])
 """
     decided, known = copy.blocks("A reason of your own", "diff")

@@ -17,22 +17,21 @@ import pytest
 from support.reported import CONFIG, fallen, invalid, scored, standing, write_plans, write_run
 from test_pages import opened_block
 
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Simulation
-from petmjx.pages.columns import block
-from petmjx.pages.report import rows
-from petmjx.pages.report.about import _options, differing
-from petmjx.pages.report.boxes import WORLDS_PER_BLOCK, box_blocks
-from petmjx.pages.report.compared import common_verdicts, compared
-from petmjx.pages.report.make import report, report_page
-from petmjx.pages.report.rows import table_rows
-from petmjx.pages.report.runs import Kind, names_apart, open_runs
-from petmjx.pages.report.swept import explained, largest_survived
-from petmjx.pages.report.verdicts import verdict_table
+from petmjx.common.errors import InputError
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.results.paired import PairedCounts, newcombe_interval
-from petmjx.results.reader import load_run
-from petmjx.results.shares import wilson_interval
+from petmjx.results.run_reader import load_run
+from petmjx.results.shares import PairedCounts, newcombe_interval, wilson_interval
+from petmjx.show.pages.page_arrays import block
+from petmjx.show.report import plan_rows
+from petmjx.show.report.box_blocks import WORLDS_PER_BLOCK, box_blocks
+from petmjx.show.report.plan_rows import table_rows
+from petmjx.show.report.report_page import report, report_page
+from petmjx.show.report.report_runs import Kind, distinct_path_ends, open_runs
+from petmjx.show.report.run_comparison import common_verdicts, comparison_section
+from petmjx.show.report.run_settings import _options, changed_options
+from petmjx.show.report.sweep_answers import correlation_ratio, largest_survived
+from petmjx.show.report.verdict_shares import verdict_table
 
 NASTY = "<img src=x onerror=alert(1)>\"'&</script><!-- 🧀 é"
 """An id that is markup, if somebody forgets to escape it."""
@@ -210,7 +209,7 @@ def test_options_that_differ_are_told() -> None:
     changed = Simulation.read({"check": "static", "thresholds": {"tilt_deg": 5.0}}).model_dump(mode="json")
     assert "world_timeout_s</code> 0.5 instead of none" in _options({"simulation": defaults, "world_timeout_s": 0.5})
     assert _options({"simulation": defaults, "world_timeout_s": None}) == "all at their defaults"
-    assert dict(differing(changed, defaults)) == {
+    assert dict(changed_options(changed, defaults)) == {
         "check": "static instead of one-by-one",
         "thresholds.tilt_deg": "5.0 instead of 20.0",
     }
@@ -228,7 +227,7 @@ def test_plans_won_and_lost_are_counted(tmp_path: Path) -> None:
     one, two = of("one", "sssffi"), of("two", "ssffsf")
     runs = open_runs([one, two])
     assert common_verdicts(runs)[0].tolist() == ["stable"] * 3 + ["unstable"] * 2 + ["invalid"]
-    text = words_of(compared(runs))
+    text = words_of(comparison_section(runs))
     for words in ("2 stand in both", "1 stand only in one", "1 stand only in two", "1 stand in neither"):
         assert words in text
     assert "two − one +0.0" in text, "as many won as lost"
@@ -236,14 +235,14 @@ def test_plans_won_and_lost_are_counted(tmp_path: Path) -> None:
     assert f"{100 * low:+.1f} to {100 * high:+.1f}".replace("-", "−") in text
     assert "Flipped verdicts (3)" in text
     assert "3 of 6 worlds agree (50.0 %)" in text
-    assert "Stable rates" in compared(open_runs([one, two, of("three", "ffffff")]))
+    assert "Stable rates" in comparison_section(open_runs([one, two, of("three", "ffffff")]))
 
 
 def test_a_report_of_two_packers_does_not_doubt_itself(tmp_path: Path) -> None:
     few, many = (write_plans(tmp_path / f"{n}.json", "ab", n) for n in (3, 6))
 
     def page_against(name: str, plans: list[Plan]) -> str:
-        return compared(open_runs([one, write_run(tmp_path / name, plans, [fallen(plan) for plan in plans])]))
+        return comparison_section(open_runs([one, write_run(tmp_path / name, plans, [fallen(plan) for plan in plans])]))
 
     one = write_run(tmp_path / "one", few, [fallen(plan) for plan in few])
     for name, other, words in (
@@ -260,8 +259,8 @@ def test_a_report_of_two_packers_does_not_doubt_itself(tmp_path: Path) -> None:
 
 
 def test_runs_are_told_apart(run: Path) -> None:
-    assert names_apart([Path("/x/a"), Path("/x/b")]) == ["a", "b"]
-    assert names_apart([Path("/x/a/r"), Path("/x/b/r"), Path("/x/b/q")]) == ["a/r", "b/r", "b/q"]
+    assert distinct_path_ends([Path("/x/a"), Path("/x/b")]) == ["a", "b"]
+    assert distinct_path_ends([Path("/x/a/r"), Path("/x/b/r"), Path("/x/b/q")]) == ["a/r", "b/r", "b/q"]
     with pytest.raises(InputError, match="named twice"):
         open_runs([run, run / ".." / "run"])
     with pytest.raises(InputError, match="no run to report on"):
@@ -297,9 +296,9 @@ def test_largest_levels_are_below_every_failure() -> None:
 
 def test_explained_variance_is_that_of_one_way_analysis() -> None:
     values = pd.Series([0.0, 0.0, 1.0, 1.0, 1.0, 0.0])
-    assert explained(values, pd.Series(list("aabbba"))) == pytest.approx(1.0)
-    assert explained(values, pd.Series(list("ababab"))) == pytest.approx(1 / 9)  # means 2/3 and 1/3 about 1/2
-    assert math.isnan(explained(pd.Series([1.0, 1.0]), pd.Series(["a", "b"])))
+    assert correlation_ratio(values, pd.Series(list("aabbba"))) == pytest.approx(1.0)
+    assert correlation_ratio(values, pd.Series(list("ababab"))) == pytest.approx(1 / 9)  # means 2/3 and 1/3 about 1/2
+    assert math.isnan(correlation_ratio(pd.Series([1.0, 1.0]), pd.Series(["a", "b"])))
 
 
 SHORT = '[simulation]\ncheck = "static"\nduration_s = 0.1\nrest_s = 0.05\n'
@@ -329,7 +328,7 @@ def test_grids_have_their_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert keys.index("x-level_g") < keys.index("verdict") < keys.index("x-mode")
     shares = worlds.assign(stands=worlds["verdict"] == "stable").groupby("level_g")["stands"].mean()
     assert f"<title>0.2: {100 * shares[0.2]:.1f} %, 95 %:" in body
-    monkeypatch.setattr(rows, "MOST_OF_SWEEP", 11)
+    monkeypatch.setattr(plan_rows, "MOST_OF_SWEEP", 11)
     html = page_of(folder)
     assert "has 12 worlds, too many for a table. It has one row a plan" in checked(html)
     page_rows, table = table_rows([opened])

@@ -13,8 +13,8 @@ import pytest
 from support.browser import Opened, OpenPage
 from support.reported import fallen, invalid, scored, standing, write_plans, write_run
 
-from petmjx.pages.report.make import report_page
-from petmjx.pages.report.runs import open_runs
+from petmjx.show.report.report_page import report_page
+from petmjx.show.report.report_runs import open_runs
 
 MARKUP = "<img src=x onerror=alert(1)>"
 READY = "document.documentElement.dataset.ready === 'true'"

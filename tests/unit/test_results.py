@@ -15,14 +15,14 @@ import pytest
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.runs import edit_info
 
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Schedule
+from petmjx.common.errors import InputError
+from petmjx.engines.verdict import Attempt, Flag, Reason, Verdict
+from petmjx.options.simulation import Schedule
 from petmjx.plans.plan_set import Skipped
-from petmjx.results.plain import plain
-from petmjx.results.reader import load_run
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_table
-from petmjx.results.writer import RunWriter
-from petmjx.verdict import Attempt, Flag, Reason, Verdict
+from petmjx.results.to_json import to_json
 
 SPEC_WORLDS = (
     "plan_id variant engine solver attempt schedule n_boxes n_placed verdict reason culprit margin "
@@ -144,7 +144,7 @@ def test_the_repr_is_a_line(tmp_path: Path) -> None:
 def test_anything_becomes_plain_json() -> None:
     frame = pd.DataFrame({"n": pd.array([1, None], "Int64"), "x": [np.inf, 0.5]})
     value = {Verdict.STABLE: (np.float32(0.5), np.arange(2), Path("a")), 1: [np.nan, None, True, pd.NA], "f": frame}
-    assert plain(value) == {
+    assert to_json(value) == {
         "stable": [0.5, [0, 1], "a"],
         "1": [None, None, True, None],
         "f": [{"n": 1, "x": None}, {"n": None, "x": 0.5}],

@@ -21,18 +21,18 @@ from support.plans import make_plan, stack
 from support.runs import edit_info, leave_unfinished, relisted
 
 import petmjx
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.world import WorldRun
-from petmjx.options.config import Simulation
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.world_run import WorldRun
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Outcome
 from petmjx.options.run_options import RunOptions
-from petmjx.results.files import write_table
-from petmjx.results.manifest import Manifest, records_of
-from petmjx.results.reader import load_run
+from petmjx.options.simulation import Simulation
+from petmjx.results.run_folder import write_table
+from petmjx.results.run_manifest import Manifest, records_of
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import schemas
-from petmjx.results.writer import RunWriter
-from petmjx.sweeps.batching import Batching
-from petmjx.verdict import Outcome
+from petmjx.runs.sweep_run import Batching
 from petmjx.world.job import Job
 
 SAMPLE = """

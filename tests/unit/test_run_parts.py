@@ -20,14 +20,14 @@ from support.outcomes import make_outcome, make_plan
 from support.waiting import wait_for
 from test_results import part_files, write_run
 
-from petmjx.basics.errors import InputError, PetmjxError
-from petmjx.results import files, info, parts, tables
-from petmjx.results.by_place import ByPlace, Places
-from petmjx.results.parts import Gathering, Part, Row
-from petmjx.results.reader import load_run
+from petmjx.common.errors import InputError, PetmjxError
+from petmjx.results import part_buffer, run_folder, run_info, table_files
+from petmjx.results.part_buffer import Part, PartBuffer, Row
+from petmjx.results.part_order import DestinationBuffer, Places
 from petmjx.results.run_file import write_run_file
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import schemas
-from petmjx.results.writer import RunWriter
 
 
 def worlds_on_disk(folder: Path) -> int:
@@ -41,18 +41,18 @@ class Holding:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.let_go = threading.Event()
-        write = files.pq.write_table
+        write = run_folder.pq.write_table
 
         def late(*args: Any, **options: Any) -> None:
             assert self.let_go.wait(20)
             write(*args, **options)
 
-        monkeypatch.setattr(files.pq, "write_table", late)
+        monkeypatch.setattr(run_folder.pq, "write_table", late)
 
 
 def full_once(monkeypatch: pytest.MonkeyPatch, after_s: float = 0.0) -> Iterator[int]:
     """Let the first table that is written meet a full disk; counts the tables."""
-    real, calls = files.pq.write_table, itertools.count()
+    real, calls = run_folder.pq.write_table, itertools.count()
 
     def write_table(*args: Any, **options: Any) -> None:
         if next(calls) == 0:
@@ -60,7 +60,7 @@ def full_once(monkeypatch: pytest.MonkeyPatch, after_s: float = 0.0) -> Iterator
             raise OSError(28, "No space left on device")
         real(*args, **options)
 
-    monkeypatch.setattr(files.pq, "write_table", write_table)
+    monkeypatch.setattr(run_folder.pq, "write_table", write_table)
     return calls
 
 
@@ -95,7 +95,7 @@ def test_worlds_are_gathered_while_a_part_is_written(tmp_path: Path, monkeypatch
 
 
 def test_a_part_lands_though_no_world_follows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parts, "LANDING_S", 0.05)
+    monkeypatch.setattr(part_buffer, "LANDING_S", 0.05)
     with RunWriter(tmp_path, {}, worlds_per_part=2, seconds_per_part=0.2) as run:
         for number in range(2):
             run.add(make_plan(str(number)), 0, "fixed", make_outcome())
@@ -105,13 +105,13 @@ def test_a_part_lands_though_no_world_follows(tmp_path: Path, monkeypatch: pytes
 def test_a_part_is_written_after_a_while_though_no_world_follows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    add = Gathering.add
+    add = PartBuffer.add
 
     def late(*args: Any) -> None:
         time.sleep(0.3)
         add(*args)
 
-    monkeypatch.setattr(Gathering, "add", late)
+    monkeypatch.setattr(PartBuffer, "add", late)
     with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
         for number in range(2):
             run.add(make_plan(str(number)), 0, "fixed", make_outcome())
@@ -125,7 +125,7 @@ def test_run_json_says_finished_when_all_worlds_are_on_disk(tmp_path: Path, monk
         statuses.append((entries["status"], entries["counts"]["worlds"]))
         write_run_file(entries, folder)
 
-    monkeypatch.setattr(info, "write_run_file", noted)
+    monkeypatch.setattr(run_info, "write_run_file", noted)
     write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
     assert statuses == [("running", 0), ("running", 2), ("running", 3), ("finished", 3)]
 
@@ -153,7 +153,7 @@ def test_ctrl_c_while_a_part_is_written_neither_loses_nor_doubles_worlds(
             calls += 1
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(files.os, "replace", interrupted_replace)
+    monkeypatch.setattr(run_folder.os, "replace", interrupted_replace)
     with pytest.raises(KeyboardInterrupt):
         write_and_flush(tmp_path)
     assert_has_whole(tmp_path, 2)
@@ -200,7 +200,7 @@ def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
 def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, ids in (("one", "ab"), ("two", "cd")):
         write_run(tmp_path / name, ids=tuple(ids))
-    copy = tables.copy_file
+    copy = table_files.copy_file
 
     def cut_short(file: Path, place: Path) -> str:
         if file.is_relative_to(tmp_path / "two/boxes"):
@@ -212,7 +212,7 @@ def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkey
             for name in ("one", "two"):
                 run.adopt(load_run(tmp_path / name).parts)
 
-    monkeypatch.setattr(tables, "copy_file", cut_short)
+    monkeypatch.setattr(table_files, "copy_file", cut_short)
     with pytest.raises(KeyboardInterrupt):
         merge()
     merged = load_run(tmp_path / "merged")
@@ -243,7 +243,7 @@ def test_a_part_written_beside_lands_soon_though_others_are_gathered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its worlds do not wait as long as those of the next part may."""
-    monkeypatch.setattr(parts, "LANDING_S", 0.05)
+    monkeypatch.setattr(part_buffer, "LANDING_S", 0.05)
     holding = Holding(monkeypatch)
     with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
         for number in range(3):
@@ -262,7 +262,7 @@ def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, m
         write_run_file(entries, folder)
 
     with RunWriter(tmp_path, {}, seconds_per_part=0.05) as run:
-        monkeypatch.setattr(info, "write_run_file", failing)
+        monkeypatch.setattr(run_info, "write_run_file", failing)
         run.add(make_plan(), 0, "fixed", make_outcome())
         wait_for(lambda: worlds_on_disk(tmp_path) == 1)
     assert not failures
@@ -274,8 +274,8 @@ def test_what_waits_is_due_a_minute_after_it_came(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
     plans = [make_plan(str(number)) for number in range(4)]
     rows = [Row.of(plan, 0, "fixed", make_outcome(), (), {}) for plan in plans]
-    places = ByPlace(Places([plan.plan_id for plan in plans], 1, 0, per_part=2), schemas())
-    gathering = Gathering()
+    places = DestinationBuffer(Places([plan.plan_id for plan in plans], 1, 0, per_part=2), schemas())
+    gathering = PartBuffer()
     assert places.due_s(60.0) is gathering.due_s(60.0) is None
     places.add(rows[0])
     gathering.add(rows[0])
@@ -334,7 +334,7 @@ CRASH = """
 import os, sys
 sys.path.insert(0, sys.argv[2])
 from support.outcomes import make_outcome, make_plan
-from petmjx.results.writer import RunWriter
+from petmjx.results.run_writer import RunWriter
 real = os.replace
 def replace(source, target):
     if str(target).endswith("worlds/part-00001.parquet"):
@@ -388,7 +388,7 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def full(*_: Any, **__: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(files.pq, "write_table", full)
+    monkeypatch.setattr(run_folder.pq, "write_table", full)
     with pytest.raises(PetmjxError, match="cannot write results: No space left"):
         write_run(tmp_path)
     assert load_run(tmp_path).info["status"] == "failed"

@@ -13,22 +13,14 @@ import pytest
 from support.command_line import run, write
 from support.plan_files import order
 
-from petmjx.basics.errors import InputError
-from petmjx.plans.read import load_plans
-from petmjx.plans.samples import (
-    LOOSE_SUPPORT,
-    LeftOut,
-    bundled_path,
-    generate,
-    generate_one,
-    pack_orders,
-    write_plans,
-    write_samples,
-)
-from petmjx.plans.samples.bundled import bundled_plans
-from petmjx.plans.samples.handmade import CARTON, HANDMADE
-from petmjx.plans.samples.orders import MAX_BOXES, MIN_BOXES, TARGET_EXTENT_MM, catalogue, draw_order
-from petmjx.plans.samples.packer import MAX_HEIGHT_MM, PackRules, in_hull_of_rectangles
+from petmjx.common.errors import InputError
+from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PackRules, in_hull_of_rectangles
+from petmjx.packers.bundled_plans import CARTON, HANDMADE, bundled_plans
+from petmjx.packers.sample_plans import LOOSE_SUPPORT, LeftOutItems, generate, generate_one, pack_orders, write_samples
+from petmjx.plans.bundled import bundled_path
+from petmjx.plans.json_writer import write_plans
+from petmjx.plans.order_generator import MAX_BOXES, MIN_BOXES, TARGET_EXTENT_MM, catalogue, draw_order
+from petmjx.plans.plan_reader import load_plans
 
 N = 100
 SEED = 7
@@ -327,10 +319,10 @@ def test_boxes_that_find_no_place_are_named(tmp_path: Path) -> None:
     """Items are told by their numbers in the order, and an order of which nothing fits makes no plan."""
     orders = {"fits": order(), "some": order(4, **{"height/mm": 2500}), "none": order(2, **{"length/mm": 1300})}
     orders["none"]["item_sequence"]["1"]["length/mm"] = 1300
-    left_out: list[LeftOut] = []
+    left_out: list[LeftOutItems] = []
     packed = dict(pack_orders(write(tmp_path / "orders.json", orders), on_left_out=left_out.append))
     assert {plan_id: len(plan) for plan_id, plan in packed.items()} == {"fits": 3, "some": 3}
-    assert left_out == [LeftOut("some", 4, (2,)), LeftOut("none", 2, (1, 2))]
+    assert left_out == [LeftOutItems("some", 4, (2,)), LeftOutItems("none", 2, (1, 2))]
     assert [str(leftover) for leftover in left_out] == [
         "order some: 1 of 4 boxes is left out: item 2",
         "order none: 2 of 2 boxes are left out: items 1, 2",
@@ -345,7 +337,7 @@ def test_a_missing_orders_file_is_one_line(tmp_path: Path) -> None:
 def test_real_orders_are_packed(real_data: Path) -> None:
     path = real_data / "5_bed-bpp.json"
     ordered = {order_id: len(record["item_sequence"]) for order_id, record in json.loads(path.read_text()).items()}
-    left_out: list[LeftOut] = []
+    left_out: list[LeftOutItems] = []
     packed = dict(pack_orders(path, on_left_out=left_out.append))
     assert list(packed) == list(ordered)
     missing = {leftover.order_id: len(leftover.numbers) for leftover in left_out}

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from support.plans import heap, make_plan, make_scene, stack
 
-from petmjx.engines.batch import scene_rows
-from petmjx.engines.batch.scene_rows import rows_of
-from petmjx.options.config import Simulation
-from petmjx.world.alike import AT_A_TIME, groups
-from petmjx.world.apply import apply_all
+from petmjx.engines.mjx import scene_rows
+from petmjx.engines.mjx.scene_rows import rows_of
+from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant
+from petmjx.world.stackable_scenes import AT_A_TIME, stackable_groups
+from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
 
 ERROR = Distribution(DistributionShape.NORMAL, 0.0, 3.0)
 SHARE = Distribution(DistributionShape.NORMAL, 0.0, 0.05)
@@ -54,7 +53,7 @@ def test_worlds_that_are_alike_are_filled_in_together(
     with monkeypatch.context() as patch:
         patch.setattr(scene_rows, "MANY", len(scenes))
         in_threads = rows_of(scenes, 28, sim, 1, spare=3)
-    monkeypatch.setattr(scene_rows, "groups", one_by_one)
+    monkeypatch.setattr(scene_rows, "stackable_groups", one_by_one)
     apart = rows_of(scenes, 28, sim, 1)
     assert together.keys() == apart.keys() == in_threads.keys()
     for name, values in apart.items():
@@ -82,7 +81,7 @@ def test_rows_of_the_first_scenes_may_be_made_before(carrier: str) -> None:
 def test_groups_have_each_scene_once_and_only_those_alike() -> None:
     sim = Simulation()
     scenes = [*with_errors(sim, AT_A_TIME + 5, 7), make_scene(stack(3), sim), make_scene(stack(3), sim)]
-    scene_groups = list(groups(scenes))
+    scene_groups = list(stackable_groups(scenes))
     assert sorted(number for numbers, _ in scene_groups for number in numbers) == [*range(len(scenes))]
     assert sorted(len(numbers) for numbers, _ in scene_groups) == [2, 5, AT_A_TIME]
     assert all(len({scenes[number].n_boxes for number in numbers}) == 1 for numbers, _ in scene_groups)

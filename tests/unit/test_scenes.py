@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from support.plans import make_plan
 
-from petmjx.options.config import Simulation
+from petmjx.options.simulation import Simulation
+from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.plan import Plan
-from petmjx.plans.samples import generate_one
-from petmjx.plans.validate import parse_plan
+from petmjx.plans.plan_validation import parse_plan
 from petmjx.world import scene as scenes
-from petmjx.world.body import Body
+from petmjx.world.body_shapes import Body
 from petmjx.world.scene import Scene, build_scene
 
 

@@ -16,7 +16,7 @@ import pytest
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
+from petmjx.common.errors import InputError
 
 REPOSITORY = Path(__file__).parents[2]
 PLANS = [

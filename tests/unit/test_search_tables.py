@@ -9,16 +9,16 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from petmjx.pages.report.charts import histogram
-from petmjx.pages.report.svg import Frame, Scale
-from petmjx.show.layout import FittedTable, print_each
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.transport_limits import hopeless_profiles
+from petmjx.show.report.charts import histogram
+from petmjx.show.report.svg_charts import Frame, Scale
 from petmjx.show.sweep_tables import answers_table, levels_table
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.sliding import hopeless_profiles
+from petmjx.show.table_layout import FittedTable, print_renderables
 
 
 def printed(table: FittedTable, capsys: pytest.CaptureFixture[str]) -> str:
-    print_each([table], Console(width=120))
+    print_renderables([table], Console(width=120))
     return capsys.readouterr().out
 
 

@@ -15,18 +15,18 @@ import pytest
 from jaxtyping import AbstractArray, TypeCheckError, jaxtyped
 from support.fake_stepper import FakeEngine, FakeStepper, fake_scene, run_all
 
-import petmjx.engines.batch
-from petmjx.engines.batch.lockstep import CHUNK_STEPS, Lockstep
-from petmjx.engines.batch.outcomes import started_states
-from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, Metrics, State, fresh_state, narrow, per_box, put_resized, take_rows
-from petmjx.engines.batch.template import parked_positions
-from petmjx.engines.batch.timetable import Timetable, build_timetable
-from petmjx.engines.batch.worlds import Worlds, upload_worlds
-from petmjx.metrics import motion_jax as motion
-from petmjx.options.config import Simulation
+import petmjx.engines.mjx
+from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx.model_template import parked_positions
+from petmjx.engines.mjx.outcomes import started_states
+from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.timetable import Timetable, build_timetable
+from petmjx.engines.mjx.world_constants import Worlds, upload_worlds
+from petmjx.engines.mjx.world_state import NEVER, Metrics, State, fresh_state, narrow, per_box, put_resized, take_rows
+from petmjx.options.simulation import Simulation
+from petmjx.world.friction_pairs import MOST_SURFACES
 from petmjx.world.job import Job
-from petmjx.world.pairs import MOST_SURFACES
 
 ROWS, WIDTH = 8, 5
 SIM = Simulation()
@@ -128,7 +128,7 @@ def test_states_that_start_from_a_kept_one_are_as_annotated(table: State) -> Non
 @pytest.mark.parametrize("driven", [False, True])
 def test_a_chunk_of_steps_is_as_annotated(worlds: Worlds, table: State, driven: bool) -> None:
     model = FakeStepper(WIDTH, held=driven)
-    lockstep = Lockstep(Rules(SIM, build_timetable(SIM, WIDTH), WIDTH, driven=driven), model)
+    lockstep = BatchRollout(Rules(SIM, build_timetable(SIM, WIDTH), WIDTH, driven=driven), model)
     after, forces, trail = jax.jit(lockstep.chunk)(table, model.no_forces(ROWS), worlds, jnp.zeros((1, 1, 3)))
     assert axis_sizes(after) == {"world": ROWS, "box": WIDTH}
     assert axis_sizes(trail) == {"step": CHUNK_STEPS, "world": ROWS, "box": WIDTH}
@@ -187,8 +187,8 @@ def annotated_axes(path: Path) -> set[str]:
 
 
 def test_axes_have_the_names_that_are_listed(repository: Path) -> None:
-    listed = set(re.findall(r"``(\w+)``", petmjx.engines.batch.__doc__ or ""))
-    folders = ("petmjx/engines/batch", "petmjx/metrics", "petmjx/engines/warp")
+    listed = set(re.findall(r"``(\w+)``", petmjx.engines.mjx.__doc__ or ""))
+    folders = ("petmjx/engines/mjx", "petmjx/metrics", "petmjx/engines/warp")
     modules = [path for folder in folders for path in sorted((repository / folder).glob("*.py"))]
     used = {name: path.name for path in modules for name in annotated_axes(path)}
     assert {"world", "box"} <= used.keys()

@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 from support.outcomes import make_boxes, make_outcome
 
-from petmjx.metrics.spec import BoxMetrics
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.results.shares import ALL_PLANS, KEYS, ONE_PLAN, share_standing, wilson_interval
-from petmjx.sweeps.eumos import eumos_assessment
-from petmjx.sweeps.search import Bisection, Probe, failure_mode
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.runs.level_search import Bisection, Probe, failure_mode
+from petmjx.runs.transport_limits import eumos_assessment
 
 
 def moved(pos: np.ndarray, max_sway_m: list[float], dropped: bool = False) -> BoxMetrics:

@@ -15,19 +15,19 @@ from rich.console import Console, RenderableType
 from support.outcomes import dropped_outcome, make_outcome, make_plan
 from support.stories import standing_story
 
-from petmjx.basics.pace import MARK_S, Pace
-from petmjx.basics.text import counted, printable, three_digits, time_left
+from petmjx.analysis.run_comparison import compare_runs
+from petmjx.common.text import count_text, printable, three_digits, time_left
+from petmjx.common.throughput import MARK_S, Throughput
+from petmjx.engines.verdict import Outcome
 from petmjx.plans.plan_set import Skipped
-from petmjx.results.compare import compare_runs
-from petmjx.results.reader import load_run
-from petmjx.results.writer import RunWriter
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
 from petmjx.show.compare_tables import comparison_tables
-from petmjx.show.layout import FittedTable, TableColumn, number, percent, print_each
 from petmjx.show.progress import ProgressLines, progress
-from petmjx.show.story import story_tables
+from petmjx.show.run_tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
+from petmjx.show.story_text import story_tables
 from petmjx.show.sweep_tables import FEW_ROWS, MAX_VALUES, sweep_tables
-from petmjx.show.tables import SHOWN_SKIPPED, notes, run_tables, search_table, summary_table, worlds_table
-from petmjx.verdict import Outcome
+from petmjx.show.table_layout import FittedTable, TableColumn, number, percent, print_renderables
 
 LONG = "x" * 80 + "end"
 CHINESE = "纸箱托盘计划" * 8
@@ -37,7 +37,7 @@ def lines_of(renderables: RenderableType | Sequence[RenderableType], width: int 
     """What is printed on a terminal of so many columns, without spaces at the end of lines."""
     file = io.StringIO()
     several = [*renderables] if isinstance(renderables, list) else [renderables]
-    print_each(several, Console(file=file, width=width))
+    print_renderables(several, Console(file=file, width=width))
     return [line.rstrip() for line in file.getvalue().splitlines()]
 
 
@@ -100,7 +100,7 @@ def test_values_in_cells() -> None:
     assert number(0.02, ".1f", " mm", 1000.0) == "20.0 mm"
     assert [number(value, sign=True) for value in (4.0, -4.0)] == ["+4", "-4"]
     assert percent(0.1234) == "12.3 %"
-    assert [counted(n, "world") for n in (0, 1, 1000)] == ["0 worlds", "1 world", "1,000 worlds"]
+    assert [count_text(n, "world") for n in (0, 1, 1000)] == ["0 worlds", "1 world", "1,000 worlds"]
     assert [time_left(seconds) for seconds in (0.2, 59.4, 105, 7500)] == ["0 s", "59 s", "1 min 45 s", "2 h 5 min"]
 
 
@@ -345,7 +345,7 @@ def test_what_is_no_terminal_gets_lines() -> None:
 
 def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> None:
     now, left = 0.0, []
-    pace = Pace(1000, "world", lambda: now)
+    pace = Throughput(1000, "world", lambda: now)
     for now, done in (  # noqa: B007  # the clock reads it
         (1.0, 0), (10.0, 500), (20.0, 996), (23.0, 998), (24.0, 998), (40.0, 998), (40.5, 999),
     ):  # fmt: skip
@@ -357,12 +357,12 @@ def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> No
     pace.update(1000)
     now = 60.0
     assert pace.words == ["1,000 of 1,000 worlds", "24.7 worlds/s"]
-    assert not Pace(None, "world").left
+    assert not Throughput(None, "world").left
 
 
 def test_of_a_million_worlds_few_moments_are_kept() -> None:
     now = 0.0
-    pace = Pace(1_000_000, "world", lambda: now)
+    pace = Throughput(1_000_000, "world", lambda: now)
     for done in range(1, 10_001):
         now = done / 4000
         pace.update(done)

@@ -9,9 +9,9 @@ import pytest
 
 import petmjx
 from petmjx.cli.main import app
-from petmjx.options.config import Quiet, Simulation, Thresholds
 from petmjx.options.physics import Physics
 from petmjx.options.run_options import Confidence, RunOptions
+from petmjx.options.simulation import Quiet, Simulation, Thresholds
 from tools import reference
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -68,9 +68,9 @@ def test_links_lead_to_pages_or_to_the_repository() -> None:
     assert link("[it](docs/sweeps.md)", "CHANGELOG.md", "CHANGELOG.md") == "[it](sweeps.md)"
     assert link("[a](../loads.md)", "docs/tutorials/see.md", "tutorials/see.md") == "[a](../loads.md)"
     assert link("[b](../benchmarks/README.md)", "docs/rules.md", "rules.md") == "[b](benchmarks/README.md)"
-    away = link("[c](../petmjx/basics/units.py) [d](results)", "benchmarks/README.md", "benchmarks/README.md")
+    away = link("[c](../petmjx/common/units.py) [d](results)", "benchmarks/README.md", "benchmarks/README.md")
     assert (
         away
-        == "[c](https://repository/blob/HEAD/petmjx/basics/units.py) [d](https://repository/tree/HEAD/benchmarks/results)"
+        == "[c](https://repository/blob/HEAD/petmjx/common/units.py) [d](https://repository/tree/HEAD/benchmarks/results)"
     )
     assert hooks.outside_code("`[e](x)` [f](y)", str.upper) == "`[e](x)` [F](Y)"

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from petmjx.engines import speed
-from petmjx.engines.choose import Choice
-from petmjx.engines.cost import MEASURED, Work
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.resolve import resolve_engine
-from petmjx.options.config import Simulation
+from petmjx.engines import machine_speed
+from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.engine_choice import Choice
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.run_engine import resolve_engine
+from petmjx.engines.verdict import Verdict
 from petmjx.options.run_options import RunOptions
-from petmjx.verdict import Verdict
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
@@ -29,26 +29,28 @@ def test_times_of_cpus_grow_with_the_factor_and_those_of_gpus_do_not() -> None:
 
 
 def test_only_runs_of_some_seconds_are_worth_a_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(speed, "slowness", lambda: 2.5)
-    assert speed.costs_here(SHORT, 1) is MEASURED
-    assert speed.costs_here(LONG, 1) == MEASURED.slowed(2.5)
+    monkeypatch.setattr(machine_speed, "slowness", lambda: 2.5)
+    assert machine_speed.costs_here(SHORT, 1) is MEASURED
+    assert machine_speed.costs_here(LONG, 1) == MEASURED.slowed(2.5)
     _, choice = resolve_engine(RunOptions(engine="mujoco", threads=1), LONG)
     assert choice == Choice("mujoco", "as asked for", MEASURED.slowed(2.5).seconds(LONG, 1)["mujoco"])
 
 
-@pytest.mark.parametrize(("seconds", "factor"), [(1.0, 2.0), (100.0, speed.SLOWEST), (0.0, speed.FASTEST)])
+@pytest.mark.parametrize(
+    ("seconds", "factor"), [(1.0, 2.0), (100.0, machine_speed.SLOWEST), (0.0, machine_speed.FASTEST)]
+)
 def test_the_fastest_round_counts_within_bounds(seconds: float, factor: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    rounds = iter([seconds * speed.REFERENCE_S * 2.0, seconds * speed.REFERENCE_S * 3.0])
-    monkeypatch.setattr(speed, "block_s", lambda: next(rounds))
-    speed.slowness.cache_clear()
+    rounds = iter([seconds * machine_speed.REFERENCE_S * 2.0, seconds * machine_speed.REFERENCE_S * 3.0])
+    monkeypatch.setattr(machine_speed, "block_s", lambda: next(rounds))
+    machine_speed.slowness.cache_clear()
     try:
-        assert speed.slowness() == pytest.approx(factor)
+        assert machine_speed.slowness() == pytest.approx(factor)
     finally:
-        speed.slowness.cache_clear()
+        machine_speed.slowness.cache_clear()
 
 
 def test_the_block_stands() -> None:
     """So its steps are those of pallets at rest, and it takes as many on any machine."""
-    (outcome,) = MujocoEngine(1).run([Job(build_scene(speed.block(), SIM))], SIM)
-    assert (outcome.verdict, outcome.n_boxes) == (Verdict.STABLE, speed.SIDE**2 * speed.LAYERS)
-    assert speed.block_s() > 0.0
+    (outcome,) = MujocoEngine(1).run([Job(build_scene(machine_speed.block(), SIM))], SIM)
+    assert (outcome.verdict, outcome.n_boxes) == (Verdict.STABLE, machine_speed.SIDE**2 * machine_speed.LAYERS)
+    assert machine_speed.block_s() > 0.0

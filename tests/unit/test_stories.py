@@ -15,10 +15,10 @@ from support.plans import make_plan, stack
 from support.runs import edit_info, keep_nothing, relisted
 
 import petmjx
-from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
-from petmjx.engines.cpu.engine import MujocoEngine
+from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Verdict
 from petmjx.plans.plan import Plan
-from petmjx.verdict import Verdict
 
 SWEEP = """
 nominal = true
@@ -105,7 +105,7 @@ def test_another_engine_takes_the_place_of_one_that_cannot_run(
     run = petmjx.score(plan_file, engine="mujoco", out=tmp_path / "run")
     edit_info(run.path, lambda info: info["config"].update(engine="mjx-warp"))
 
-    from petmjx.story import tell as module
+    from petmjx.analysis import story as module
 
     def make_engine(name: str, **options: Any) -> MujocoEngine:
         if name == "mjx-warp":

@@ -12,7 +12,7 @@ from support.browser import OpenPage
 from support.stories import END_S, FALLING, SIGN_S, falling_story, standing_story
 from support.story_view import changed, drag_time_to, now, number_of, on_canvas, opened_story, seen, text
 
-from petmjx.story.tell import Story
+from petmjx.analysis.story import Story
 
 
 def test_play_moves_the_boxes_to_the_end(open_page: OpenPage) -> None:

@@ -13,10 +13,10 @@ from support.stories import FALLING, falling_story, shaken_story, standing_story
 from support.story_view import changed, drag_time_to, number_of, on_canvas, opened_story, seen, text
 
 import petmjx
-from petmjx.pages.columns import block, quantised, whole
-from petmjx.pages.modules import joined_modules
-from petmjx.pages.palette import OKABE_ITO, rgb_of
-from petmjx.pages.story_page import story_page
+from petmjx.show.pages.page_arrays import block, integer_column, quantised_column
+from petmjx.show.pages.page_scripts import joined_modules
+from petmjx.show.pages.palette import OKABE_ITO, rgb_of
+from petmjx.show.pages.story_page import story_page
 
 
 def test_the_page_loads_without_errors_and_requests_and_shows_the_boxes(open_page: OpenPage) -> None:
@@ -179,7 +179,9 @@ def test_blocks_are_read_as_they_were_written(open_page: OpenPage) -> None:
     walk[:10, 1] = np.nan
     numbers = rng.integers(-30_000, 30_000, (40, 2))
     exact = rng.normal(size=7)
-    text_of_block = block({"walk": quantised(walk, True), "numbers": whole(numbers, True), "exact": exact})
+    text_of_block = block(
+        {"walk": quantised_column(walk, True), "numbers": integer_column(numbers, True), "exact": exact}
+    )
     script = joined_modules("blocks.js") + "window.reading = blocks_js.readBlock('all');"
     opened = open_page(
         f'<script type="application/octet-stream" id="block-all">{text_of_block}</script>'

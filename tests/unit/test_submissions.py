@@ -12,8 +12,8 @@ from support.command_line import run, write
 from support.plan_files import order_for, placement, tower
 
 import petmjx
-from petmjx.plans.samples.order_files import read_orders
-from petmjx.rating.submission import parse_name
+from petmjx.analysis.kpi_submission import parse_name
+from petmjx.plans.order_reader import read_orders
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

@@ -10,12 +10,10 @@ import pytest
 from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 
 import petmjx
-from petmjx.sweeps.batching import Batching
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import PlacementGroup, SweepPlan
-from petmjx.sweeps.run import SweepRun
-from petmjx.sweeps.swept import Settled
-from petmjx.verdict import Flag
+from petmjx.engines.verdict import Flag
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.sweep_run import Batching, SettledPlacement, SweepRun
+from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 
 
 def test_drives_start_from_their_own_placement_in_the_order_of_plans(tmp_path: Path) -> None:
@@ -39,7 +37,7 @@ def test_a_placement_that_is_not_driven_is_told_while_others_are_placed(tmp_path
     run = SweepRun(SweepPlan(sweep, plans), Recorder(1))
     settling, placed = run._settling, list[str]()
 
-    def watched(groups: Sequence[PlacementGroup]) -> Iterator[Settled]:
+    def watched(groups: Sequence[PlacementGroup]) -> Iterator[SettledPlacement]:
         yield from settling(groups)
         placed.append("all")
 

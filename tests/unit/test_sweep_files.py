@@ -10,14 +10,14 @@ from support.command_line import write
 from support.plans import make_plan
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.options.config import Check, Schedule
+from petmjx.common.errors import InputError
 from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Check, Schedule
 from petmjx.plans.plan import Plan
-from petmjx.study import MAX_WORLDS
-from petmjx.sweeps.file import MIN_TOLERANCE, Search, Sweep, load_sweep
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.study import SweepStudy
+from petmjx.runs.study import MAX_WORLDS
+from petmjx.runs.sweep_file import MIN_TOLERANCE, Search, Sweep, load_sweep
+from petmjx.runs.sweep_study import SweepStudy
+from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.variants import DistributionShape, Variant
 
 SWEEPS = Path(__file__).parents[2] / "sweeps"

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from support.command_line import write
 
-from petmjx.basics.errors import InputError
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
+from petmjx.common.errors import InputError
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.sweep_worlds import SweepPlan
 
 # What stands under [axes] → what is said of it.
 AXES = {

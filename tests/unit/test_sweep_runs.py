@@ -16,15 +16,14 @@ from support.plans import make_plan, make_scene, stack
 from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 
 import petmjx
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.cpu.running import OracleMetrics
-from petmjx.options.config import Simulation, Thresholds
-from petmjx.sweeps.batching import Batching
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.grid import SweepPlan
-from petmjx.sweeps.run import SweepRun
-from petmjx.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.running_metrics import OracleMetrics
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.sweep_run import Batching, SweepRun
+from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.world.job import Job
 
 SOONEST, LATEST = 200 + 115, 200 + 250

@@ -19,9 +19,9 @@ from support.plan_files import tower
 
 import petmjx
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.read import load_plans
-from petmjx.results.manifest import plan_digest
+from petmjx.results.run_manifest import plan_digest
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 

@@ -7,9 +7,9 @@ import itertools
 import numpy as np
 import pytest
 
-from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.clock import Clock
-from petmjx.options.config import Check, Simulation
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.step_clock import Clock
+from petmjx.options.simulation import Check, Simulation
 
 DT = 0.002
 BOXES = 6

@@ -10,16 +10,18 @@ from support.command_line import write
 from support.plans import make_plan, make_scene, stack
 
 import petmjx
-from petmjx.basics.errors import InputError
-from petmjx.sweeps.file import load_sweep
-from petmjx.sweeps.sliding import hopeless_profiles
-from petmjx.world.apply import MIN_FRICTION_FRACTION, MIN_MASS_FRACTION, apply
+from petmjx.common.errors import InputError
+from petmjx.runs.sweep_file import load_sweep
+from petmjx.runs.transport_limits import hopeless_profiles
 from petmjx.world.scene import Scene
 from petmjx.world.variants import (
+    MIN_FRICTION_FRACTION,
+    MIN_MASS_FRACTION,
     Distribution,
     DistributionShape,
     PlacementChange,
     Variant,
+    apply,
 )
 
 SCENE = make_scene(12)

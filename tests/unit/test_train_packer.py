@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from petmjx.plans.samples.online.learned import Policy, published
-from petmjx.plans.samples.online.stability import NAMES
+from petmjx.packers.learned_packer import Policy, published_policy
+from petmjx.packers.placement_stability import NAMES
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "train_packer"
 
@@ -113,22 +113,22 @@ def test_what_is_played_is_what_is_counted() -> None:
     """Outcomes are those of the packings, and gradients those of their numbers."""
     import rollouts
 
-    from petmjx.plans.samples.online.learned import pack_learned
-    from petmjx.plans.samples.orders import TARGET_EXTENT_MM, draw_order
+    from petmjx.packers.learned_packer import pack_learned
+    from petmjx.plans.order_generator import TARGET_EXTENT_MM, draw_order
 
     order = draw_order(rollouts.VALIDATION, 0)
     length, width = TARGET_EXTENT_MM[order.target]
     placed = pack_learned(order.items, (length, width), 5)
     top = max(box.corner_mm[2] + box.item.height_mm for box in placed)
     volume = sum(box.item.volume_m3 for box in placed) * 1e9
-    measures = rollouts.validated(0, published(), 5)
+    measures = rollouts.validated(0, published_policy(), 5)
     assert measures.utilisation == pytest.approx(volume / (length * width * top))
     assert measures.left_out == pytest.approx(1 - volume / 1e9 / sum(item.volume_m3 for item in order.items))
-    linear = published().taste.linear
+    linear = published_policy().taste.linear
     candidates = np.array([linear, -linear])
-    same, other = rollouts.outcomes((0, 0, 0), published(), candidates)
+    same, other = rollouts.outcomes((0, 0, 0), published_policy(), candidates)
     order, sequence, look_ahead = rollouts.drawn(0, 0, 0)
-    assert same == rollouts.outcome(published(), order, sequence, look_ahead)
+    assert same == rollouts.outcome(published_policy(), order, sequence, look_ahead)
     assert other.worth < same.worth
 
 

@@ -9,7 +9,7 @@ from support.outcomes import make_plan
 
 import petmjx
 from petmjx.cli import main
-from petmjx.plans.write import save_plans
+from petmjx.plans.plan_writer import save_plans
 
 
 @pytest.fixture(autouse=True)

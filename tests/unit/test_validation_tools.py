@@ -13,9 +13,9 @@ from benchmarks.__main__ import main
 from benchmarks.balance import BALANCED, left_over
 from benchmarks.drift import VARIANTS, Window, cause, describe, drift_table
 from benchmarks.sensitivity import CHANGES, sensitivity
-from petmjx.options.config import Simulation
 from petmjx.options.physics import PHYSICS
-from petmjx.plans.samples import bundled_path
+from petmjx.options.simulation import Simulation
+from petmjx.plans.bundled import bundled_path
 
 SHORT = Window(0.2, 0.6)
 

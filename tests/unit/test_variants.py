@@ -7,11 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from petmjx.options.config import Simulation
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.world.apply import apply, apply_all
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import UNCHANGED, Distribution, DistributionShape, DriveSpec, PlacementChange, Variant
+from petmjx.world.variants import (
+    UNCHANGED,
+    Distribution,
+    DistributionShape,
+    DriveSpec,
+    PlacementChange,
+    Variant,
+    apply,
+    apply_all,
+)
 
 NORMAL_5 = Distribution(DistributionShape.NORMAL, 0.0, 5.0)
 
@@ -216,7 +224,7 @@ def test_placement_key_separates_placements_and_merges_drives() -> None:
 
 
 def test_many_worlds_are_made_together_as_each_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("petmjx.world.apply.AT_A_TIME", 3)
+    monkeypatch.setattr("petmjx.world.variants.AT_A_TIME", 3)
     scene = stack()
     changes = (
         PlacementChange(x_mm=NORMAL_5, yaw_deg=NORMAL_5, size_mm=NORMAL_5),

@@ -19,18 +19,18 @@ from support.fake_stepper import fake_scene
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 
 import petmjx
-from petmjx.basics.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.base import Progress
-from petmjx.engines.cpu.engine import MujocoEngine
-from petmjx.engines.workers import cluster as cluster_module
-from petmjx.engines.workers import pool as pool_module
-from petmjx.engines.workers.actor import Recipe
-from petmjx.engines.workers.cluster import Cluster
-from petmjx.engines.workers.places import Place
-from petmjx.engines.workers.pool import WorkerPool
-from petmjx.options.config import Simulation
-from petmjx.verdict import Reason
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
+from petmjx.engines.remote import ray_cluster as cluster_module
+from petmjx.engines.remote import worker_pool as pool_module
+from petmjx.engines.remote.ray_actor import Recipe
+from petmjx.engines.remote.ray_cluster import Cluster
+from petmjx.engines.remote.worker_pool import WorkerPool
+from petmjx.engines.remote.worker_resources import Place
+from petmjx.engines.verdict import Reason
+from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 try:
@@ -55,7 +55,7 @@ def cluster() -> Iterator[None]:
     """One cluster of two CPUs for all tests, whatever this machine has; starting it leaves no trace."""
     before = process_state()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("petmjx.engines.workers.cluster.cpu_threads", lambda: 2)
+        patch.setattr("petmjx.engines.remote.ray_cluster.cpu_threads", lambda: 2)
         cluster = Cluster()
     assert process_state() == before
     yield

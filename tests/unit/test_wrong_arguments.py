@@ -16,11 +16,11 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
-from petmjx.basics.errors import PetmjxError
-from petmjx.options.config import Simulation
+from petmjx.common.errors import PetmjxError
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.samples import generate, write_samples
-from petmjx.plans.write import save_plans
+from petmjx.options.simulation import Simulation
+from petmjx.packers.sample_plans import generate, write_samples
+from petmjx.plans.plan_writer import save_plans
 
 pytestmark = [
     pytest.mark.usefixtures("in_tmp_path"),

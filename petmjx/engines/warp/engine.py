@@ -10,33 +10,31 @@ from itertools import takewhile
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.basics.errors import EngineUnavailable
-from petmjx.basics.machine import why_no_warp
-from petmjx.basics.units import FloatArray
-from petmjx.basics.warp_setup import set_up_warp
-from petmjx.engines.base import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock, says_at_hand
-from petmjx.engines.batch.picked import pick, prepare_pick
-from petmjx.engines.batch.setup import set_up_jax
-from petmjx.engines.batch.state import Status
-from petmjx.engines.batch.upload import GRANULE, is_out_of_memory, load, tables
-from petmjx.engines.open import MOST_BOXES
-from petmjx.engines.warp.ahead import Ahead
-from petmjx.engines.warp.course import Begun, Course
-from petmjx.engines.warp.fleets import Fleets
-from petmjx.engines.warp.frames import hand_over, pick_frames
+from petmjx.common.errors import EngineUnavailable
+from petmjx.common.machine import why_no_warp
+from petmjx.common.units import FloatArray
+from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load, tables
+from petmjx.engines.mjx.jax_setup import set_up_jax
+from petmjx.engines.mjx.readback import prepare_readback, read_back
+from petmjx.engines.mjx.world_state import Status
+from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.protocol import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock, says_at_hand
+from petmjx.engines.verdict import Flag, Outcome
+from petmjx.engines.warp.block_launch import Launch
+from petmjx.engines.warp.block_pool import BlockPools
+from petmjx.engines.warp.block_queues import Queues
+from petmjx.engines.warp.frame_buffers import hand_over, pick_frames
 from petmjx.engines.warp.free_bodies import paths
-from petmjx.engines.warp.group import Group, Run
-from petmjx.engines.warp.groups import Groups
-from petmjx.engines.warp.handover import Left
-from petmjx.engines.warp.launch import Launch
-from petmjx.engines.warp.march import Fleet
-from petmjx.engines.warp.needs import size_of
+from petmjx.engines.warp.group_jobs import Groups
+from petmjx.engines.warp.group_schedule import GroupHandover, GroupSequence, GroupStart, RowPrefetcher
+from petmjx.engines.warp.kernel_features import size_of
+from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.open_worlds import WarpWorlds
-from petmjx.engines.warp.queues import Queues
-from petmjx.engines.warp.rollout import Rollout
-from petmjx.engines.warp.rounds import Round, outcomes_of
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Outcome
+from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
+from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.warp.world_groups import Group, Run
+from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -66,13 +64,14 @@ MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
 
 
-def _halved(fleet: Fleet) -> Fleet:
+def _half_pool(fleet: BlockPool) -> BlockPool:
     """The same with half as many blocks, but never fewer than the useful minimum."""
     return replace(fleet, blocks=min(fleet.blocks, max(fleet.blocks // 2, MIN_BLOCKS)))
 
 
 class MjxWarpEngine(Engine):
-    """Worlds on Warp's kernels, each at its own pace, in a thread block of its own (petmjx/engines/warp/march.py).
+    """Worlds on Warp's kernels, each at its own pace, in a thread block of its own
+    (petmjx/engines/warp/kernel_launcher.py).
 
     With Newton's method only: C MuJoCo simulates what needs another one (petmjx/engines/attempts.py).
 
@@ -111,7 +110,7 @@ class MjxWarpEngine(Engine):
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
         """The last rollout for each kind of launches, and what it depends on."""
-        self._fleets = Fleets(lanes, self._blocks)
+        self._fleets = BlockPools(lanes, self._blocks)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
         """As in the protocol."""
@@ -140,13 +139,13 @@ class MjxWarpEngine(Engine):
         with self._running:
             yield from self._outcomes(self._course(jobs, sim, progress or Progress()))
 
-    def _course(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Course:
+    def _course(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> GroupSequence:
         most_left = 0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE
         alone = len(jobs) == 1 and not isinstance(jobs, GrowingJobs | JobsInParts)
         groups = Groups.of(jobs, self.group_size, READY_SHARE * most_left, self.granule)
-        return Course(groups, sim, progress, most_left, alone)
+        return GroupSequence(groups, sim, progress, most_left, alone)
 
-    def _outcomes(self, course: Course) -> Iterator[Outcome]:
+    def _outcomes(self, course: GroupSequence) -> Iterator[Outcome]:
         """Outcomes of all jobs of a course."""
         with closing(course):
             while course.groups:
@@ -164,12 +163,12 @@ class MjxWarpEngine(Engine):
                 self._drop()
                 yield from self._again(course)  # not before the error is gone: its traceback holds the tables
 
-    def _again(self, course: Course) -> Iterator[Outcome]:
+    def _again(self, course: GroupSequence) -> Iterator[Outcome]:
         """Memory ran out, and the states of all worlds are lost with it: those without an outcome once more, one size
         or half of them at a time. A world that has been alone is given up."""
         lost, sim, progress = course.lose(), course.sim, course.progress
         if course.alone and lost:
-            begun = Begun(course.next_run(), [*lost.values()], [*lost])
+            begun = GroupStart(course.next_run(), [*lost.values()], [*lost])
             yield from outcomes_of(self._march(begun, course, waits=True, simulate=False), sim, progress, waits=True)
             return
         numbers = np.array([*lost], int)
@@ -188,13 +187,13 @@ class MjxWarpEngine(Engine):
         """Slices under way while the tables of the next group are made."""
         return max(LOADING_NS // max(self.slice_ns, GPU_SLICE_NS), UNDER_WAY)
 
-    def _rounds(self, course: Course) -> Generator[Round]:
+    def _rounds(self, course: GroupSequence) -> Generator[SliceResult]:
         """Of one group after the other, up to one that waits for the host while these do not, or the reverse."""
         waits = course.waits_for_host
         while course.groups and course.waits_for_host == waits:
             yield from self._march(course.begin(), course, waits=waits)
 
-    def _load_group(self, run: Run, jobs: list[Job], most: int = 0, ahead: Ahead | None = None) -> Group:
+    def _load_group(self, run: Run, jobs: list[Job], most: int = 0, ahead: RowPrefetcher | None = None) -> Group:
         """The tables of a group.
 
         Args:
@@ -205,7 +204,9 @@ class MjxWarpEngine(Engine):
         ready = ahead.take(jobs, width) if ahead is not None else None
         return Group(**vars(load(jobs, rows, width, run.sim, run.timetable, ready)), run=run)
 
-    def _march(self, begun: Begun, course: Course, *, waits: bool, simulate: bool = True) -> Generator[Round]:
+    def _march(
+        self, begun: GroupStart, course: GroupSequence, *, waits: bool, simulate: bool = True
+    ) -> Generator[SliceResult]:
         """Slices of time until all worlds of a group have ended. While the device works on one, the host makes outcomes
         of the worlds that have ended, and from these more jobs may follow. Where none can, and no world is recorded,
         the next slice is under way already.
@@ -220,13 +221,13 @@ class MjxWarpEngine(Engine):
         begun = begun._replace(left=None)  # its table is not needed any more
         rollout = self._rollout(group) if simulate else None
         at_once = 1 if waits else UNDER_WAY
-        leaving: Left | None = None
+        leaving: GroupHandover | None = None
         try:
             if rollout is None:
                 group.give_up(np.arange(len(jobs)), Flag.OUT_OF_MEMORY)
             else:
                 rollout.keep_under_way(at_once, group, queues.order)
-                prepare_pick(group.table, group.worlds, sim)
+                prepare_readback(group.table, group.worlds, sim)
             while not emitted[: len(jobs)].all():
                 frames = None
                 if rollout is None:
@@ -240,7 +241,7 @@ class MjxWarpEngine(Engine):
                     status = group.status()
                 ended = np.flatnonzero(group.handed_on(status) & ~emitted[: len(jobs)])
                 emitted[ended] = True
-                picked = pick(ended, group.table, group.worlds, sim)
+                picked = read_back(ended, group.table, group.worlds, sim)
                 if rollout is not None:
                     self._take(group, numbers, queues, course)
                     if not emitted[: len(jobs)].all():
@@ -249,7 +250,7 @@ class MjxWarpEngine(Engine):
                         rollout.finish(group)  # no world runs in what is under way
                 if frames is not None:
                     hand_over(frames, group.recorder)
-                yield Round(picked, group.recorder, jobs, numbers)
+                yield SliceResult(picked, group.recorder, jobs, numbers)
                 if rollout is not None and emitted[: len(jobs)].all() and self._take(group, numbers, queues, course):
                     rollout.keep_under_way(at_once, group, queues.order)
                 if rollout is None or not group.recorder.idle:
@@ -268,7 +269,7 @@ class MjxWarpEngine(Engine):
             self._drop()  # the memory of a call that did not come back is gone
             raise
 
-    def _begin(self, begun: Begun, course: Course) -> tuple[Group, Queues, NDArray[np.bool_]]:
+    def _begin(self, begun: GroupStart, course: GroupSequence) -> tuple[Group, Queues, NDArray[np.bool_]]:
         """The tables of a group, its queues, and which of its rows have given their outcomes, where the group before
         had them."""
         run, jobs, _, left = begun
@@ -284,7 +285,7 @@ class MjxWarpEngine(Engine):
             group.table = left.put_into(group.table, n_own)
         return group, queues, emitted
 
-    def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: Course) -> tuple[Group, Queues]:
+    def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: GroupSequence) -> tuple[Group, Queues]:
         """The tables of a group, with so many rows at least, and its queues. The last ``n_left`` jobs come first: they
         may go on for long."""
         run = replace(run, needs=run.needs.of_sizes(jobs))
@@ -295,14 +296,16 @@ class MjxWarpEngine(Engine):
         queues.add(jobs[:n_own], 0, run.sim)
         return group, queues
 
-    def _leaving(self, course: Course, begun: Begun, rest: NDArray[np.int64], rows: int) -> Left:
+    def _leaving(self, course: GroupSequence, begun: GroupStart, rest: NDArray[np.int64], rows: int) -> GroupHandover:
         """What a group will leave to the one that follows, with the tables of that.
 
         Args:
             rest: rows of the worlds that have not ended.
             rows: of the group's tables. Those of the next one have as many, for which programs are compiled.
         """
-        left = Left([begun.jobs[row] for row in rest.tolist()], [begun.numbers[row] for row in rest.tolist()], rest)
+        left = GroupHandover(
+            [begun.jobs[row] for row in rest.tolist()], [begun.numbers[row] for row in rest.tolist()], rest
+        )
         try:
             together = [*course.groups.following(), *left.jobs]
             left.ready = self._load(course.next_run(), together, len(rest), rows, course)
@@ -311,7 +314,7 @@ class MjxWarpEngine(Engine):
                 raise
         return left
 
-    def _take(self, group: Group, numbers: list[int], queues: Queues, course: Course) -> bool:
+    def _take(self, group: Group, numbers: list[int], queues: Queues, course: GroupSequence) -> bool:
         """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
         fitting = list(takewhile(group.fits, course.groups.waiting(free)))
@@ -363,7 +366,7 @@ class MjxWarpEngine(Engine):
                 if not self._kept and any(fleet.is_extra for fleet in fleets):
                     fleets = tuple(fleet for fleet in fleets if not fleet.is_extra)
                 elif not self._kept:
-                    more, fleets = fleets, tuple(_halved(fleet) for fleet in fleets)
+                    more, fleets = fleets, tuple(_half_pool(fleet) for fleet in fleets)
                     if fleets == more:
                         if len(fleets) > 1:
                             raise  # each size alone may have room

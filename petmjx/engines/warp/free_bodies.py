@@ -15,21 +15,21 @@ import warp as wp
 from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
-from petmjx.basics.units import FloatArray
-from petmjx.engines.batch.free_states import let_go
-from petmjx.engines.batch.state import NEVER, State, Status, of_flat
-from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.batch.upload import round_up
-from petmjx.engines.batch.worlds import Worlds
-from petmjx.engines.warp import records
-from petmjx.engines.warp.few import fleet_for_few
-from petmjx.engines.warp.frames import FRAMES_PER_BLOCK, MOST_BYTES, pick_frames
-from petmjx.engines.warp.group import MAX_GROWTH
-from petmjx.engines.warp.launch import FEW_BOXES, Launch
-from petmjx.engines.warp.march import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, Fleet, March
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.free_body_states import let_go
+from petmjx.engines.mjx.host_to_device import round_up
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import NEVER, State, Status, of_flat
+from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.block_launch import FEW_BOXES, Launch
+from petmjx.engines.warp.frame_buffers import FRAMES_PER_BLOCK, MOST_BYTES, pick_frames
+from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, BlockPool, KernelLauncher
 from petmjx.engines.warp.programs import constants
-from petmjx.engines.warp.records import FrameBuffer
-from petmjx.options.config import Simulation
+from petmjx.engines.warp.small_world_blocks import small_world_pool
+from petmjx.engines.warp.world_arrays import FrameBuffer
+from petmjx.engines.warp.world_groups import MAX_GROWTH
+from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 
 _NO_RULES: Final[dict[str, Any]] = {
@@ -45,7 +45,7 @@ _NO_RULES: Final[dict[str, Any]] = {
 def paths(
     bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launch], int], slice_ns: int, group_size: int
 ) -> FloatArray:
-    """As ``petmjx.engines.base.Engine.paths``.
+    """As ``petmjx.engines.protocol.Engine.paths``.
 
     Args:
         blocks: thread blocks of a launch.
@@ -74,7 +74,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
     every = np.zeros(rows, np.int32)
     every[:n] = math.gcd(*steps.tolist())
     growth = 1
-    program = _program(sim, _fleet(sim, blocks, width, k, boards, n, growth), slice_ns)
+    program = _program(sim, _block_pool(sim, blocks, width, k, boards, n, growth), slice_ns)
     workspace = program.march.workspace()
     frames = _room(every, width, program.march.lanes)
     while True:
@@ -85,7 +85,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
         overflowed = status == Status.OVERFLOWED
         if overflowed.any() and growth < MAX_GROWTH:
             growth *= 2
-            program = _program(sim, _fleet(sim, blocks, width, k, boards, n, growth), slice_ns)
+            program = _program(sim, _block_pool(sim, blocks, width, k, boards, n, growth), slice_ns)
             workspace = program.march.workspace()
             state = state._replace(status=jnp.where(state.status == Status.OVERFLOWED, Status.RUNNING, state.status))
         elif not (status == Status.RUNNING).any():
@@ -95,12 +95,12 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
 class _Program:
     """A time slice as a jitted program."""
 
-    def __init__(self, sim: Simulation, fleet: Fleet, slice_ns: int) -> None:
+    def __init__(self, sim: Simulation, fleet: BlockPool, slice_ns: int) -> None:
         timetable = build_timetable(sim, fleet.n_boxes)
         # as many iterations as the solver needs, also of boxes that slide
         known = constants(sim, timetable)
         known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
-        self.march = March(known, [fleet], slice_ns)
+        self.march = KernelLauncher(known, [fleet], slice_ns)
         self.march.load()
         self.slice = jax.jit(self._slice)
 
@@ -118,28 +118,28 @@ class _Program:
 
 
 @functools.lru_cache(8)
-def _program(sim: Simulation, fleet: Fleet, slice_ns: int) -> _Program:
+def _program(sim: Simulation, fleet: BlockPool, slice_ns: int) -> _Program:
     return _Program(sim, fleet, slice_ns)
 
 
-def _fleet(
+def _block_pool(
     sim: Simulation, blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int
-) -> Fleet:
+) -> BlockPool:
     """Thread blocks for worlds of k boxes: of many worlds a warp each if there are enough of them."""
     launch = replace(Launch.here(width), lands=sim.physics.has_landings)
     shapes = growth * (width + MORE_BOXES) + boards - 1
-    fleet = Fleet(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
-    few = fleet_for_few(fleet, worlds) if k <= FEW_BOXES.most_boxes else None
+    fleet = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+    few = small_world_pool(fleet, worlds) if k <= FEW_BOXES.most_boxes else None
     return fleet if few is None else replace(few, least=0)  # to the end, however few are left
 
 
 def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:
     """Empty room for frames."""
-    of_one = records.array_shapes(FrameBuffer, {"frame": 1, "box": width, "world": 0})
+    of_one = world_arrays.array_shapes(FrameBuffer, {"frame": 1, "box": width, "world": 0})
     words = sum(math.prod(shape) for shape in of_one.values())
     count = max(MOST_BYTES // (4 * words), FRAMES_PER_BLOCK * lanes)
-    shapes = records.array_shapes(FrameBuffer, {"frame": count, "box": width, "world": len(every)})
-    kinds = records.array_types(FrameBuffer)
+    shapes = world_arrays.array_shapes(FrameBuffer, {"frame": count, "box": width, "world": len(every)})
+    kinds = world_arrays.array_types(FrameBuffer)
     room = {name: np.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}
     room["every"][:] = every
     placed: dict[str, jax.Array] = jax.device_put(room)

@@ -1,6 +1,6 @@
 """Worlds that stay open on the engine mjx-warp. Their states lie on the device, and stay there from call to call.
 
-The pure functions that change them: petmjx/engines/warp/simulator.py. ``WarpWorlds`` has the same for the host.
+The pure functions that change them: petmjx/engines/warp/open_simulator.py. ``WarpWorlds`` has the same for the host.
 """
 
 from __future__ import annotations
@@ -13,32 +13,32 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petmjx.engines.batch.outcomes import outcomes
-from petmjx.engines.batch.picked import pick
-from petmjx.engines.batch.state import State, Status, put_rows, take_rows
-from petmjx.engines.batch.timetable import build_timetable
-from petmjx.engines.batch.upload import Batch, load, round_up
-from petmjx.engines.batch.worlds import Worlds, upload_worlds, uploaded
-from petmjx.engines.clock import Clock
-from petmjx.engines.open import OpenWorlds, Reading, Readings
-from petmjx.engines.warp import records
-from petmjx.engines.warp.group import MAX_GROWTH, OVERFLOW_BITS
-from petmjx.engines.warp.next_box import NewBox, Told, new_box, readings_of, told_of
-from petmjx.engines.warp.simulator import Open, Simulator, Traits
-from petmjx.options.config import Simulation
-from petmjx.verdict import Flag, Outcome
+from petmjx.engines.mjx.host_to_device import Batch, load, round_up
+from petmjx.engines.mjx.outcomes import outcomes
+from petmjx.engines.mjx.readback import read_back
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worlds
+from petmjx.engines.mjx.world_state import State, Status, put_rows, take_rows
+from petmjx.engines.open_worlds import OpenWorlds, Reading, Readings
+from petmjx.engines.step_clock import Clock
+from petmjx.engines.verdict import Flag, Outcome
+from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.next_boxes import NewBox, ReadingInputs, new_box, reading_inputs, readings_of
+from petmjx.engines.warp.open_simulator import OpenState, Simulator, Traits
+from petmjx.engines.warp.world_groups import MAX_GROWTH, OVERFLOW_BITS
+from petmjx.options.simulation import Simulation
+from petmjx.world.growing_scenes import NextBoxes, Stacks
 from petmjx.world.job import Drive, Job
-from petmjx.world.next_boxes import NextBoxes, Stacks
 from petmjx.world.scene import Scene
 
 MOST_TRIED: Final = 16_384
 """Candidates that are simulated side by side. With 80 boxes each takes 27 kB."""
 
 
-def fork(open_: Open, sources: Int[Array, " row"], into: Int[Array, " row"]) -> Open:
+def fork(open_: OpenState, sources: Int[Array, " row"], into: Int[Array, " row"]) -> OpenState:
     """Give worlds the constants and states of others."""
     worlds, state = open_
-    return Open(
+    return OpenState(
         put_rows(worlds, into, take_rows(worlds, sources)),
         put_rows(state, into, take_rows(state, sources)),
     )
@@ -60,8 +60,8 @@ class WarpWorlds(OpenWorlds):
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int, threads: int | None = None) -> None:
         super().__init__(scenes, sim)
-        if not 1 <= most_boxes <= records.MAX_BOXES:
-            raise ValueError(f"most_boxes must be from 1 to {records.MAX_BOXES}, got {most_boxes!r}")
+        if not 1 <= most_boxes <= world_arrays.MAX_BOXES:
+            raise ValueError(f"most_boxes must be from 1 to {world_arrays.MAX_BOXES}, got {most_boxes!r}")
         self._sim, self._threads = sim, threads
         self.width = round_up(most_boxes)
         self.boards = max(len(scene.carrier.half_size) for scene in scenes)
@@ -69,8 +69,8 @@ class WarpWorlds(OpenWorlds):
         self._room, self._traits = 1, Traits.of(self._blank.scene)
         self._most_rows = 1
         self._make_simulator()
-        worlds = self._constants(scenes, _padded(len(scenes)))
-        self.open = Open(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
+        worlds = self._constants(scenes, _padded_rows(len(scenes)))
+        self.open = OpenState(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
 
     def go_on(self) -> None:
         """As for all engines."""
@@ -116,7 +116,7 @@ class WarpWorlds(OpenWorlds):
             rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
             begun = self._jitted_put(forks, rows, more)
         state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
-        report = told_of(state, uploaded(np.arange(padded, dtype=np.int32)))
+        report = reading_inputs(state, device_array(np.arange(padded, dtype=np.int32)))
         return readings_of(report, *before.with_next(boxes), self._sim)
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
@@ -129,7 +129,7 @@ class WarpWorlds(OpenWorlds):
     ) -> list[Outcome]:
         count = len(worlds)
         jobs = [Job(scene, drive) for scene, drive in zip(scenes, drives, strict=True)]
-        padded = _padded(count)
+        padded = _padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
         more = self._constants(scenes, padded)  # without drives, which begin when the boxes rest
@@ -138,7 +138,7 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(settled.state, jobs, batch)
 
     def _readings(self, worlds: Sequence[int]) -> Readings:
-        report = told_of(self.open.state, self._rows(worlds))
+        report = reading_inputs(self.open.state, self._rows(worlds))
         stacks = self._scenes.stacks(worlds)
         return readings_of(report, stacks.half_size, stacks.target, self._sim)
 
@@ -152,7 +152,7 @@ class WarpWorlds(OpenWorlds):
 
     def _read(self, worlds: Sequence[int]) -> list[Reading]:
         state, clock = jax.device_get(self.open.state), Clock(self._sim.physics.timestep_s)
-        flags = Told.of(state).flags_now(self._sim)
+        flags = ReadingInputs.of(state).flags_now(self._sim)
         readings = []
         for world in worlds:
             k = int(state.placed[world])
@@ -176,18 +176,18 @@ class WarpWorlds(OpenWorlds):
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         self.go_on()
         jobs = [Job(self._scenes[world], drive) for world, drive in zip(worlds, drives, strict=True)]
-        batch = load(jobs, _padded(len(jobs)), self.width, self._sim, self._timetable)
-        state = _without_padding(take_rows(self.open.state, self._rows(worlds, _padded(len(jobs)))), len(jobs))
+        batch = load(jobs, _padded_rows(len(jobs)), self.width, self._sim, self._timetable)
+        state = _without_padding(take_rows(self.open.state, self._rows(worlds, _padded_rows(len(jobs)))), len(jobs))
         return self._ended_outcomes(state, jobs, batch)
 
     def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
         """Outcomes of worlds that have paused, when nothing more is put in."""
-        begun = Open(batch.worlds, self._jitted_finish(Open(batch.worlds, state)))
+        begun = OpenState(batch.worlds, self._jitted_finish(OpenState(batch.worlds, state)))
         ended = self._to_the_end(begun, batch.profiles)
-        picked = pick(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
+        picked = read_back(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
         return list(outcomes(picked, jobs, self._sim, batch.recorder))
 
-    def _to_the_end(self, open_: Open, profiles: Float[Array, "profile step 3"]) -> Open:
+    def _to_the_end(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
         """Let worlds go on; those whose buffers are too small again in larger ones."""
         while bool(self.simulator.going(open_)):
             open_ = self._jitted_slice(open_, profiles)
@@ -244,7 +244,7 @@ class WarpWorlds(OpenWorlds):
             raise ValueError(f"there is room for carriers of {self.boards} boards, and one has {boards}")
         jobs = [Job(scene) for scene in scenes]
         worlds = upload_worlds(jobs, rows, self.width, {}, self._sim, self.boards)
-        return worlds._replace(pauses=uploaded(np.ones(rows, np.bool_)))
+        return worlds._replace(pauses=device_array(np.ones(rows, np.bool_)))
 
     def _rows(self, worlds: Sequence[int], length: int | None = None) -> Int[Array, " row"]:
         """Rows of the tables, padded with rows that there are not.
@@ -254,27 +254,27 @@ class WarpWorlds(OpenWorlds):
                 nothing: pallets end and begin anew, and each step has another number of them.
         """
         if length is None:
-            length = self._most_rows = max(self._most_rows, _padded(len(worlds)))
+            length = self._most_rows = max(self._most_rows, _padded_rows(len(worlds)))
         rows = np.full(length, len(self.open.state.status), np.int32)
         rows[: len(worlds)] = worlds
-        return uploaded(rows)
+        return device_array(rows)
 
 
 _jitted_fork = jax.jit(fork)
 
 
 @jax.jit
-def _take(open_: Open, rows: Int[Array, " row"], count: Int[Array, ""]) -> Open:
+def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
     """Forks of these worlds as worlds of their own. Worlds behind the first ones do not go on."""
     state = take_rows(open_.state, rows)
     padding = jnp.arange(len(rows)) >= count
-    return Open(
+    return OpenState(
         take_rows(open_.worlds, rows),
         state._replace(status=jnp.where(padding, Status.FINISHED, state.status)),
     )
 
 
-def _padded(count: int) -> int:
+def _padded_rows(count: int) -> int:
     """Rows for so many worlds: a power of two, so that few programs are compiled."""
     return 1 << (count - 1).bit_length()
 

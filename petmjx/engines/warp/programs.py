@@ -12,22 +12,20 @@ import jax.numpy as jnp
 import warp as wp
 from jaxtyping import Array, Int
 
-from petmjx.engines.base import Progress
-from petmjx.engines.batch.rules import Rules
-from petmjx.engines.batch.state import NEVER, State, of_flat
-from petmjx.engines.batch.template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
-from petmjx.engines.batch.timetable import Timetable
-from petmjx.engines.batch.worlds import Worlds
-from petmjx.engines.warp.few import with_few_first
-from petmjx.engines.warp.last import with_last_first
-from petmjx.engines.warp.march import Fleet, March
-from petmjx.options.config import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.engines.mjx.model_template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.timetable import Timetable
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import NEVER, State, of_flat
+from petmjx.engines.protocol import Progress
+from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
+from petmjx.engines.warp.small_world_blocks import small_world_queues
+from petmjx.engines.warp.tail_blocks import tail_queues
 from petmjx.options.physics import Cone, Physics
-from petmjx.world.contact import MOST_IMPEDANCE
-from petmjx.world.landing import lasts_steps
-from petmjx.world.placing import lowering_rate_1_s, rate_1_s, stuck_steps
-from petmjx.world.slip import kinetic_share, slack_m_s2
-from petmjx.world.wrap import spring_rate_1_s
+from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.world.approach_paths import lowering_rate_1_s, rate_1_s, stuck_steps
+from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps, slack_m_s2
+from petmjx.world.film import spring_rate_1_s
 
 TOLERANCE = 1e-8
 """MuJoCo's default. It can be reached, since forces and residuals are double precision."""
@@ -116,12 +114,12 @@ class Programs:
     but no states, so any number of runs and threads can call them at the same time.
 
     Args:
-        fleets: as ``Fleets.of`` gives them.
+        fleets: as ``BlockPools.of`` gives them.
         slice_ns: time of a call of the kernels, ns.
     """
 
-    def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> None:
-        self.march = March(constants(sim, timetable), fleets, slice_ns)
+    def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[BlockPool, ...], slice_ns: int) -> None:
+        self.march = KernelLauncher(constants(sim, timetable), fleets, slice_ns)
         self._few = next((fleet for fleet in fleets if fleet.least), None)
         self._last = next((fleet for fleet in fleets if fleet.last), None)
         self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
@@ -155,9 +153,9 @@ class Programs:
         """A time slice. Returns states, workspace, what the host looks at, frames, and counts."""
         table = self._rules.begin_drives(table, worlds)
         if self._few:
-            order = with_few_first(self._few, order, table.placed, table.running)
+            order = small_world_queues(self._few, order, table.placed, table.running)
         if self._last:
-            order = with_last_first(self._last, order, table.steps_done, table.running, self.march.blocks)
+            order = tail_queues(self._last, order, table.steps_done, table.running, self.march.blocks)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
@@ -174,6 +172,6 @@ MOST_KEPT = 16
 
 
 @functools.lru_cache(MOST_KEPT)
-def programs(sim: Simulation, timetable: Timetable, fleets: tuple[Fleet, ...], slice_ns: int) -> Programs:
+def programs(sim: Simulation, timetable: Timetable, fleets: tuple[BlockPool, ...], slice_ns: int) -> Programs:
     """The programs of a run. Timetables are distinguished by identity, and kept as long."""
     return Programs(sim, timetable, fleets, slice_ns)

@@ -1,0 +1,431 @@
+"""Where the walls of boxes stand, and what stands on them, by the places of the plan.
+
+A carton bears by its walls, and most at its corners. So it matters how much of them has walls of other boxes above,
+and how much of them hangs over an edge or over a gap of the deck. Interlayer sheets are passed through: a box on a
+sheet stands on the boxes under it.
+
+How much of their strength boxes of a run bear, at rest and at the peak: ``petmjx.loads``. Verdicts stay as they are.
+
+The strength of a box is what it bears in a press, times factors for how it is stacked (petmjx.analysis.box_loads,
+petmjx.options.stacking). Interlayer sheets are no boxes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.common.argument_checks import path_of
+from petmjx.common.atomic_write import write_errors
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names, printable, printable_name
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.options.carriers import Carrier, OwnCarrier, extent_m
+from petmjx.options.stacking import Stacking
+from petmjx.plans.articles import Articles, read_articles
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PathArgument, PlanSource
+from petmjx.plans.plan_warnings import meets, shared_length
+from petmjx.results.documented_tables import check_tables_free, write_documented_tables
+from petmjx.results.plan_lookup import find_plans
+from petmjx.results.run_manifest import Manifest
+from petmjx.results.run_reader import RunResults, load_run
+from petmjx.world.carrier_boards import pallet
+
+MOST_GAP_MM: Final = 5.0
+"""A box stands on what ends no further below it; boxes are let down onto what is there."""
+
+LEAST_SHARED_MM: Final = 1.0
+"""Boxes that share less along an axis stand beside each other."""
+
+Span = tuple[float, float]
+
+
+class Walls(NamedTuple):
+    """The walls of n boxes, as shares of their lengths.
+
+    Attributes:
+        met: (n,) on which walls of boxes above stand; 1 where nothing stands on the box.
+        hanging: (n,) that have nothing below them, beyond the edges of what bears the box.
+        over_gaps: (n,) that are over gaps between the boards of the deck.
+        on_deck: (n,) whether a box stands on the carrier, perhaps with a sheet between.
+    """
+
+    met: FloatArray
+    hanging: FloatArray
+    over_gaps: FloatArray
+    on_deck: NDArray[np.bool_]
+
+
+def walls_of(
+    plan: Plan, extent_mm: tuple[float, float] | None, deck_mm: FloatArray | None, tolerance_mm: float
+) -> Walls:
+    """The walls of a plan's boxes.
+
+    Args:
+        extent_mm: of the carrier along x and y, with its corner in the origin; None: it is as large as the plan.
+        deck_mm: (b, 2, 2) lowest and highest corners of the boards of its deck; None: it has no gaps.
+        tolerance_mm: walls stand on walls and edges that are no further away.
+    """
+    low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
+    on, on_carrier = _stands_on(plan, low, high)
+    n = plan.n_boxes
+    met, hanging, over_gaps = np.ones(n), np.zeros(n), np.zeros(n)
+    for box in range(n):
+        walls = list(_walls(low[box], high[box]))
+        perimeter = 2.0 * float(plan.size_mm[box, :2].sum())
+        above = np.flatnonzero(on[:, box])
+        if len(above):
+            lines = [wall for other in above for wall in _walls(low[other], high[other])]
+            met[box] = sum(_met_length(wall, lines, tolerance_mm) for wall in walls) / perimeter
+        below = [(low[other, :2], high[other, :2]) for other in np.flatnonzero(on[box])]
+        if on_carrier[box] and extent_mm is None:
+            continue  # the carrier has the plan's extents
+        if on_carrier[box] and extent_mm is not None:
+            below.append((np.zeros(2), np.array(extent_mm)))
+        if not below:
+            continue  # it floats: nobody knows on what it comes to stand
+        borne = sum(_over(wall, below, tolerance_mm) for wall in walls)
+        hanging[box] = max(0.0, 1.0 - borne / perimeter)
+        if on_carrier[box] and deck_mm is not None:
+            on_boards = sum(_over(wall, [*below[:-1], *deck_mm], 0.0) for wall in walls)
+            over_gaps[box] = max(0.0, 1.0 - hanging[box] - on_boards / perimeter)
+    return Walls(met, hanging, over_gaps, on_carrier)
+
+
+def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(n, n) whether the row's box stands on the column's, directly or through sheets; (n,) whether on the carrier."""
+    beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
+        shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
+    )
+    touches = meets(low[:, 2], high[:, 2], MOST_GAP_MM).T & beside
+    np.fill_diagonal(touches, val=False)
+    sheets = plan.sheets
+    on, carried = touches.copy(), low[:, 2] <= MOST_GAP_MM
+    through = touches & sheets[None, :]
+    for _ in range(int(sheets.sum())):  # one more sheet on top of each other at a time
+        further = on | ((through.astype(np.int64) @ on.astype(np.int64)) > 0) & beside
+        carried = carried | (through & carried[None, :]).any(axis=1)
+        if (further == on).all():
+            break
+        on = further
+    return on & ~sheets[None, :] & ~sheets[:, None], carried
+
+
+class _Wall(NamedTuple):
+    """A wall seen from above: a line along an axis.
+
+    Attributes:
+        axis: along which it runs.
+        at: where it is along the other axis, mm.
+        span: from where to where it runs, mm.
+    """
+
+    axis: int
+    at: float
+    span: Span
+
+
+def _walls(low: FloatArray, high: FloatArray) -> Iterator[_Wall]:
+    for axis in (0, 1):
+        span = float(low[axis]), float(high[axis])
+        yield _Wall(axis, float(low[1 - axis]), span)
+        yield _Wall(axis, float(high[1 - axis]), span)
+
+
+def _met_length(wall: _Wall, others: list[_Wall], tolerance_mm: float) -> float:
+    """The length of a wall on which parallel ones stand, mm."""
+    near = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
+    return _covered_length(wall.span, near)
+
+
+def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm: float) -> float:
+    """The length of a wall that is over areas, from their lowest and highest corners, mm."""
+    under = []
+    for low, high in areas:
+        if low[1 - wall.axis] - tolerance_mm <= wall.at <= high[1 - wall.axis] + tolerance_mm:
+            under.append((float(low[wall.axis]) - tolerance_mm, float(high[wall.axis]) + tolerance_mm))
+    return _covered_length(wall.span, under)
+
+
+def _covered_length(span: Span, parts: list[Span]) -> float:
+    """The length of a span that is covered by parts, which may overlap."""
+    reached, total = span[0], 0.0
+    for begin, end in sorted(parts):
+        begin, end = max(begin, reached), min(end, span[1])
+        if end > begin:
+            total += end - begin
+            reached = end
+    return total
+
+
+_MOST_NAMED: Final = 8
+"""Articles that a note names."""
+
+_BOX_UNITS: Final = {
+    "plan_id": ("", "id of the packing plan"),
+    "variant": ("1", "which set of changes to the plan's nominal world; 0 is nominal"),
+    "box": ("1", "index of the box in packing order, from 0"),
+    "article": ("", "article of the item"),
+    "rest_top_force_n": ("N", "force on top of the box at rest"),
+    "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: not known"),
+    "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: not known"),
+    "max_top_force_n": ("N", "largest sampled force on top of the box, also while it is placed or shaken"),
+    "press_strength_n": ("N", "what the box bears between plates; null: not known"),
+    "wall_factor": ("1", "by how far walls of the boxes on it stand on its own"),
+    "overhang_factor": ("1", "by how far its walls hang over nothing"),
+    "deck_factor": ("1", "by gaps and bending of the deck that it stands on"),
+    "strength_n": ("N", "what the box bears as it is stacked: press_strength_n times the three; null: not known"),
+    "load_share": ("1", "rest_top_force_n / strength_n"),
+    "peak_share": ("1", "max_top_force_n / strength_n"),
+    "load_share_low": ("1", "rest_top_force_low_n / strength_n"),
+    "load_share_high": ("1", "rest_top_force_high_n / strength_n"),
+}
+_PLAN_UNITS: Final = {
+    "plan_id": _BOX_UNITS["plan_id"],
+    "variant": _BOX_UNITS["variant"],
+    "verdict": ("", "verdict of the simulation; loads do not change it"),
+    "overloaded": ("1", "whether a box bears more than it can at rest; null: not known, since strengths are missing"),
+    "n_boxes": ("1", "boxes of the plan, without sheets"),
+    "n_overloaded": ("1", "boxes that bear more than they can at rest"),
+    "n_unknown": ("1", "boxes whose strength or load is not known"),
+    "surely_overloaded": ("1", "whether the least force on a box is more than it can bear; null: not known"),
+    "possibly_overloaded": ("1", "whether the most force on a box is more than it can bear; null: not known"),
+    "n_surely_overloaded": ("1", "boxes on which the least force is too much"),
+    "n_possibly_overloaded": ("1", "boxes on which the most force is too much, with those above"),
+    "max_load_share": ("1", "largest load_share of a box"),
+    "box": ("1", "the box that has it"),
+    "article": ("", "its article"),
+    "overloaded_at_peak": ("1", "whether the largest force on a box is more than it can bear; null: not known"),
+    "n_overloaded_at_peak": ("1", "boxes on which it is"),
+    "max_peak_share": ("1", "largest peak_share of a box"),
+    "peak_box": ("1", "the box that has it"),
+    "peak_article": ("", "its article"),
+}
+
+_SHARES: Final = {
+    "rest_top_force_n": "load_share",
+    "rest_top_force_low_n": "load_share_low",
+    "rest_top_force_high_n": "load_share_high",
+    "max_top_force_n": "peak_share",
+}
+"""Forces on boxes, and what share of the strength they are; the second and third where a run has intervals."""
+
+_OVER: Final = dict(
+    zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
+)
+"""What is said of worlds where a box has a share above 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loads:
+    """What :func:`loads` found.
+
+    Attributes:
+        run: the run's folder.
+        boxes: a row a box of each world: ``load_share`` and what it is made of.
+        plans: a row a world: ``overloaded`` at rest and ``overloaded_at_peak``, and the boxes that bear most of their
+            strength then. Where the run has intervals of forces, also ``surely_overloaded`` and
+            ``possibly_overloaded``.
+        notes: a line on a run that is not finished, one on articles without strength, and one on forces at rest after a
+            drive with film.
+        stacking: by how much the way in which boxes are stacked weakens them.
+    """
+
+    run: Path
+    boxes: pd.DataFrame
+    plans: pd.DataFrame
+    notes: tuple[str, ...]
+    stacking: Stacking = field(default_factory=Stacking)
+
+    def __repr__(self) -> str:
+        return f"Loads({count_text(len(self.plans), 'world')}, {int(self.plans['overloaded'].sum()):,} overloaded)"
+
+    def write(self, folder: str | Path, overwrite: bool = False) -> None:
+        """Write ``box_loads`` and ``plan_loads``, as Parquet with units and as CSV.
+
+        Args:
+            overwrite: tables that petmjx wrote there before may be replaced.
+
+        Raises:
+            InputError: the folder cannot be written, or a file of these names may not be replaced.
+        """
+        folder = path_of(folder, "folder")
+        check_loads_free(folder, overwrite)
+        with write_errors(folder):
+            tables = (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS))
+            write_documented_tables(folder, tables)
+
+
+def check_loads_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Check that the tables of loads may be written into a folder; ``inputs`` are files that are read.
+
+    Raises:
+        InputError: as ``petmjx.results.documented_tables.check_tables_free``.
+    """
+    check_tables_free(folder, ("box_loads", "plan_loads"), overwrite=overwrite, inputs=inputs)
+
+
+def loads(
+    run: str | Path | RunResults,
+    articles: PathArgument | Articles | None = None,
+    plans: PlanSource | None = None,
+    *,
+    stacking: Stacking | Mapping[str, Any] | None = None,
+) -> Loads:
+    """Compare the forces on boxes, at rest and the largest, with what the boxes can bear as they are stacked.
+
+    ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
+
+    Args:
+        run: a run's folder, or what ``petmjx.score`` returned.
+        articles: table of strengths (``petmjx.plans.articles.read_articles``). For boxes that it does not cover, the
+            plan's own values count, or the table of the run. None: those alone.
+        plans: the plans of the run, for sizes, places and product groups; None: the files that the run names.
+        stacking: how much of their strength boxes lose as they are stacked, or some of its fields
+            (``petmjx.options.stacking.Stacking``).
+
+    Raises:
+        InputError: no run, an unusable table of articles or option, no strength at all, or plans that are not those of
+            the run.
+    """
+    losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
+    results = run if isinstance(run, RunResults) else load_run(run)
+    if articles is None:
+        strengths = Articles({}, {})
+    else:
+        strengths = articles if isinstance(articles, Articles) else read_articles(path_of(articles, "articles"))
+    of_run = _plans_of(results, plans)
+    known, missing = _strengths(of_run.values(), strengths, losses, results.carrier)
+    if articles is None and known["strength_n"].isna().all():
+        raise InputError(f"{results.path}: the plans have no strengths (strength_n): give a table of articles")
+    shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
+    boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
+    boxes = boxes.merge(known, on=["plan_id", "box"], how="inner", validate="many_to_one")
+    boxes = boxes.assign(**{share: boxes[force] / boxes["strength_n"] for force, share in shares.items()})
+    boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
+    notes = (*results.doubts("the run"), *_notes(missing), *_film_notes(results))
+    return Loads(results.path, boxes, _of_worlds(results, boxes), notes, losses)
+
+
+def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:
+    """The plans of a run by id.
+
+    Raises:
+        InputError: a plan is missing or differs.
+    """
+    records = Manifest.read(results.parts, results.info).plans
+    plans_again = find_plans(results, records, set(results.worlds["plan_id"]), plans)
+    if plans is None and plans_again.gone and plans_again.missing:
+        gone = printable(plans_again.gone[0])
+        raise InputError(f"{results.path}: needs the plans of the run, and {gone} is not there: name them")
+    for plan_ids, fault in (
+        (plans_again.missing, "is not among the plans that were read"),
+        (plans_again.changed, "differs from the one that was simulated there"),
+    ):
+        if plan_ids:
+            raise InputError(f"{results.path}: plan {printable_name(plan_ids[0])} {fault}")
+    return plans_again.plans
+
+
+_STRENGTH: Final = ("press_strength_n", "wall_factor", "overhang_factor", "deck_factor", "strength_n")
+
+
+def _strengths(
+    plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
+) -> tuple[pd.DataFrame, Counter[str]]:
+    """The strength of each box that is no sheet, and the articles that have none with their numbers of boxes."""
+    parts: list[pd.DataFrame] = []
+    missing: Counter[str] = Counter()
+    for plan in plans:
+        groups = plan.product_groups or ("",) * plan.n_boxes
+        sizes = plan.size_mm[:, :2].tolist()
+        materials = plan.materials or ("",) * plan.n_boxes
+        strength_n = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n.copy()
+        names = zip(plan.articles, groups, materials, strict=True)
+        sheets = plan.sheets
+        for box, (article, group, material) in enumerate(names):
+            if (strength := articles.find(article, group, material).strength) is not None:
+                strength_n[box] = strength.of_box(*sizes[box])
+            if np.isnan(strength_n[box]) and not sheets[box]:
+                missing[article] += 1
+        factors = _factors(plan, losses, carrier)
+        columns = dict(zip(_STRENGTH, (strength_n, *factors, strength_n * np.prod(factors, axis=0)), strict=True))
+        table = pd.DataFrame({"plan_id": plan.plan_id, "box": np.arange(plan.n_boxes, dtype=np.int32), **columns})
+        parts.append(table[~sheets])
+    if not parts:
+        empty = dict.fromkeys(_STRENGTH, "float64")
+        return pd.DataFrame(columns=["plan_id", "box", *_STRENGTH]).astype({"box": "int32", **empty}), missing
+    return pd.concat(parts, ignore_index=True), missing
+
+
+def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n,) what is left of each box's strength: by walls that do not meet, by those that hang over, by the deck."""
+    extent, boards = extent_m(carrier), pallet(carrier)
+    extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
+    walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
+    perimeter_mm = 2 * plan.size_mm[:, :2].sum(axis=1)
+    gaps = walls.on_deck & (walls.over_gaps * perimeter_mm > losses.wall_tolerance_mm)
+    deck = np.where(gaps, 1 - losses.gap_loss, 1.0) * np.where(walls.on_deck, 1 - losses.soft_deck_loss, 1.0)
+    return 1 - losses.interlocked_loss * (1 - walls.met), 1 - losses.overhang_loss * walls.hanging, deck
+
+
+def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
+    """A row a world."""
+    key = ["plan_id", "variant"]
+    shares = {name: share for name, share in _OVER.items() if share in boxes}
+    marked = boxes[key].assign(
+        **{f"n_{name}": boxes[share] > 1 for name, share in shares.items()},
+        **{f"unknown_{name}": boxes[share].isna() for name, share in shares.items()},
+    )
+    counts = marked.groupby(key, sort=False, as_index=False).sum()
+    numbers = boxes.groupby(key, sort=False).size().rename("n_boxes").reset_index()
+    table = results.worlds[[*key, "verdict"]].merge(numbers, on=key, how="left").merge(counts, on=key, how="left")
+    table = table.fillna({"n_boxes": 0, **{name: 0 for name in counts if name not in key}})
+    table = table.astype({"n_boxes": "int32", **{name: "int64" for name in counts if name not in key}})
+    for share, names in (("load_share", ("box", "article")), ("peak_share", ("peak_box", "peak_article"))):
+        known = boxes.dropna(subset=share)
+        largest = known.loc[known.groupby(key, sort=False)[share].idxmax(), [*key, "box", "article", share]]
+        largest.columns = pd.Index([*key, *names, f"max_{share}"])
+        table = table.merge(largest, on=key, how="left")
+    for name in shares:
+        over = (table[f"n_{name}"] > 0).astype("boolean")
+        over[(table[f"n_{name}"] == 0) & (table[f"unknown_{name}"] > 0)] = pd.NA
+        table[name] = over
+    table["n_unknown"] = table["unknown_overloaded"]
+    table = table.astype({"box": "Int32", "peak_box": "Int32"})
+    return table[[name for name in _PLAN_UNITS if name in table]]
+
+
+def _notes(missing: Counter[str]) -> list[str]:
+    if not missing:
+        return []
+    notes = []
+    if most := sorted(missing.keys() - {""}, key=lambda name: (-missing[name], name)):
+        verb = "has" if len(most) == 1 else "have"
+        boxes = count_text(sum(missing[name] for name in most), "box", "boxes")
+        notes.append(
+            f"{count_text(len(most), 'article')} of {boxes} {verb} no strength: {first_names(most, _MOST_NAMED)}"
+        )
+    if unnamed := missing[""]:
+        verb = "has" if unnamed == 1 else "have"
+        notes.append(f"{count_text(unnamed, 'box', 'boxes')} without article {verb} no strength")
+    return notes
+
+
+def _film_notes(results: RunResults) -> list[str]:
+    """What to think of forces at rest of worlds that were shaken in film."""
+    wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
+    turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
+    if not (turns > 0).any() or "profile" not in results.worlds:
+        return []
+    return [
+        "film presses boxes together, and friction between them moves forces at rest from layer to layer after a drive"
+    ]

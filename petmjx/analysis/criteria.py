@@ -1,0 +1,356 @@
+"""What criteria are asked about: one plan's contacts, and what several criteria need of them, worked out once.
+
+What the criteria say of one plan.
+
+Criteria that look at a box's base alone: how much of it is borne, and how many of its corners.
+
+The criteria by name: what each asks, and what its slack is. Tables, columns and docs are made from this list.
+
+A criterion of your own, step by step: docs/extending.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.analysis.force_balance import NO_SLACK, Friction, balance_slack
+from petmjx.analysis.load_paths import (
+    equilibrium_slack,
+    even_bedding,
+    lever_rule,
+    load_polygon_slack,
+    load_slack,
+    strength_slack,
+)
+from petmjx.analysis.plan_contacts import (
+    N_CORNERS,
+    ON_EDGE_MM,
+    Hulls,
+    IntArray,
+    PlanContacts,
+    contact_hulls,
+    find_contacts,
+)
+from petmjx.common.checked_records import hint
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import DIMENSIONLESS
+from petmjx.plans.plan import Plan
+
+
+@dataclass(frozen=True, eq=False)
+class CriterionInputs:
+    """One plan of n boxes.
+
+    Attributes:
+        friction: coefficients, for force balance; ``leans``: whether it is also asked with boxes that lean.
+        strength_n: (n,) what boxes bear on their tops, N; NaN where it is not known; None: of no box.
+    """
+
+    contacts: PlanContacts
+    friction: Friction
+    leans: bool
+    strength_n: FloatArray | None
+
+    @cached_property
+    def share(self) -> FloatArray:
+        """(n,) borne share of the base."""
+        return support_share(self.contacts)
+
+    @cached_property
+    def corners(self) -> IntArray:
+        """(n,) bottom corners that lie on something."""
+        return corners_supported(self.contacts)
+
+    @cached_property
+    def hulls(self) -> Hulls:
+        """The hulls of the contact areas."""
+        return contact_hulls(self.contacts)
+
+    @cached_property
+    def balance(self) -> tuple[FloatArray, FloatArray]:
+        """(n,) slacks of force balance, without leaning and with it; of the latter NaN unless ``leans``."""
+        return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
+
+
+YES: Final = 1
+NO: Final = 0
+NOT_ASKED: Final = -1
+
+_ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
+"""Slacks this far below 0 are 0, by unit. Shares of areas in mm² have rounding errors of 1e-16."""
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What c criteria say of n boxes at their placement.
+
+    Attributes:
+        n_supports: (n,) areas on which a box lies (``PlanContacts.n_supports``).
+        share: (n,) borne share of the base.
+        corners: (n,) bottom corners that lie on something.
+        slack: (n, c) NaN where there is none.
+        stable: (n, c) ``YES``, ``NO``, or ``NOT_ASKED``: force balance ends with the first box that fails.
+    """
+
+    n_supports: IntArray
+    share: FloatArray
+    corners: IntArray
+    slack: FloatArray
+    stable: NDArray[np.int8]
+
+
+def answer(
+    plan: Plan,
+    criteria: Sequence[Criterion],
+    friction: Friction,
+    tolerance_mm: float,
+    deck_mm: FloatArray | None = None,
+) -> Answers:
+    """Ask the criteria of one plan.
+
+    Args:
+        friction: coefficients, for force balance.
+        tolerance_mm, deck_mm: see ``petmjx.analysis.plan_contacts.find_contacts``.
+    """
+    contacts = find_contacts(plan, tolerance_mm, deck_mm)
+    inputs = CriterionInputs(
+        contacts, friction, any(criterion.name == LEANING for criterion in criteria), plan.strength_n
+    )
+    slacks = [criterion.slack_of(inputs) for criterion in criteria]
+    stable = [_stable(slack, criterion) for slack, criterion in zip(slacks, criteria, strict=True)]
+    return Answers(
+        contacts.n_supports, inputs.share, inputs.corners, np.stack(slacks, axis=1), np.stack(stable, axis=1)
+    )
+
+
+def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
+    """Yes or no by the sign of the slack. NaN is no; what comes after an end was not asked."""
+    rounding = _ROUNDING[criterion.unit]
+    stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
+    if criterion.ends:
+        stable[np.logical_or.accumulate(np.r_[False, stable[:-1] == NO])] = NOT_ASKED
+    return stable
+
+
+def support_share(contacts: PlanContacts) -> FloatArray:
+    """(n,) borne area / base area; 0 for a box that lies on nothing.
+
+    Where supports overlap each other, as in illegal plans, shared area counts once.
+    """
+    area = (contacts.high_mm - contacts.low_mm).prod(axis=1)
+    borne = np.bincount(contacts.upper, weights=area, minlength=contacts.n_boxes)
+    for box in _with_overlaps(contacts):
+        borne[box] = _union_area(contacts, box)
+    share: FloatArray = borne / contacts.size_mm[:, :2].prod(axis=1)
+    return np.minimum(share, 1.0)
+
+
+def _with_overlaps(contacts: PlanContacts) -> IntArray:
+    """Boxes of which two contact rectangles overlap."""
+    if not (contacts.n_supports > 1).any():
+        return np.zeros(0, dtype=np.int64)
+    same = np.equal.outer(contacts.upper, contacts.upper)
+    for axis in range(2):
+        low, high = contacts.low_mm[:, axis], contacts.high_mm[:, axis]
+        same &= np.minimum.outer(high, high) > np.maximum.outer(low, low)
+    return np.unique(contacts.upper[np.triu(same, k=1).any(axis=1)])
+
+
+def _union_area(contacts: PlanContacts, box: int) -> float:
+    import shapely
+
+    box_contacts = contacts.upper == box
+    return float(
+        shapely.union_all(shapely.box(*contacts.low_mm[box_contacts].T, *contacts.high_mm[box_contacts].T)).area
+    )
+
+
+def corners_supported(contacts: PlanContacts) -> IntArray:
+    """(n,) how many of the four bottom corners lie on something, within the tolerance; edges count."""
+    count: IntArray = contacts.borne_corners(np.ones(len(contacts.upper), dtype=bool)).sum(axis=1)
+    return count
+
+
+def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[float, float, float]) -> FloatArray:
+    """(n,) the share by which the borne area exceeds what is asked with so many corners.
+
+    Args:
+        least: shares asked for with four corners, with three, and with fewer.
+    """
+    four, three, fewer = least
+    least_share: FloatArray = np.select([corners >= N_CORNERS, corners == N_CORNERS - 1], [four, three], fewer)
+    return share - least_share
+
+
+SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
+"""Shares of the base that are asked for: full support, and those of Bortfeldt & Wäscher's survey and the ADAMS
+study."""
+
+LEAST_CORNERS: Final = 3
+
+CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
+CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
+"""Shares asked for with four corners, three, and fewer, in the paper and in its authors' code."""
+
+_MM: Final = "mm"
+
+LEANING: Final = "force_balance_leaning"
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One criterion of static stability.
+
+    Attributes:
+        name: of its columns.
+        asks: what a box must have to be stable.
+        slack: what the slack is; its sign is the answer.
+        unit: of the slack.
+        source: where the criterion comes from.
+        slack_of: (n,) the slacks of a plan's boxes; NaN where there is none.
+        strict: whether a slack of 0 is not enough.
+        number: the number behind it, if a threshold can be asked of it; "" otherwise.
+        ends: whether nothing is asked after the first box that fails.
+        usual: whether it is asked if none is named.
+    """
+
+    name: str
+    asks: str
+    slack: str
+    unit: str
+    source: str
+    slack_of: Callable[[CriterionInputs], FloatArray]
+    strict: bool = False
+    number: str = ""
+    ends: bool = False
+    usual: bool = True
+
+
+def _support(share: float) -> Criterion:
+    return Criterion(
+        f"support_{100 * share:.0f}",
+        f"at least {100 * share:.0f} % of the base is borne",
+        f"borne share - {share:g}",
+        DIMENSIONLESS,
+        "Bortfeldt & Wäscher 2013",
+        lambda inputs: inputs.share - share,
+        number="borne share of the base" if share == 1 else "",
+    )
+
+
+def _corner_area(name: str, least: tuple[float, float, float], source: str) -> Criterion:
+    four, three, fewer = (f"{100 * share:.0f} %" for share in least)
+    return Criterion(
+        name,
+        f"more than {four} of the base is borne with 4 corners, {three} with 3, {fewer} with fewer",
+        "borne share - share asked for",
+        DIMENSIONLESS,
+        source,
+        lambda inputs: corner_and_area_slack(inputs.share, inputs.corners, least),
+        strict=True,
+    )
+
+
+CRITERIA: Final = (
+    *map(_support, SUPPORT_SHARES),
+    Criterion(
+        "three_corners",
+        f"at least {LEAST_CORNERS} of the 4 bottom corners lie on something",
+        f"corners borne - {LEAST_CORNERS}",
+        DIMENSIONLESS,
+        "Paquay, Schyns, Limbourg 2016",
+        lambda inputs: (inputs.corners - LEAST_CORNERS).astype(np.float64),
+    ),
+    _corner_area("corner_area_paper", CORNER_AREA_PAPER, "Zhao et al. 2021, paper"),
+    _corner_area("corner_area_code", CORNER_AREA_CODE, "Zhao et al. 2021, code"),
+    Criterion(
+        "centre",
+        "its centre lies over the hull of its contact areas",
+        "distance of the centre from the hull's edge, inwards",
+        _MM,
+        "common",
+        lambda inputs: inputs.hulls.distance(np.arange(inputs.contacts.n_boxes), inputs.contacts.centre_mm[:, :2]),
+        number="centre inside the hull's edge",
+    ),
+    Criterion(
+        "load_polygon",
+        "its centre lies over the hull of its contact areas, as far as these can be loaded",
+        "distance of the centre from that hull's edge, inwards",
+        _MM,
+        "Gao et al. 2025, arXiv 2507.09123",
+        lambda inputs: load_polygon_slack(inputs.contacts),
+        number="centre inside the load polygon's edge",
+    ),
+    Criterion(
+        "stacking_tree",
+        "weight and load, passed down by the lever rule, lie over the contact hull, here and below",
+        "least distance of the resultant from a hull's edge, inwards",
+        _MM,
+        "Zhao et al. 2022, arXiv 2108.13680",
+        lambda inputs: load_slack(inputs.contacts, inputs.hulls, lever_rule),
+        number="resultant inside the hulls' edges",
+    ),
+    Criterion(
+        "equilibrium",
+        "weight and load, passed down in balance, lie over the contact hull, here and below",
+        "least distance of the resultant from a hull's edge, inwards",
+        _MM,
+        "Ramos et al. 2016",
+        lambda inputs: equilibrium_slack(inputs.contacts, inputs.hulls),
+        number="resultant inside the hulls' edges",
+    ),
+    Criterion(
+        "force_balance",
+        "forces exist at the corners of all contact areas that balance every box",
+        "share of an even load that every corner can carry",
+        DIMENSIONLESS,
+        "StableLego, arXiv 2402.10711; Whiting et al. 2009",
+        lambda inputs: inputs.balance[0],
+        number="even load on every corner",
+        ends=True,
+    ),
+    Criterion(
+        LEANING,
+        "such forces exist if boxes may also press on neighbours that they touch side by side",
+        "share of an even load that every corner can carry",
+        DIMENSIONLESS,
+        "StableLego, arXiv 2402.10711; Whiting et al. 2009",
+        lambda inputs: inputs.balance[1],
+        number="even load on every corner",
+        ends=True,
+    ),
+    Criterion(
+        "strength",
+        "neither it nor a box that bears part of it carries more than its strength, by loads passed down in balance",
+        "1 - load / strength, the least of these boxes that have a strength; 1 where none has",
+        DIMENSIONLESS,
+        "McKee, Gander, Wachuta 1963, or strengths of the user's",
+        lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
+        usual=False,  # where no strength is known it accepts everything
+    ),
+)
+"""In the order of tables: from criteria of the base to criteria of the whole stack."""
+
+NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
+_UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)
+
+
+def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
+    """The criteria of these names in the order of ``CRITERIA``; if none is named those that usually are.
+
+    Raises:
+        InputError: there is no such criterion.
+    """
+    chosen_names = tuple(names or ()) or _UNNAMED
+    for name in chosen_names:
+        if name not in NAMES:
+            raise InputError(f"criteria: there is no {printable_name(name)}; {hint(name, NAMES)}")
+    return tuple(criterion for criterion in CRITERIA if criterion.name in chosen_names)

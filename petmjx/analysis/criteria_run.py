@@ -1,0 +1,432 @@
+"""Options of the criteria, checked.
+
+The tables of the criteria: data frames, and their columns with units.
+
+The results of the criteria: in memory and as files.
+
+The criteria of many plans: ``petmjx.criteria``.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+import numpy as np
+import pandas as pd
+from pydantic import Field, model_validator
+
+from petmjx.analysis.criteria import NO, NOT_ASKED, YES, Answers, Criterion, answer, chosen_criteria
+from petmjx.analysis.criteria_vs_physics import CELLS, SCORES, best_thresholds, judge
+from petmjx.analysis.force_balance import Friction
+from petmjx.common.argument_checks import flag_of, path_of
+from petmjx.common.atomic_write import write_errors
+from petmjx.common.checked_records import CheckedRecord, CliFlag, within
+from petmjx.common.errors import InputError
+from petmjx.common.processes import process_pool
+from petmjx.common.text import count_text, printable_name
+from petmjx.common.units import PLAN_UNITS
+from petmjx.engines.metrics import DIMENSIONLESS, TEXT
+from petmjx.options.carriers import AnyCarrier, Carrier, OwnCarrier
+from petmjx.options.physics import PHYSICS
+from petmjx.options.run_options import Anchor, RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.plans.convention_checks import warn
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PlanSource, gather_plans
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
+from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
+from petmjx.results.plan_lookup import how_read
+from petmjx.results.read_files import source_files
+from petmjx.results.run_folder import text
+from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.to_json import to_json
+from petmjx.world.carrier_boards import pallet
+
+
+class CriteriaOptions(CheckedRecord):
+    """What the criteria depend on, and how they are worked out."""
+
+    friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
+        PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
+    )
+    side_friction: Annotated[float, within(0, 10), CliFlag("--side-friction", "MU")] = Field(
+        0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
+    )
+    tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
+        DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
+    )
+    carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE", default="that of the run, or footprint")] = Field(
+        Carrier.FOOTPRINT,
+        description="what the boxes stand on, as for petmjx score, and by default that of the run: boards bear, gaps "
+        "do not; one without boards reaches under all boxes",
+    )
+    only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
+    processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
+    seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
+        0, description="of the halves of the plans and of the bootstrap"
+    )
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The criteria asked for."""
+        return chosen_criteria(self.only)
+
+    @model_validator(mode="after")
+    def _names_criteria(self) -> Self:
+        chosen_criteria(self.only)
+        return self
+
+
+_PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
+
+
+def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
+    """A row a box, in packing order. Answers are nullable: null where a criterion was not asked."""
+    counts = [plan.n_boxes for plan in plans]
+    columns: dict[str, object] = {
+        "plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts),
+        "box": np.concatenate([np.arange(count, dtype=np.int32) for count in counts]),
+        "item_id": [name for plan in plans for name in plan.item_ids],
+        "article": [name for plan in plans for name in plan.articles],
+        "n_supports": np.concatenate([plan_answers.n_supports for plan_answers in answers]).astype(np.int32),
+        "support_share": np.concatenate([plan_answers.share for plan_answers in answers]),
+        "corners": np.concatenate([plan_answers.corners for plan_answers in answers]).astype(np.int32),
+    }
+    slack = np.concatenate([plan_answers.slack for plan_answers in answers])
+    stable = np.concatenate([plan_answers.stable for plan_answers in answers])
+    for number, criterion in enumerate(criteria):
+        answer = stable[:, number]
+        columns[criterion.name] = pd.arrays.BooleanArray(answer == YES, answer == NOT_ASKED)
+        columns[f"{criterion.name}_slack"] = slack[:, number]
+    return pd.DataFrame(columns)
+
+
+def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
+    """A row a plan: whether all boxes are stable, the first that is not, and the least slack."""
+    counts = np.array([plan.n_boxes for plan in plans])
+    starts = np.r_[0, counts.cumsum()[:-1]]
+    columns: dict[str, object] = {
+        "plan_id": np.array([plan.plan_id for plan in plans], dtype=object),
+        "n_boxes": counts.astype(np.int32),
+        "support_share": np.minimum.reduceat(np.concatenate([plan_answers.share for plan_answers in answers]), starts),
+    }
+    slack = np.concatenate([plan_answers.slack for plan_answers in answers])
+    stable = np.concatenate([plan_answers.stable for plan_answers in answers])
+    box = np.concatenate([np.arange(count) for count in counts])
+    never = int(counts.max())
+    for number, criterion in enumerate(criteria):
+        failed = stable[:, number] == NO
+        first = np.minimum.reduceat(np.where(failed, box, never), starts)
+        # what was not asked has no slack; a box that failed without one leaves its plan without one
+        with np.errstate(invalid="ignore"):
+            least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
+        columns[criterion.name] = first == never
+        columns[f"{criterion.name}_first"] = pd.arrays.IntegerArray(first.astype(np.int32), first == never)
+        columns[f"{criterion.name}_slack"] = least
+    return pd.DataFrame(columns)
+
+
+def documented_boxes(criteria: Sequence[Criterion]) -> Described:
+    """The columns of ``boxes``."""
+    columns = dict(_PLAN_ID)
+    columns["box"] = (DIMENSIONLESS, "index of the box in packing order, from 0")
+    columns["item_id"] = (TEXT, "id of the item in the plan")
+    columns["article"] = (TEXT, "article of the item")
+    columns["n_supports"] = (
+        DIMENSIONLESS,
+        "areas on which the box lies: one a box below; of the carrier one, or one a board",
+    )
+    columns["support_share"] = (DIMENSIONLESS, "borne share of the base")
+    columns["corners"] = (DIMENSIONLESS, "bottom corners that lie on something")
+    for criterion in criteria:
+        columns[criterion.name] = (DIMENSIONLESS, f"whether {criterion.asks}, at its placement")
+        columns[f"{criterion.name}_slack"] = (criterion.unit, criterion.slack)
+    return columns
+
+
+def documented_plans(criteria: Sequence[Criterion]) -> Described:
+    """The columns of ``plans``."""
+    columns = dict(_PLAN_ID)
+    columns["n_boxes"] = (DIMENSIONLESS, "boxes of the plan")
+    columns["support_share"] = (DIMENSIONLESS, "least borne share of a base")
+    for criterion in criteria:
+        columns[criterion.name] = (DIMENSIONLESS, f"whether of each box {criterion.asks}")
+        columns[f"{criterion.name}_first"] = (
+            DIMENSIONLESS,
+            "first box for which this is not true; null if there is none",
+        )
+        columns[f"{criterion.name}_slack"] = (criterion.unit, f"least of all boxes: {criterion.slack}")
+    return columns
+
+
+def criteria_vs_physics_columns() -> Described:
+    """The columns of ``judged``."""
+    columns = {"criterion": (TEXT, "name of the criterion"), "n_plans": (DIMENSIONLESS, "plans with a valid verdict")}
+    for cell in CELLS:
+        says, stands = cell.split("_")
+        columns[cell] = (DIMENSIONLESS, f"plans {says} by the criterion; of physics each {stands}")
+    meanings = ("share of the accepted plans that stand", "share of the standing plans that are accepted")
+    for name, meaning in zip(SCORES, (*meanings, "Matthews' correlation coefficient"), strict=True):
+        columns[name] = (DIMENSIONLESS, meaning)
+        columns[f"{name}_low"] = (DIMENSIONLESS, "lower end of its 95 % interval, by bootstrap over plans")
+        columns[f"{name}_high"] = (DIMENSIONLESS, "upper end of it")
+    columns["same_first_box"] = (DIMENSIONLESS, "refused falling plans of which both name the same first box")
+    return columns
+
+
+def documented_thresholds() -> Described:
+    """The columns of ``thresholds``. Those of the threshold itself are in the unit that the row names."""
+    in_row = "as in the column unit"
+    columns = {
+        "criterion": (TEXT, "name of the criterion"),
+        "number": (TEXT, "what the threshold is about: the smallest value of all boxes"),
+        "unit": (TEXT, "of the threshold"),
+        "threshold": (in_row, "plans with at least this number are accepted"),
+        "published": (in_row, "the criterion's own threshold"),
+        "n_found_on": (DIMENSIONLESS, "plans on which the threshold was found"),
+        "mcc_found_on": (DIMENSIONLESS, "MCC on them"),
+    }
+    judged = dict(criteria_vs_physics_columns())
+    del judged["criterion"], judged["same_first_box"]
+    return (
+        columns | judged | {"mcc_published": (DIMENSIONLESS, "MCC of the criterion's own threshold, on the same plans")}
+    )
+
+
+INFO_FILE: Final = "criteria.json"
+
+
+@dataclass(frozen=True, eq=False)
+class CriteriaResults:
+    """Answers of closed-form criteria, and how they compare with a run.
+
+    Attributes:
+        boxes: a row a box: for each criterion its answer and its slack (``<criterion>_slack``).
+        plans: a row a plan: for each criterion whether all boxes are stable, the first that is not (``_first``), and
+            the least slack.
+        judged: a row for each criterion, compared with the verdicts of a run; None without one.
+        thresholds: a row for each criterion with a number: the threshold that agrees best with the simulation; None
+        without a run.
+        info: options, counts, skipped plans and times.
+    """
+
+    boxes: pd.DataFrame
+    plans: pd.DataFrame
+    judged: pd.DataFrame | None
+    thresholds: pd.DataFrame | None
+    info: dict[str, Any]
+
+    def __repr__(self) -> str:
+        criteria = count_text(len(self.criteria), "criterion", "criteria")
+        return f"CriteriaResults({count_text(len(self.plans), 'plan')}, {criteria})"
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The criteria that were evaluated."""
+        return chosen_criteria(self.info["criteria"])
+
+    def units(self, table: str) -> dict[str, str]:
+        """Column → unit of a table: ``""`` for text, ``"1"`` for counts and shares.
+
+        Raises:
+            KeyError: there is no such table.
+        """
+        columns_by_table = {name: described for name, _, described in self._tables()}
+        return {column: unit for column, (unit, _) in columns_by_table[table].items()}
+
+    def write(self, folder: str | Path, overwrite: bool = False) -> None:
+        """Write every table as Parquet, with units in the metadata of its columns, and as CSV; the rest as JSON.
+
+        Raises:
+            InputError: the folder holds such files already and ``overwrite`` is not set, or cannot be written.
+        """
+        folder = Path(folder)
+        check_criteria_free(folder, overwrite, judged=self.judged is not None)
+        with write_errors(folder):
+            info = text(json.dumps(to_json(self.info), indent=2, allow_nan=False))
+            write_documented_tables(folder, self._tables(), {INFO_FILE: info})
+
+    def _tables(self) -> Iterator[tuple[str, pd.DataFrame, Described]]:
+        yield "boxes", self.boxes, documented_boxes(self.criteria)
+        yield "plans", self.plans, documented_plans(self.criteria)
+        if self.judged is not None:
+            yield "judged", self.judged, criteria_vs_physics_columns()
+        if self.thresholds is not None:
+            yield "thresholds", self.thresholds, documented_thresholds()
+
+
+def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
+    """Check, before minutes of work, that the files of criteria may be written into a folder.
+
+    Args:
+        judged: whether they are compared with a run.
+        inputs: files that are read.
+
+    Raises:
+        InputError: as ``petmjx.results.documented_tables.check_tables_free``.
+    """
+    tables = ("boxes", "plans", *(("judged", "thresholds") if judged else ()))
+    others = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
+    check_tables_free(folder, tables, overwrite=overwrite, inputs=inputs, others=others)
+
+
+CHUNK: Final = 16
+"""Plans that a process takes at a time: half a second of force balance."""
+
+
+def criteria(
+    plans: PlanSource | None = None,
+    *,
+    run: RunResults | str | Path | None = None,
+    out: str | Path | None = None,
+    overwrite: bool = False,
+    limit: int | None = None,
+    strict: bool = False,
+    units: str = PLAN_UNITS,
+    anchor: Anchor = "corner",
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> CriteriaResults:
+    """Evaluate closed-form criteria of static stability, and compare them with a simulation.
+
+    ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
+
+    Args:
+        plans: as for ``petmjx.score``; None: the bundled samples.
+        run: results of the same plans, or their folder, with whose verdicts the criteria are compared. If a plan has
+            several worlds, the nominal one counts.
+        out: a folder for the tables, as Parquet and CSV.
+        overwrite: whether tables that are there are replaced.
+        limit: at most so many plans.
+        strict: raise at the first plan that would be skipped.
+        units: of files and data frames, as for ``petmjx.load_plans``.
+        anchor: the same.
+        progress: called with the number of plans done, and of all.
+        options: fields of ``petmjx.analysis.criteria_run.CriteriaOptions``: ``friction``, ``side_friction``,
+            ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``seed``. With
+            ``processes`` a script needs its ``if __name__``.
+
+    Raises:
+        InputError: unusable plans, run or options; or SciPy or shapely is missing.
+    """
+    chosen = CriteriaOptions(**options)
+    flag_of(overwrite, "overwrite")
+    read = RunOptions(limit=limit, strict=strict, units=units, anchor=anchor)
+    _need_packers()
+    if out is not None:
+        out = path_of(out, "out")
+        check_criteria_free(out, overwrite, judged=run is not None, inputs=source_files(plans, run))
+    physics = run if isinstance(run, RunResults) or run is None else load_run(run)
+    if physics is not None and "carrier" not in options:
+        chosen = chosen.changed(carrier=physics.carrier)
+    doubts = [] if physics is None else [*physics.doubts("the run"), *_other_carrier(chosen.carrier, physics)]
+    if physics is not None:
+        read = read.changed(articles=how_read(physics.info).articles)
+    plan_set = gather_plans(plans, Simulation(), read)
+    warn(plan_set.conventions)
+    if not plan_set.plans:
+        first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
+        raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
+    start = time.perf_counter()
+    answers = list(_answers(plan_set.plans, chosen, progress))
+    selected_criteria = chosen.criteria
+    by_plan = plans_frame(plan_set.plans, answers, selected_criteria)
+    judged = thresholds = None
+    if physics is not None:
+        worlds = _nominal_worlds(physics, plan_set.plans)
+        judged = judge(by_plan, worlds, selected_criteria, chosen.seed)
+        thresholds = best_thresholds(by_plan, worlds, selected_criteria, chosen.seed)
+    info = {
+        "criteria": [criterion.name for criterion in selected_criteria],
+        "options": chosen.model_dump(mode="json", exclude={"only"}),
+        "run": None if physics is None else str(physics.path),
+        "doubts": doubts,
+        "n_plans": len(plan_set.plans),
+        "n_boxes": sum(plan.n_boxes for plan in plan_set.plans),
+        "skipped": [skipped.message for skipped in plan_set.skipped],
+        "wall_s": time.perf_counter() - start,
+    }
+    results = CriteriaResults(
+        boxes_frame(plan_set.plans, answers, selected_criteria), by_plan, judged, thresholds, info
+    )
+    if out is not None:
+        results.write(out, overwrite)
+    return results
+
+
+def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
+    """A line where the criteria are asked on another carrier than that on which boxes stood."""
+    if carrier == run.carrier:
+        return []
+    here, run_carrier = (
+        printable_name(carrier_option if isinstance(carrier_option, Carrier) else carrier_option.name)
+        for carrier_option in (carrier, run.carrier)
+    )
+    return [f"the criteria are evaluated on the carrier {here}, but the run's boxes stood on {run_carrier}"]
+
+
+def _need_packers() -> None:
+    try:
+        import scipy  # noqa: F401  # only whether it is there
+        import shapely  # noqa: F401
+    except ImportError as error:
+        raise InputError(f"criteria need {error.name}: pip install 'petmjx[packers]'") from None
+
+
+def _answers(
+    plans: Sequence[Plan], options: CriteriaOptions, progress: Callable[[int, int], None] | None
+) -> Iterator[Answers]:
+    """Answers in the order of the plans."""
+    chunks = [plans[start : start + CHUNK] for start in range(0, len(plans), CHUNK)]
+    ask = partial(_ask, options=options)
+    done = 0
+
+    def told(answers: list[Answers]) -> list[Answers]:
+        nonlocal done
+        done += len(answers)
+        if progress is not None:
+            progress(done, len(plans))
+        return answers
+
+    processes = min(options.processes, len(chunks))
+    if processes == 1:
+        for chunk in chunks:
+            yield from told(ask(chunk))
+        return
+    with process_pool(processes) as pool:
+        for answers in pool.map(ask, chunks):
+            yield from told(answers)
+
+
+def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
+    friction = Friction(options.friction, options.side_friction)
+    boards = pallet(options.carrier)
+    deck_mm = None if boards is None else boards.deck_mm
+    return [answer(plan, options.criteria, friction, options.tolerance_mm, deck_mm) for plan in plans]
+
+
+def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:
+    """The worlds of variant 0.
+
+    Raises:
+        InputError: none is of these plans, or one has another number of boxes.
+    """
+    worlds = run.worlds[run.worlds["variant"] == 0]
+    counts = {plan.plan_id: plan.n_boxes for plan in plans}
+    common = worlds[worlds["plan_id"].isin(list(counts))]
+    if common.empty:
+        raise InputError(f"{run.path}: has none of the {count_text(len(plans), 'plan')}")
+    other = common[common["n_boxes"] != common["plan_id"].map(counts)]
+    if len(other):
+        first = other.iloc[0]
+        raise InputError(
+            f"{run.path}: plan {printable_name(str(first['plan_id']))} has {first['n_boxes']} boxes there and "
+            f"{counts[first['plan_id']]} here: not the same plans"
+        )
+    return worlds

@@ -1,0 +1,170 @@
+"""Criteria judged by physics: what they say of plans beside what a simulation says, and which threshold says it best.
+
+A criterion accepts a plan if all its boxes are stable. Accepted plans that stand are its hits: *precision* is their
+share of the plans accepted, *recall* their share of the plans that stand. Matthews' correlation coefficient (MCC;
+Matthews 1975, Biochimica et Biophysica Acta 405, 442-451) counts both kinds of error: 1 all right, 0 no better than
+chance.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.analysis.criteria import Criterion
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Verdict
+from petmjx.results.shares import DEFAULT_CONFIDENCE
+
+N_BOOTSTRAP: Final = 4000
+"""Samples of the plans: bounds of the intervals then vary by about 1 % of their width."""
+
+CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
+"""The confusion: what the criterion says, then what physics says."""
+
+SCORES: Final = ("precision", "recall", "mcc")
+
+
+def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0) -> pd.DataFrame:
+    """Every criterion beside physics.
+
+    Args:
+        plans: a row a plan, as ``CriteriaResults.plans``.
+        worlds: a row a plan, of a run: ``verdict`` and ``culprit`` by ``plan_id``. Invalid worlds are left out.
+        seed: of the bootstrap.
+
+    Returns:
+        A row a criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
+        ``_high`` (95 % bootstrap over plans), and ``same_first_box``: of the falling plans that it refuses, how many
+        fail first by the box that physics names.
+    """
+    both = with_physics(plans, worlds)
+    stands = both["stands"].to_numpy(dtype=bool)
+    rows = []
+    for criterion in criteria:
+        accepted = both[criterion.name].to_numpy(dtype=bool)
+        first = both[f"{criterion.name}_first"]
+        same = (first == both["culprit"]).fillna(False).to_numpy(dtype=bool) & ~accepted & ~stands
+        row = {"criterion": criterion.name, "n_plans": len(both)} | score_columns(accepted, stands, seed)
+        rows.append(row | {"same_first_box": int(same.sum())})
+    return pd.DataFrame(rows)
+
+
+def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
+    """The plans for which the run has a verdict, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics."""
+    judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
+    physics = judged[["plan_id", "culprit", "reason", "margin"]].assign(
+        stands=judged["verdict"] == Verdict.STABLE.value
+    )
+    return plans.merge(physics, on="plan_id")
+
+
+def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
+    """Counts, and scores with their intervals.
+
+    Plans drawn with replacement, of which only the four counts are looked at: these are draws of a multinomial
+    distribution.
+    """
+    cells = confusion(accepted, stands)
+    row: dict[str, float] = {name: int(count) for name, count in zip(CELLS, cells, strict=True)}
+    total = int(cells.sum())
+    if not total:
+        return row | {f"{name}{end}": np.nan for name in SCORES for end in ("", "_low", "_high")}
+    drawn = np.random.default_rng(seed).multinomial(total, cells / total, size=N_BOOTSTRAP)
+    tail = (1 - DEFAULT_CONFIDENCE) / 2
+    for name, value, values in zip(SCORES, scores(cells), scores(drawn), strict=True):
+        known = values[~np.isnan(values)]
+        low, high = np.quantile(known, [tail, 1 - tail]) if len(known) else (np.nan, np.nan)
+        row |= {name: float(value), f"{name}_low": float(low), f"{name}_high": float(high)}
+    return row
+
+
+def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(4,) counts in the order of ``CELLS``."""
+    return np.bincount(2 * ~accepted + ~stands, minlength=len(CELLS))
+
+
+def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Precision, recall and MCC of (…, 4) counts.
+
+    A share of nothing is NaN. Where a criterion says the same of all plans, MCC is 0: it tells nothing. Where physics
+    does, MCC is NaN: there is nothing to tell.
+    """
+    hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        precision, recall = hit / (hit + false), hit / (hit + miss)
+        # root by root: the product of all four is beyond the whole numbers that float64 holds
+        below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
+        mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
+    mcc = np.where((hit + miss == 0) | (false + right == 0), np.nan, mcc)
+    return precision, recall, mcc
+
+
+def best_thresholds(
+    plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
+) -> pd.DataFrame:
+    """For each criterion with a number: the threshold that says best what physics says, found on one half of the plans
+    and judged on the other.
+
+    Which half a plan is in depends on its id and the seed alone.
+
+    Returns:
+        A row a criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (at least), ``published`` (the criterion's
+        own), ``n_found_on`` and ``mcc_found_on``, then as in ``judge``, on the other half, with ``mcc_published``
+        there.
+    """
+    both = with_physics(plans, worlds)
+    stands = both["stands"].to_numpy(dtype=bool)
+    first_half = in_first_half(both["plan_id"].tolist(), seed)
+    rows = []
+    for criterion in criteria:
+        if not criterion.number:
+            continue
+        published = 1.0 if criterion.name == "support_100" else 0.0
+        number = both[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
+        threshold, mcc = best_threshold(number[first_half], stands[first_half])
+        # without a threshold there is nothing to judge
+        judged = ~first_half if np.isfinite(threshold) else np.zeros_like(first_half)
+        as_published = confusion(both[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
+        row: dict[str, object] = {"criterion": criterion.name, "number": criterion.number, "unit": criterion.unit}
+        row |= {"threshold": threshold, "published": published}
+        row |= {"n_found_on": int(first_half.sum()), "mcc_found_on": mcc, "n_plans": int((~first_half).sum())}
+        row |= score_columns(number[judged] >= threshold, stands[judged], seed)
+        rows.append(row | {"mcc_published": float(scores(as_published)[2])})
+    return pd.DataFrame(rows)
+
+
+def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
+    """(n,) a fair coin for each plan, by its id and the seed."""
+    key = seed.to_bytes(8, "little")
+    coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
+    return np.array(coins, dtype=bool)
+
+
+def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float, float]:
+    """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. NaN numbers are never accepted.
+
+    It is halfway between the two numbers that it separates; of equals the middle one is taken. The threshold is NaN
+    where none tells anything (MCC > 0): numbers are equal, all plans stand or all fall, or larger numbers fall.
+    """
+    known = ~np.isnan(number)
+    values, owner = np.unique(number[known], return_inverse=True)
+    if len(values) < 2:
+        return float("nan"), 0.0
+    standing = np.bincount(owner, weights=stands[known], minlength=len(values))
+    falling = np.bincount(owner, minlength=len(values)) - standing
+    # accepted at a cut: all values from its upper side on
+    hit, false = (counts[::-1].cumsum()[::-1][1:] for counts in (standing, falling))
+    n_standing = int(stands.sum())
+    cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
+    mcc = scores(cells.astype(np.int64))[2]
+    if not mcc.max() > 0:  # NaN, too
+        return float("nan"), 0.0
+    best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
+    cut = int(best[len(best) // 2])
+    return float((values[cut] + values[cut + 1]) / 2), float(mcc[cut])

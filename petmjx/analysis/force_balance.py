@@ -1,0 +1,448 @@
+"""Forces at points where bodies touch, as force and moment on each body.
+
+The linear programmes of force balance: the largest slack for which forces balance, and the least and the most of a
+sum of forces that balance.
+
+Force balance: whether forces exist that hold a stack, and how much is left.
+
+Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
+2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
+Transactions on Graphics 28(5). At each corner of each contact area there is a force that presses, and friction of at
+most μ times that force. A stack is balanced if there are such forces whose sum and moment are zero on every box.
+
+The slack is a pure number. Let each of the n corners under a box be asked to carry at least s times the n-th part of
+the box's own weight; the slack is the largest s for which the stack is balanced. With 1 every box rests on all its
+corners alike; with 0 some box is about to tip; below 0 it would have to be glued, and -s tells how strongly. For a box
+with nothing on it the slack is 1 less how far its centre is on the way from the middle of the corners to the hull's
+edge.
+
+After each placement only what hangs together with the new box can change: its structure. Three things are used, each
+exact:
+
+- A box that has all four corners on the carrier is in balance whatever presses on its top: vertical forces there always
+  have an answer below. It is taken as part of the carrier, and separates structures.
+- Vertical forces that balance are forces that balance. So friction, and with it horizontal forces and heights, is
+  looked at only where there are no such forces. It may then help: a box is held by what lies across it and its
+  neighbour. The slack is then that with friction, if it is larger.
+- A structure of one box has the closed form above, without a linear programme.
+
+Boxes that touch side by side may lean on each other: press, by default without friction. Forces that merely exist are
+not forces that come about: with friction at its sides any box could hang between two neighbours that press on it,
+though nothing makes them press when it is set down.
+
+Force balance with friction: forces in all three directions, and boxes that lean on their neighbours.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.analysis.plan_contacts import Hulls, IntArray, PlanContacts, Sides, find_sides
+from petmjx.common.errors import PetmjxError
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.world.history import CARRIER
+
+WRENCH: Final = 6
+"""Rows of a body: its force and its moment about its centre."""
+
+
+def wrenches(
+    first: IntArray, second: IntArray, position_m: FloatArray, direction: FloatArray, centre_m: FloatArray
+) -> Entries:
+    """(6 b, p k): force and moment about its centre of every body by k forces at each of p points.
+
+    Args:
+        first, second: (p,) the bodies that touch, from 0 to b - 1; negative: one that does not move.
+        position_m: (p, 3).
+        direction: (p, k, 3) the forces on ``second``; those on ``first`` are their opposites.
+        centre_m: (b, 3) centres of the bodies.
+    """
+    n_points, n_forces, _ = direction.shape
+    column_of = np.arange(n_points * n_forces).reshape(n_points, n_forces)
+    values, rows, columns = [], [], []
+    for body, sign in ((second, 1.0), (first, -1.0)):
+        at = np.flatnonzero(body >= 0)
+        force = sign * direction[at]
+        arm = (position_m[at] - centre_m[body[at]])[:, None, :]
+        wrench = np.concatenate([force, np.cross(arm, force)], axis=-1)
+        row = np.broadcast_to(WRENCH * body[at][:, None, None] + np.arange(WRENCH), wrench.shape)
+        values.append(wrench.ravel())
+        rows.append(row.ravel())
+        columns.append(np.repeat(column_of[at].ravel(), WRENCH))
+    return Entries(np.concatenate(values), np.concatenate(rows), np.concatenate(columns))
+
+
+_INFEASIBLE: Final = 2
+"""SciPy's status of a programme without a solution."""
+
+EVEN: Final = 1.0
+"""The largest slack there is: all corners carry alike."""
+
+
+class Entries(NamedTuple):
+    """The entries of a sparse matrix that are not 0: (k,) each."""
+
+    value: FloatArray
+    row: IntArray
+    column: IntArray
+
+
+def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
+    """(c,) what each corner of a contact is asked to carry per slack: the box's weight over its number of corners."""
+    share: FloatArray = weight[contacts.upper] / (4 * contacts.n_supports[contacts.upper])
+    return share
+
+
+def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limits: Entries | None = None) -> float:
+    """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = wanted``, with g ≥ 0 and ``limits @ g ≤ 0``.
+
+    Args:
+        forces: (r, f) what each force adds to each row.
+        share: (f,) what each force has to carry per slack.
+        wanted: (r,) what the rows must add up to.
+        limits: (q, f); None: there are none.
+
+    Returns:
+        −inf where no s is small enough.
+
+    Raises:
+        PetmjxError: HiGHS gave up.
+    """
+    rows, n_forces = len(row_sums), len(share)
+    by_slack = np.zeros(rows)
+    np.add.at(by_slack, forces.row, forces.value * share[forces.column])
+    # s is the last column
+    parts = [forces, Entries(by_slack, np.arange(rows), np.full(rows, n_forces))]
+    n_limits = 0
+    if limits is not None:
+        parts.append(limits._replace(row=limits.row + rows))
+        n_limits = int(limits.row.max(initial=-1)) + 1
+    value, row, column = (np.concatenate(entries) for entries in zip(*parts, strict=True))
+    least = np.r_[row_sums, np.full(n_limits, -np.inf)]
+    solution = _least_cost_solution(
+        np.r_[np.zeros(n_forces), -1.0],
+        Entries(value, row, column),
+        (least, np.r_[row_sums, np.zeros(n_limits)]),
+        (np.r_[np.zeros(n_forces), -np.inf], np.r_[np.full(n_forces, np.inf), EVEN]),
+    )
+    return -np.inf if solution is None else float(solution[-1])
+
+
+def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
+    """The least and the most of several sums of forces g ≥ 0 with ``forces @ g = wanted``.
+
+    Args:
+        sums: (m, f) factors of the forces in each sum.
+        forces: (r, f) what each force adds to each row.
+        wanted: (r,) what the rows must add up to.
+
+    Returns:
+        (m, 2), or None where no forces balance.
+
+    Raises:
+        PetmjxError: HiGHS gave up, or a sum has no bound.
+    """
+    bounds = (np.zeros(sums.shape[1]), np.full(sums.shape[1], np.inf))
+    extremes = np.empty((len(sums), 2))
+    for number, factors in enumerate(sums):
+        for side, sign in enumerate((1.0, -1.0)):
+            balanced = _least_cost_solution(sign * factors, forces, (row_sums, row_sums), bounds)
+            if balanced is None:
+                return None
+            extremes[number, side] = factors @ balanced
+    return extremes
+
+
+def _least_cost_solution(
+    costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
+) -> FloatArray | None:
+    """The x of least ``costs @ x`` whose rows and values lie within bounds; None where there is none.
+
+    Solved by HiGHS. SciPy's ``milp`` without whole numbers is the same programme as ``linprog``, at half the overhead.
+
+    Raises:
+        PetmjxError: HiGHS gave up.
+    """
+    from scipy.optimize import Bounds, LinearConstraint, milp
+    from scipy.sparse import csc_array
+
+    matrix = csc_array((entries.value, (entries.row, entries.column)), shape=(len(rows[0]), len(costs)))
+    solution = milp(costs, constraints=LinearConstraint(matrix, *rows), bounds=Bounds(*bounds))
+    if solution.status == _INFEASIBLE:
+        return None
+    if solution.x is None:
+        raise PetmjxError(f"HiGHS has no answer to a force balance of {len(rows[0])} rows: {solution.message}")
+    answer: FloatArray = solution.x
+    return answer
+
+
+NO_SLACK: Final = -1e-6
+"""Slacks from here on are balanced: the solver's own tolerance is 1e-7 of the mean weight."""
+
+
+def balance_slack(
+    contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """Slack of each box's structure just after its placement, without and with leaning on neighbours: twice (n,).
+
+    Each ends with the first box after which the stack is not balanced: later ones are NaN. NaN is also a box that lies
+    on nothing; it is not balanced, though friction at its sides could hold it if its neighbours pressed on it.
+
+    Args:
+        friction: coefficients.
+        lean: whether boxes may press on neighbours that they touch side by side; without it the second answer is NaN.
+    """
+    without = _Stack(contacts, friction)
+    ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
+    structures = _Structures(contacts, hulls)
+    for box in range(contacts.n_boxes):
+        going = [way for way in ways if way.balanced]
+        if not going or not contacts.n_supports[box]:
+            break
+        vertical = structures.with_box(box)
+        for way in going:
+            way.place(box, vertical, structures)
+    return without.slack, ways[-1].slack if lean else np.full(contacts.n_boxes, np.nan)
+
+
+class _Stack:
+    """One way to balance a stack, placement by placement, until it fails."""
+
+    def __init__(self, contacts: PlanContacts, friction: Friction, sides: Sides | None = None) -> None:
+        self.slack = np.full(contacts.n_boxes, np.nan)
+        self.balanced = True
+        self._contacts, self._friction, self._sides = contacts, friction, sides
+
+    def place(self, box: int, vertical: float, structures: _Structures) -> None:
+        """Put a box down, where vertical forces alone have a slack."""
+        slack = vertical
+        if slack < NO_SLACK:
+            structure = structures.of(box)
+            slack = max(slack, friction_slack(self._contacts, structure, box, self._friction, self._sides))
+        self.slack[box] = slack
+        self.balanced = slack >= NO_SLACK
+
+
+class _Structures:
+    """The boxes placed so far that hang together, boxes on the carrier apart."""
+
+    def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
+        self._contacts = contacts
+        self._alone = _slack_alone(contacts, hulls)
+        self._joined = np.arange(contacts.n_boxes)
+        self._starts = np.searchsorted(contacts.upper, np.arange(contacts.n_boxes + 1))
+        self._grounded = contacts.grounded
+        self._system = _VerticalSystem(contacts)
+
+    def of(self, box: int) -> NDArray[np.bool_]:
+        """(n,) which boxes hang together with this one."""
+        joined: NDArray[np.bool_] = self._joined == self._joined[box]
+        return joined
+
+    def with_box(self, box: int) -> float:
+        """Slack of the box's structure by vertical forces, after it has been placed."""
+        if self._grounded[box]:
+            return 1.0
+        supports = self._contacts.lower[self._starts[box] : self._starts[box + 1]]
+        free = supports[(supports != CARRIER) & ~self._grounded[supports]]
+        if not len(free):
+            return float(self._alone[box])
+        for name in {int(self._joined[support]) for support in free}:
+            self._joined[self._joined == name] = box
+        return self._system.slack(np.flatnonzero(self.of(box)))
+
+
+def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
+    """(n,) slack of each box with nothing on it."""
+    n = contacts.n_boxes
+    middle = np.full((n, 2), np.nan)
+    count = np.maximum(contacts.n_supports, 1)
+    for axis in range(2):
+        centres = (contacts.low_mm[:, axis] + contacts.high_mm[:, axis]) / 2
+        middle[:, axis] = np.bincount(contacts.upper, weights=centres, minlength=n) / count
+    return 1.0 - hulls.reach(np.arange(n), middle, contacts.centre_mm[:, :2])
+
+
+class _VerticalSystem:
+    """Force and moments of every box by the vertical forces at corners, of which structures take parts.
+
+    Each corner of a contact presses the box above upwards and the body below downwards. Rows of a box are its force and
+    two moments about its own centre, in mean weights and metres.
+    """
+
+    def __init__(self, contacts: PlanContacts) -> None:
+        self._upper = contacts.upper
+        self._weight = contacts.mass_kg / contacts.mass_kg.mean()
+        self._share = even_share(contacts, self._weight)
+        # (2, c) the bodies that must balance: neither the carrier nor boxes on it
+        body = np.stack([contacts.upper, contacts.lower])
+        self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
+        arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
+        # (2, c, 3, 4) by body, contact, row and corner
+        self._value = np.stack([np.ones(arm.shape[:-1]), arm[..., 0], arm[..., 1]], axis=2)
+        self._value[1] *= -1
+
+    def slack(self, boxes: IntArray) -> float:
+        """The largest slack of a structure of several boxes, all placed."""
+        place = np.full(len(self._weight), -1)
+        place[boxes] = np.arange(len(boxes))
+        chosen = np.flatnonzero(place[self._upper] >= 0)
+        body = self._body[:, chosen]
+        side, contact = np.nonzero(body != CARRIER)
+        value = self._value[side, chosen[contact]]
+        row = 3 * place[body[side, contact]][:, None, None] + np.arange(3)[:, None]
+        column = 4 * contact[:, None, None] + np.arange(4)
+        row, column = np.broadcast_arrays(row, column)
+        loads = np.zeros((len(boxes), 3))
+        loads[:, 0] = self._weight[boxes]
+        forces = Entries(value.ravel(), row.ravel(), column.ravel())
+        return largest_slack(forces, np.repeat(self._share[chosen], 4), loads.ravel())
+
+
+_DIRECTIONS = 5
+"""Forces at a point: pressure, and friction both ways along the two other axes."""
+
+
+class Friction(NamedTuple):
+    """Coefficients of friction.
+
+    Attributes:
+        flat: where a box lies on another one or on the carrier.
+        sides: where boxes touch side by side.
+    """
+
+    flat: float
+    sides: float = 0.0
+
+
+class _Points(NamedTuple):
+    """Points where bodies touch: p rows.
+
+    The force on ``second`` presses along ``axis``; that on ``first`` is its opposite. ``share`` is what it is asked to
+    carry per slack, in mean weights.
+    """
+
+    first: IntArray
+    second: IntArray
+    axis: IntArray
+    position_m: FloatArray
+    share: FloatArray
+    friction: FloatArray
+
+
+def friction_slack(
+    contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
+) -> float:
+    """Slack of a structure with friction: as in ``petmjx.analysis.force_balance``, but all that touches it is in
+    balance, too.
+
+    Friction lies within the pyramid |fx| + |fy| ≤ μ f, inside the cone. So a stack that is balanced here is balanced
+    with the cone. At a slack other than 0 friction is within μ times what a corner carries beyond what it is asked to;
+    the sign does not depend on that.
+
+    Args:
+        structure: (n,) the boxes whose corners are asked to carry.
+        newest: the box placed last.
+        sides: where boxes lean on each other; None: nowhere.
+    """
+    boxes = _hanging_together(contacts, structure, newest, sides)
+    points = _points(contacts, boxes, structure, friction, sides)
+    weight = contacts.mass_kg / contacts.mass_kg.mean()
+    loads = np.zeros((int(boxes.sum()), WRENCH))
+    loads[:, 2] = weight[boxes]
+    share = np.zeros((len(points.share), _DIRECTIONS))
+    share[:, 0] = points.share
+    possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
+    possible[:, 0] = True
+    chosen = np.flatnonzero(possible)
+    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the carrier, the last one, does not move
+    first, second = row_of[points.first], row_of[points.second]
+    centre_m = contacts.centre_mm[boxes] / MM_PER_M
+    forces = _columns(
+        wrenches(first, second, points.position_m, _directions(points.axis), centre_m), chosen, possible.size
+    )
+    limits = _columns(_pyramids(points.friction), chosen, possible.size)
+    return largest_slack(forces, share.ravel()[chosen], loads.ravel(), limits)
+
+
+def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
+    """The entries in some of n columns, which are counted anew."""
+    position = np.full(n, -1)
+    position[chosen] = np.arange(len(chosen))
+    column = position[entries.column]
+    kept = column >= 0
+    return Entries(entries.value[kept], entries.row[kept], column[kept])
+
+
+def _hanging_together(
+    contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
+) -> NDArray[np.bool_]:
+    """(n,) all placed boxes that touch the structure, or boxes that do, and so on."""
+    pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
+    pair = np.concatenate(pairs)
+    pair = pair[(pair[:, 1] != CARRIER) & (pair.max(axis=1) <= newest)]
+    members = structure.copy()
+    count = 0
+    while count != members.sum():
+        count = int(members.sum())
+        members[pair[members[pair].any(axis=1)]] = True
+    return members
+
+
+def _points(
+    contacts: PlanContacts,
+    boxes: NDArray[np.bool_],
+    structure: NDArray[np.bool_],
+    friction: Friction,
+    sides: Sides | None,
+) -> _Points:
+    """The corners of all contact areas of these boxes."""
+    indices = np.flatnonzero(boxes[contacts.upper])
+    upper = contacts.upper[indices]
+    height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(indices), 4, 1))
+    corners = np.concatenate([contacts.corners_mm[indices], height], axis=-1)
+    carried_share = even_share(contacts, contacts.mass_kg / contacts.mass_kg.mean())[indices] * structure[upper]
+    parts = [
+        (
+            contacts.lower[indices],
+            upper,
+            np.full(len(indices), 2),
+            corners,
+            carried_share,
+            np.full(len(indices), friction.flat),
+        )
+    ]
+    if sides is not None:
+        indices = np.flatnonzero(boxes[sides.first] & boxes[sides.second])
+        ends = (sides.first[indices], sides.second[indices], sides.axis[indices], _side_corners(sides, indices))
+        parts.append((*ends, np.zeros(len(indices)), np.full(len(indices), friction.sides)))
+    first, second, axis, position, share, mu = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    first, second, axis, share, mu = (np.repeat(column, 4) for column in (first, second, axis, share, mu))
+    return _Points(first, second, axis, position.reshape(-1, 3) / MM_PER_M, share, mu)
+
+
+def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
+    """(s, 4, 3) corners of upright rectangles."""
+    corners = np.repeat(sides.low_mm[indices][:, None, :], 4, axis=1)
+    far, across = sides.high_mm[indices], 1 - sides.axis[indices]
+    rows = np.arange(len(indices))[:, None]
+    corners[rows, [[1, 2]], across[:, None]] = far[rows, across[:, None]]
+    corners[rows, [[2, 3]], 2] = far[:, 2:]
+    return corners
+
+
+def _directions(axis: IntArray) -> FloatArray:
+    """(p, 5, 3) unit vectors: along the axis, then both ways along the two others."""
+    unit = np.eye(3)
+    along, one, other = unit[axis], unit[(axis + 1) % 3], unit[(axis + 2) % 3]
+    return np.stack([along, one, -one, other, -other], axis=1)
+
+
+def _pyramids(friction: FloatArray) -> Entries:
+    """(p, 5 p): friction less μ times pressure at each point."""
+    values = np.ones((len(friction), _DIRECTIONS))
+    values[:, 0] = -friction
+    return Entries(values.ravel(), np.repeat(np.arange(len(friction)), _DIRECTIONS), np.arange(values.size))

@@ -1,0 +1,130 @@
+"""The least and the most that may press on a box at rest, by balance and friction.
+
+Statics does not say how a box on three supports shares its load, and what a simulation says depends on how stiff its
+contacts are. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown: they press,
+friction is within μ times the pressure, and every box has neither a force nor a moment left over. Two linear programmes
+a box give the least and the most of what presses on its top. Where nothing is left open they are not needed.
+
+Friction lies within the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval holds all forces that the cone
+allows. (The criteria ask whether forces exist, and have the pyramid inside the cone.)
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from petmjx.analysis.force_balance import WRENCH, least_and_most, wrenches
+from petmjx.analysis.plan_contacts import IntArray, TouchPoints, find_touch_points
+from petmjx.common.errors import InputError, PetmjxError
+from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.options.physics import Physics
+from petmjx.world.history import CARRIER
+from petmjx.world.scene import Scene
+
+_EDGES: Final = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+"""Signs of the two tangents along the edges of a pyramid around a cone of friction."""
+
+
+def need_scipy() -> None:
+    """Say before a run that asks for intervals whether they can be worked out.
+
+    Raises:
+        InputError: SciPy is missing.
+    """
+    try:
+        import scipy  # noqa: F401  # only whether it is there
+    except ImportError:
+        raise InputError("force_intervals needs SciPy: pip install 'petmjx[packers]'") from None
+
+
+def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
+    """As :func:`force_intervals`, of boxes as a run left them; None where it has no force at rest."""
+    at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
+    return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
+
+
+def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
+    """(n, 2) least and most force on top of each box, N; NaN where no forces balance what hangs together with it,
+    or the solver finds none.
+
+    Args:
+        scene: sizes, masses, friction, and the carrier, which is where it is planned.
+        pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z) at rest.
+    """
+    touching = find_touch_points(scene, physics, pos, quat)
+    weight = scene.mass / scene.mass.mean()
+    intervals = _without_programme(touching, weight)
+    parts = _hanging_together(touching, scene.n_boxes)
+    for part in np.unique(parts[np.isnan(intervals[:, 0])]):
+        boxes = np.flatnonzero(parts == part)
+        intervals[boxes] = _of_part(touching, boxes, intervals[boxes], weight, pos)
+    scale: float = scene.mass.mean() * physics.gravity_m_s2
+    return intervals * scale
+
+
+def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
+    """(n, 2) what needs no linear programme: 0 where nothing lies on a box, and the weight of what rests on it alone.
+    NaN elsewhere."""
+    n_boxes = len(weight)
+    intervals = np.full((n_boxes, 2), np.nan)
+    ends = np.stack([touching.first, touching.second])
+    ends[ends == CARRIER] = n_boxes
+    for box in range(n_boxes):
+        box_contacts = (ends == box).any(axis=0)
+        on_top = touching.pressed[box_contacts] == box
+        # what hangs together without this box
+        group = _groups(ends[:, ~box_contacts], n_boxes + 1)
+        other = group[ends[:, box_contacts].sum(axis=0) - box]
+        above = np.unique(other[on_top])
+        if group[n_boxes] not in above and not np.isin(other[~on_top], above).any():
+            intervals[box] = weight[np.isin(group[:n_boxes], above)].sum()
+    return intervals
+
+
+def _hanging_together(touching: TouchPoints, n_boxes: int) -> IntArray:
+    """(n,) a number for each box, equal for boxes that touch, or touch boxes that do, and so on."""
+    ends = np.stack([touching.first, touching.second])
+    return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
+
+
+def _groups(pairs: IntArray, n: int) -> IntArray:
+    """(n,) the number of each node's component in a graph with (2, e) edges."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    graph = coo_array((np.ones(pairs.shape[1], dtype=np.int8), (pairs[0], pairs[1])), shape=(n, n))
+    labels: IntArray = connected_components(graph, directed=False)[1]
+    return labels
+
+
+def _of_part(
+    touching: TouchPoints, boxes: IntArray, known: FloatArray, weight: FloatArray, centre_m: FloatArray
+) -> FloatArray:
+    """(b, 2) the intervals of boxes that hang together, in mean weights.
+
+    Args:
+        known: (b, 2) those that are known already; NaN for the others.
+    """
+    place = np.full(len(weight) + 1, CARRIER)  # its own place is the last one
+    place[boxes] = np.arange(len(boxes))
+    contacts = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
+    # (p, 4, 3) forces along the edges of the pyramids
+    direction = contacts.frame[:, :1] + np.einsum("ks,ps,psx->pkx", _EDGES, contacts.friction, contacts.frame[:, 1:])
+    forces = wrenches(place[contacts.first], place[contacts.second], contacts.position_m, direction, centre_m[boxes])
+    loads = np.zeros((len(boxes), WRENCH))
+    loads[:, 2] = weight[boxes]
+    unknown = np.isnan(known[:, 0])
+    pressing = (contacts.sign[:, None] * direction[:, :, 2])[None] * (contacts.pressed == boxes[unknown, None])[
+        :, :, None
+    ]
+    try:
+        bounds = least_and_most(pressing.reshape(int(unknown.sum()), -1), forces, loads.ravel())
+    except PetmjxError:  # an interval less is better than a run that ends
+        bounds = None
+    intervals = known.copy()
+    if bounds is not None:
+        intervals[unknown] = np.sort(bounds, axis=1)  # equal ones may differ by the solver's rounding
+    return intervals

@@ -1,0 +1,125 @@
+"""Whether plans stand, from runs: by petmjx's verdict, and by BED-BPP's rule."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.engines.verdict import Verdict
+from petmjx.options.simulation import Check
+from petmjx.plans.articles import read_articles, with_articles
+from petmjx.plans.plan import Plan
+from petmjx.results.plan_lookup import how_read
+from petmjx.results.run_manifest import plan_digest
+from petmjx.results.run_reader import RunResults, load_run
+
+MOST_SHIFT_Z_M: Final = 0.01
+"""BED-BPP's rule: a plan is unstable if any box has moved by more than this along z, m."""
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Plan id → whether it stands. Plans of which that is not known are left out.
+
+    Attributes:
+        verdicts: petmjx's verdict in words.
+        stable: whether that is ``stable``.
+        their_rule: by BED-BPP's rule.
+        notes: runs that are not finished, and which run would say more.
+    """
+
+    verdicts: Mapping[str, str] = field(default_factory=dict)
+    stable: Mapping[str, bool] = field(default_factory=dict)
+    their_rule: Mapping[str, bool] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+    all_stand: bool = False
+
+    @classmethod
+    def assumed(cls) -> Stability:
+        """All plans stand by BED-BPP's rule."""
+        return cls(all_stand=True, notes=("stability is taken as 1 for all plans, not simulated",))
+
+    def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:
+        """1, 0 or null for each plan."""
+        is_assumed = known is self.their_rule and self.all_stand
+        values = [1 if is_assumed else None if plan_id not in known else int(known[plan_id]) for plan_id in plan_ids]
+        return pd.Series(values, dtype="Int64")
+
+
+def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stability:
+    """What runs say of plans.
+
+    Raises:
+        InputError: a folder has no run, or a sweep, or a run in which a plan with the same id differs.
+    """
+    if not folders:
+        command = "petmjx score PLANS --check static --out DIR, then --run DIR"
+        return Stability(notes=(f"no run was given, so it is not known which plans stand: {command}",))
+    runs = [load_run(folder) for folder in folders]
+    for run in runs:
+        _check_same(run, plans)
+    static = next((run for run in runs if _check(run) == Check.STATIC), None)
+    verdicts = _verdicts(runs[0])
+    notes = [line for run in runs for line in run.doubts(str(run.path))]
+    if static is None:
+        notes.append(
+            f"kpi_6 needs a run with check static, and {runs[0].path} has {_check(runs[0])}: "
+            "petmjx score PLANS --check static --out DIR, then --run DIR too"
+        )
+    invalid = Verdict.INVALID.value
+    stable = {name: verdict == Verdict.STABLE.value for name, verdict in verdicts.items() if verdict != invalid}
+    if static is not None and not static.keeps_boxes:
+        notes.append(f"{static.path}: kept no boxes, which BED-BPP's rule is about")
+    return Stability(verdicts, stable, {} if static is None else _by_their_rule(static), tuple(notes))
+
+
+def _check(run: RunResults) -> Any:
+    return run.info["config"]["simulation"]["check"]
+
+
+def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
+    if run.info["config"]["command"] == "sweep":
+        raise InputError(f"{run.path}: is a sweep; KPIs need a run of petmjx score")
+    digests = dict(zip(run.plans["plan_id"], run.plans["digest"], strict=True))
+    if (file := how_read(run.info).articles) is not None:
+        articles = read_articles(file)
+        plans = [with_articles(plan, articles) for plan in plans]
+    for plan in plans:
+        if digests.get(plan.plan_id, digest := plan_digest(plan)) != digest:
+            raise InputError(
+                f"{run.path}: plan {printable_name(plan.plan_id)} differs from the one that was simulated there"
+            )
+
+
+def _verdicts(run: RunResults) -> dict[str, str]:
+    """Of the nominal worlds."""
+    columns = ("plan_id", "variant", "verdict")
+    tables = run.parts.table("worlds", columns)
+    worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None
+    if worlds is None:
+        return {}
+    return dict(zip(worlds["plan_id"].to_pylist(), worlds["verdict"].to_pylist(), strict=True))
+
+
+def _by_their_rule(run: RunResults) -> dict[str, bool]:
+    """Plans of a run with check static that has an answer for them."""
+    verdicts = _verdicts(run)
+    largest: dict[str, float] = {}
+    for part in run.parts.table("boxes", ("plan_id", "variant", "shift_z_m")):
+        boxes = part.filter(pc.field("variant") == 0)
+        boxes = boxes.set_column(2, "shift_z_m", pc.abs(boxes["shift_z_m"]))
+        grouped = boxes.group_by("plan_id").aggregate([("shift_z_m", "max")])
+        largest |= dict(zip(grouped["plan_id"].to_pylist(), grouped["shift_z_m_max"].to_pylist(), strict=True))
+    return {
+        plan_id: shift <= MOST_SHIFT_Z_M
+        for plan_id, shift in largest.items()
+        if shift is not None and verdicts.get(plan_id) not in (None, Verdict.INVALID.value)
+    }

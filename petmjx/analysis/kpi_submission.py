@@ -1,0 +1,204 @@
+"""A submission to BED-BPP's leaderboard: its file name, and what must hold of its plans.
+
+The name is ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``; the tasks are those of the leaderboard's page
+(floriankagerer.github.io/leaderboard): all items are known (offline), they come one after the other (O3DBP), or p are
+known and one of the next s is taken (O3DBP-p-s).
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable, printable_name
+from petmjx.plans.json_writer import Placement, write_plans
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.order_matching import match
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_writer import as_placements
+
+_PART: Final = re.compile(r"[^\W_][^\W_.+-]*(?:[.+-][^\W_.+-]+)*")
+_TASK: Final = re.compile(r"offline-?3dbp|o3dbp(?:-(\d{1,4})-(\d{1,4}))?", re.IGNORECASE)
+_MOST_FAULTS: Final = 10
+"""Faults that an error names."""
+
+
+@dataclass(frozen=True)
+class Submission:
+    """A submission's name.
+
+    Attributes:
+        date: ISO 8601.
+        task: as it was given.
+        choice: of how many next items the packer may take one; None: of all.
+    """
+
+    date: str
+    surname: str
+    algorithm: str
+    task: str
+    choice: int | None
+
+    @property
+    def file_name(self) -> str:
+        """ "2026-11-22_doe_layers_offline3dbp.json"."""
+        return f"{self.date}_{self.surname}_{self.algorithm}_{self.task}.json"
+
+
+def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.today) -> Submission:
+    """A submission's name from ``SURNAME_ALGORITHM_TASK``, with or without a date before and ``.json`` behind.
+
+    Raises:
+        InputError: it does not have these parts, or a part is not valid.
+    """
+    parts = text.removesuffix(".json").split("_")
+    if len(parts) == 3:
+        parts = [today().isoformat(), *parts]
+    if len(parts) != 4:
+        raise InputError(
+            f"leaderboard name {printable_name(text)}: must be SURNAME_ALGORITHM_TASK or DATE_SURNAME_ALGORITHM_TASK; "
+            "within a part write - instead of _"
+        )
+    date, surname, algorithm, task = parts
+    try:
+        datetime.datetime.strptime(date, "%Y-%m-%d")
+    except ValueError:
+        raise InputError(
+            f"leaderboard name {printable_name(text)}: the date must be YYYY-MM-DD, got {printable_name(date)}"
+        ) from None
+    for field, part in (("surname", surname), ("algorithm", algorithm)):
+        if not _PART.fullmatch(part):
+            raise InputError(
+                f"leaderboard name {printable_name(text)}: the {field} must be letters, digits and single - + . "
+                "between them, "
+                f"got {printable_name(part) or 'nothing'}"
+            )
+    match = _TASK.fullmatch(task)
+    p, s = (int(number or 1) for number in match.groups()) if match else (0, 1)
+    if match is None or not 1 <= s <= p:
+        raise InputError(
+            f"leaderboard name {printable_name(text)}: the task must be offline3dbp, o3dbp or o3dbp-p-s with p ≥ s ≥ "
+            "1, such as "
+            f"o3dbp-3-2, got {printable_name(task) or 'nothing'}"
+        )
+    return Submission(date, surname, algorithm, task, None if task.lower().startswith("offline") else s)
+
+
+def write_submission(
+    name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
+) -> Path:
+    """Check plans as a submission and write them. Items are written as the orders have them.
+
+    Args:
+        name: see :func:`parse_name`.
+        plans, orders: by id.
+        unusable: plans or orders that could not be read.
+
+    Returns:
+        The file.
+
+    Raises:
+        InputError: the name is not valid; a plan, an order or an item is missing or superfluous; or the file cannot
+            be written. Nothing is written then.
+    """
+    submission = parse_name(name)
+    faults = [f"{count_text(unusable, 'plan or order', 'plans or orders')} cannot be used"] if unusable else []
+    faults += [f"order {printable_name(order_id)} has no plan" for order_id in orders if order_id not in plans]
+    written: list[tuple[str, list[Placement]]] = []
+    for plan_id, plan in plans.items():
+        if plan_id not in orders:
+            faults.append(f"plan {printable_name(plan_id)} has no order")
+            continue
+        placements = as_placements(plan)
+        plan_faults = list(_faults(plan, placements, orders[plan_id], submission.choice))
+        faults += [f"plan {printable_name(plan_id)}{fault}" for fault in plan_faults]
+        written.append((plan_id, placements))
+    if faults:
+        more = f"; {len(faults) - _MOST_FAULTS:,} more" if len(faults) > _MOST_FAULTS else ""
+        named = "; ".join(faults[:_MOST_FAULTS])
+        raise InputError(f"no submission, {count_text(len(faults), 'fault')}: {named}{more}")
+    in_order = {order_id: rank for rank, order_id in enumerate(orders)}
+    written.sort(key=lambda pair: in_order[pair[0]])
+    file = folder / submission.file_name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{printable(str(folder))}: cannot be made: {error.strerror or error}") from error
+    write_plans(file, written)
+    return file
+
+
+def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
+    """What keeps a plan from being submitted. Gives each placement the item of the order that it is."""
+    _name(plan, placements, order)
+    has_ids = any(plan.item_ids)
+    free: dict[tuple[str, str], list[int]] = defaultdict(list)
+    for index, ordered_item in enumerate(order.items):
+        free[ordered_item.item_id if has_ids else "", ordered_item.article].append(index)
+    extent = TARGET_EXTENT_MM[order.target]
+    indices = []
+    for box, placement in enumerate(placements):
+        item = placement["item"]
+        same = free.get((item["id"], item["article"]))
+        if not same:
+            again = "is there more often than it was ordered" if same is not None else "was not ordered"
+            name = (
+                f" {printable_name(item['article'])} ({printable_name(item['id'])})"
+                if item["article"] or item["id"]
+                else ""
+            )
+            yield f", box {box}: item{name} {again}"
+            continue
+        by_number = [index for index in same if order.numbers[index] == item["sequence"]]
+        index = (by_number or same)[0]
+        same.remove(index)
+        indices.append(index)
+        ordered = order.items[index]
+        given = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])
+        if given != (ordered.length_mm, ordered.width_mm, ordered.height_mm, ordered.weight_kg):
+            yield f", box {box}: size or weight differs from the order's {printable_name(ordered.article)}"
+        corner = placement["flb_coordinates"]
+        if not all(isinstance(value, int) for value in corner):
+            yield f", box {box}: coordinates must be whole millimetres, got {corner}"
+        elif min(corner) < 0 or corner[0] >= extent[0] or corner[1] >= extent[1]:
+            yield f", box {box}: begins outside the {order.target}, at {corner}"
+        item.update(_as_ordered(ordered, order.numbers[index]))
+    if choice is not None:
+        yield from _sequence_faults(indices, choice, len(plan.articles))
+
+
+def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
+    """Give boxes without id and article the names of the items that they are by size and mass."""
+    unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
+    if not unnamed:
+        return
+    items = match(plan, order).item
+    has_ids = any(plan.item_ids)
+    for box in unnamed:
+        if (at := int(items[box])) >= 0:
+            item = order.items[at]
+            placements[box]["item"].update(article=item.article, id=item.item_id if has_ids else "")
+
+
+def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
+    """An online packer takes one of the next ``choice`` items; items that it leaves out are never next."""
+    if len(indices) < n_boxes:
+        return
+    waiting = sorted(indices)
+    for box, index in enumerate(indices):
+        place = waiting.index(index)
+        if place >= choice:
+            allowed = "the next item" if choice == 1 else f"one of the next {choice}"
+            yield f", box {box}: is item {place + 1} of those that wait, and the task lets the packer take {allowed}"
+            return
+        del waiting[place]
+
+
+def _as_ordered(item: Item, number: int) -> dict[str, Any]:
+    return {"id": item.item_id, "product_group": item.product_group, "sequence": number}

@@ -1,0 +1,384 @@
+"""The columns of the table of KPIs: name, type, unit, meaning.
+
+Direct support of boxes as BED-BPP counts it.
+
+Its evaluator keeps, for each square millimetre of the target, which box was placed there last, and how high it
+reaches. A box lies on all boxes that are last somewhere under it and reach up to 5 mm below its bottom, or higher. Its
+support is the sum of what it shares with each of them, as a share of its base; a box under which there is none counts
+as on the target, with support 1. So where two supporters overlap, what they share counts twice, a box that is pushed in
+under another one lies on that one, and a box that floats stands on the target. In plans without overlapping and
+floating boxes it is the share of the base that lies on something. (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
+``environment/cuboid.py``.)
+
+BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
+
+Definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``; docs/kpis.md has them, and
+says where petmjx has columns of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.analysis.kpi_stability import Stability, read_stability
+from petmjx.common.argument_checks import flag_of, path_of
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.plans.convention_checks import warn
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order
+from petmjx.plans.order_matching import Matching, OddBoxes, counts_of, match, on_target
+from petmjx.plans.order_reader import read_orders
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PlanSource, gather_plans
+
+
+class KpiColumn(NamedTuple):
+    """One column. ``pandas`` is the type in a data frame, which has nulls where ``missing`` says so."""
+
+    name: str
+    pandas: str
+    unit: str
+    meaning: str
+    mean: bool = True
+
+
+def _text(name: str, meaning: str) -> KpiColumn:
+    return KpiColumn(name, "object", "", meaning, mean=False)
+
+
+COLUMNS: Final = (
+    _text("plan_id", "id of the packing plan and of its order"),
+    _text("target", "the order's target: euro-pallet 1200 × 800 mm, rollcontainer 800 × 700 mm"),
+    KpiColumn("n_ordered", "int64", "1", "boxes of the order"),
+    KpiColumn("n_boxes", "int64", "1", "boxes of the plan"),
+    KpiColumn("n_not_ordered", "int64", "1", "boxes of the plan that were not ordered, or not so often"),
+    KpiColumn("n_resized", "int64", "1", "boxes of the plan that were ordered with another size or mass"),
+    KpiColumn("kpi_1", "float64", "1", "share of the ordered boxes that is left out"),
+    KpiColumn("kpi_2", "float64", "1", "volume of the boxes / (area of the target × greatest height)"),
+    KpiColumn("kpi_3", "float64", "m", "greatest height"),
+    KpiColumn("kpi_4", "float64", "1", "mean share of the base that lies on other boxes; 1 on the target"),
+    KpiColumn(
+        "kpi_5", "float64", "1", "share of the upper boxes that hold the pile together; null where there are none"
+    ),
+    KpiColumn(
+        "kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: not known"
+    ),
+    KpiColumn(
+        "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
+    ),
+    KpiColumn(
+        "eval_score_height", "float64", "m", "greatest height of boxes below 2.0 m, as BED-BPP reads it (1 mm low)"
+    ),
+    KpiColumn(
+        "eval_score_absolute_n_stable_pal_items", "Int64", "1", "kpi_6 × ordered boxes that begin at or below 2.0 m"
+    ),
+    KpiColumn(
+        "n_pal_items",
+        "int64",
+        "1",
+        "boxes as they were ordered, each once, on the target, that begin at or below 2.0 m",
+    ),
+    KpiColumn("height_below_2m_m", "float64", "m", "greatest height of boxes that end at or below 2.0 m"),
+    KpiColumn("volume_m3", "float64", "m^3", "volume of the boxes"),
+    KpiColumn(
+        "utilisation_2m", "float64", "1", "volume of boxes that end at or below 2.0 m / (area of the target × 2.0 m)"
+    ),
+    _text("verdict", "petmjx's verdict; null: not known"),
+    KpiColumn("stable", "Int64", "1", "1: the verdict is stable; null: not known, or invalid"),
+    KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
+    KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
+)
+"""First BED-BPP's own, then petmjx's."""
+
+MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
+"""Columns of which the mean is shown."""
+
+
+HEIGHT_TOLERANCE_MM: Final = 5.0
+"""Tops that are lower by up to this still support."""
+
+
+class Support(NamedTuple):
+    """Direct support of n boxes.
+
+    Attributes:
+        share: (n,) of the base; 1 on the target.
+        n_below: (n,) boxes on which a box lies; 0 on the target.
+    """
+
+    share: FloatArray
+    n_below: NDArray[np.int64]
+
+
+def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
+    """Support of the boxes of one plan.
+
+    Their map has a cell for each square millimetre; here cells reach from one edge of a box to the next, so that all of
+    a cell is under the same boxes.
+
+    Args:
+        corner_mm, size_mm: (n, 3), mm, as boxes stand, in packing order.
+        extent_mm: of the target along x and y, whose corner is the origin. What lies beyond it supports nothing.
+    """
+    low, high = corner_mm[:, :2], corner_mm[:, :2] + size_mm[:, :2]
+    x, y = (_cells(low[:, axis], high[:, axis], extent_mm[axis]) for axis in (0, 1))
+    last = np.full((x.number, y.number), -1)
+    reached = np.zeros((x.number, y.number))
+    tops = corner_mm[:, 2] + size_mm[:, 2]
+    share, n_below = np.ones(len(low)), np.zeros(len(low), dtype=np.int64)
+    for box, bottom in enumerate(corner_mm[:, 2]):
+        under = slice(x.first[box], x.end[box]), slice(y.first[box], y.end[box])
+        top_boxes = last[under]
+        met = np.zeros(len(low), dtype=bool)
+        met[top_boxes[(top_boxes >= 0) & (reached[under] >= bottom - HEIGHT_TOLERANCE_MM)]] = True
+        below = np.flatnonzero(met)
+        if len(below):
+            shared = np.minimum(high[box], high[below]) - np.maximum(low[box], low[below])
+            share[box] = (shared[:, 0] * shared[:, 1]).sum() / (size_mm[box, 0] * size_mm[box, 1])
+            n_below[box] = len(below)
+        last[under], reached[under] = box, tops[box]
+    return Support(share, n_below)
+
+
+class _Cells(NamedTuple):
+    """The cells of the target along one axis: how many, and from which to which each box covers them."""
+
+    number: int
+    first: NDArray[np.int64]
+    end: NDArray[np.int64]
+
+
+def _cells(low: FloatArray, high: FloatArray, extent: float) -> _Cells:
+    low, high = np.clip(low, 0, extent), np.clip(high, 0, extent)
+    edges = np.unique(np.concatenate((low, high)))
+    return _Cells(len(edges) - 1, np.searchsorted(edges, low), np.searchsorted(edges, high))
+
+
+SCORED_HEIGHT_MM: Final = 2_000.0
+"""Boxes that begin above this height do not count for the leaderboard."""
+
+_EDGE_MM: Final = 1.0
+"""By how much BED-BPP's evaluator reads the height of the pile low: it takes the last whole millimetre of a box."""
+
+Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class Kpis:
+    """What :func:`kpis` found.
+
+    Attributes:
+        plans: a row a plan, with the columns of ``petmjx.analysis.kpis.COLUMNS``. Missing values are null.
+        summary: of all plans: ``plans``, ``orders``, ``ordered_boxes``; ``means`` of the columns; the leaderboard's
+            rating ``rating`` (by ``kpi_6``), ``rating_by_verdict`` and ``rating_if_all_stood``; None where stability is
+            not known.
+        notes: a line on all that was left out or is not known.
+        skipped: lines on unusable plans and orders.
+        found: the plans, by id.
+        orders: the orders, by id.
+    """
+
+    plans: pd.DataFrame
+    summary: dict[str, Any]
+    notes: tuple[str, ...]
+    skipped: tuple[str, ...]
+    found: Mapping[str, Plan]
+    orders: Mapping[str, Order]
+
+    def __repr__(self) -> str:
+        rating = self.summary["rating"]
+        rated = "no rating" if rating is None else f"rating {rating:.4f}"
+        return f"Kpis({count_text(len(self.plans), 'plan')}, {count_text(len(self.orders), 'order')}, {rated})"
+
+
+def kpis(
+    plans: PlanSource,
+    orders: str | PathLike[str],
+    run: Paths | None = None,
+    *,
+    assume_stable: bool = False,
+    strict: bool = False,
+) -> Kpis:
+    """BED-BPP's KPIs of each plan, their means, and the leaderboard's rating.
+
+    ``petmjx.kpis("plans.json", "orders.json", run=["static-run", "run"]).plans``
+
+    Args:
+        plans: as for ``petmjx.score``.
+        orders: BED-BPP's orders file. An order belongs to the plan with its id.
+        run: folders of runs of these plans. The verdicts are those of the first one; ``kpi_6`` is BED-BPP's rule on the
+            first one with check ``static``.
+        assume_stable: take all plans as stable: ``kpi_6`` is 1. Without runs only.
+        strict: raise at the first unusable plan or order, instead of leaving it out.
+
+    Raises:
+        InputError: no usable plan or order, or a run of other plans.
+    """
+    flag_of(strict, "strict")
+    flag_of(assume_stable, "assume_stable")
+    orders = path_of(orders, "orders")
+    if assume_stable and run:
+        raise InputError(f"give either runs or {option('--assume-stable')}: a run already says which plans stand")
+    read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
+    warn(read.conventions)
+    by_id = {plan.plan_id: plan for plan in read.plans}
+    skipped = [str(skipped_plan) for skipped_plan in read.skipped]
+    orders_by_id: dict[str, Order] = {}
+    for order_id, order in read_orders(Path(orders), None if strict else lambda bad: skipped.append(str(bad))):
+        orders_by_id[order_id] = order
+    rated = {plan_id: plan for plan_id, plan in by_id.items() if plan_id in orders_by_id}
+    if not rated:
+        first = f"; the first that is unusable: {skipped[0]}" if skipped else ""
+        raise InputError(
+            f"no plan has an order: {count_text(len(by_id), 'plan')} and "
+            f"{count_text(len(orders_by_id), 'usable order')} "
+            f"have no id in common{first}"
+        )
+    stability = Stability.assumed() if assume_stable else read_stability(_as_list(run), rated.values())
+    matchings = {plan_id: match(plan, orders_by_id[plan_id]) for plan_id, plan in rated.items()}
+    frame = _frame(rated, orders_by_id, matchings, stability)
+    odd = _odd_boxes(rated, orders_by_id, matchings)
+    notes = (*read.notes, *_notes(by_id, orders_by_id), *odd, *stability.notes, *_unknown(frame, stability))
+    return Kpis(frame, _summary(frame, orders_by_id.values()), tuple(notes), tuple(skipped), by_id, orders_by_id)
+
+
+def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
+    """The columns of one plan that do not depend on its stability.
+
+    Args:
+        matching: its boxes and the order's, where they are matched already.
+    """
+    matching = matching or match(plan, order)
+    ordered = counts_of(matching)
+    extent = TARGET_EXTENT_MM[order.target]
+    support = direct_support(plan.corner_mm, plan.size_mm, extent)
+    tops = plan.corner_mm[:, 2] + plan.size_mm[:, 2]
+    height_mm, area = float(tops.max()), extent[0] * extent[1]
+    volumes = plan.size_mm.prod(axis=1)
+    counts = (plan.corner_mm[:, 2] <= SCORED_HEIGHT_MM) & matching.as_ordered & on_target(plan, order)
+    below = tops <= SCORED_HEIGHT_MM
+    return {
+        "plan_id": plan.plan_id,
+        "target": order.target,
+        "n_ordered": len(order.items),
+        "n_boxes": plan.n_boxes,
+        "n_not_ordered": ordered.not_ordered,
+        "n_resized": ordered.resized,
+        "kpi_1": ordered.left_out / ordered.ordered_boxes,
+        "kpi_2": float(volumes.sum()) / (area * height_mm) if height_mm > 0 else None,
+        "kpi_3": height_mm / MM_PER_M,
+        "kpi_4": float(support.share.mean()),
+        "kpi_5": _interlocked_share(plan, support.n_below),
+        "eval_score_height": _their_height(tops),
+        "n_pal_items": int(np.count_nonzero(counts)),
+        "height_below_2m_m": float(tops[below].max(initial=0.0)) / MM_PER_M,
+        "volume_m3": float(volumes.sum()) / MM_PER_M**3,
+        "utilisation_2m": float(volumes[below].sum()) / (area * SCORED_HEIGHT_MM),
+    }
+
+
+def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
+    """Of the boxes that are not on the target, the share that lies on several boxes, or on one and is turned otherwise
+    than the first box of the plan; None where all are on the target."""
+    turned = plan.turned != plan.turned[0]
+    n_above = int(np.count_nonzero(n_below))
+    held = (n_below > 1) | ((n_below == 1) & turned)
+    return int(np.count_nonzero(held)) / n_above if n_above else None
+
+
+def _their_height(tops_mm: np.ndarray[Any, np.dtype[np.float64]]) -> float:
+    read = tops_mm - _EDGE_MM
+    return round(float(read[read <= SCORED_HEIGHT_MM].max(initial=0.0)) / MM_PER_M, 3)
+
+
+def _frame(
+    rated: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching], stability: Stability
+) -> pd.DataFrame:
+    frame = pd.DataFrame([kpis_of(plan, orders[name], matchings[name]) for name, plan in rated.items()])
+    ids = frame["plan_id"]
+    frame["kpi_6"] = stability.column(stability.their_rule, ids)
+    frame["verdict"] = [stability.verdicts.get(plan_id) for plan_id in ids]
+    frame["stable"] = stability.column(stability.stable, ids)
+    for flag, ratio, number in (
+        ("kpi_6", "eval_score_pal_ratio", "eval_score_absolute_n_stable_pal_items"),
+        ("stable", "stable_pal_ratio", "n_stable_pal_items"),
+    ):
+        frame[number] = (frame[flag] * frame["n_pal_items"]).astype("Int64")
+        frame[ratio] = frame[number].astype("Float64") / frame["n_ordered"]
+    kinds = {column.name: column.pandas for column in COLUMNS}
+    return frame[list(kinds)].astype(kinds)
+
+
+def _summary(frame: pd.DataFrame, orders: Collection[Order]) -> dict[str, Any]:
+    ordered = sum(len(order.items) for order in orders)
+
+    def rating(column: str) -> float | None:
+        values = frame[column]
+        return None if values.isna().all() else int(values.sum()) / ordered
+
+    means = {name: None if frame[name].isna().all() else float(frame[name].mean()) for name in MEANS}
+    return {
+        "plans": len(frame),
+        "orders": len(orders),
+        "ordered_boxes": ordered,
+        "means": means,
+        "rating": rating("eval_score_absolute_n_stable_pal_items"),
+        "rating_by_verdict": rating("n_stable_pal_items"),
+        "rating_if_all_stood": rating("n_pal_items"),
+    }
+
+
+def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
+    without_order = [plan_id for plan_id in plans if plan_id not in orders]
+    without_plan = [order_id for order_id in orders if order_id not in plans]
+    notes = []
+    if without_order:
+        verb = "has" if len(without_order) == 1 else "have"
+        plans_without = count_text(len(without_order), "plan")
+        notes.append(f"{plans_without} {verb} no order and no KPIs ({first_names(without_order)})")
+    if without_plan:
+        verb = "has no plan, and counts" if len(without_plan) == 1 else "have no plan, and count"
+        boxes = count_text(sum(len(orders[order_id].items) for order_id in without_plan), "box", "boxes")
+        these = f"{count_text(len(without_plan), 'order')} ({boxes})"
+        notes.append(f"{these} {verb} as not stable in the ratings ({first_names(without_plan)})")
+    return notes
+
+
+def _odd_boxes(
+    plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
+) -> Iterator[str]:
+    """A line on boxes that are not the orders', with the first plan that has some, and on boxes known by size alone."""
+    odd = OddBoxes()
+    for name, matching in matchings.items():
+        odd.add(plans[name], orders[name], matching)
+    return odd.lines()
+
+
+def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
+    """Plans whose stability is not known though the run has that of others."""
+    notes = []
+    for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
+        missing = frame.loc[frame[column].isna(), "plan_id"].tolist()
+        if known and missing:
+            verb = "is" if len(missing) == 1 else "are"
+            unknown = f"{count_text(len(missing), 'plan')} {verb} not in the run or invalid there, so {column} is empty"
+            notes.append(f"{unknown}, which counts as not stable in the rating ({first_names(missing)})")
+    return notes
+
+
+def _as_list(run: Paths | None) -> list[Path]:
+    if run is None:
+        return []
+    return [Path(run)] if isinstance(run, str | PathLike) else [Path(folder) for folder in run]

@@ -1,0 +1,259 @@
+"""Load-bearable convex polygons: where the top of a box can be loaded without anything below giving way.
+
+Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement
+    Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. Any other box bears within the
+    hull of its contact areas, as far as these lie in the polygons of the boxes below; that hull is its own polygon, and
+    the box stands if its centre is in it. Then no later box can tip it, so loads need not be known. The paper also lets
+    the centre of mass be uncertain; here boxes are of uniform density.
+
+Criteria that pass loads down: the resultant of a box's weight and of the loads above stays over what bears it.
+
+Both criteria ask each box at its placement, and all below it again. They differ in how a load is shared out:
+
+- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Two share by the
+  lever rule; of more, forces of least squares that balance force and moments. Source: Zhao, Zhu, Xu, Huang, Xu (2022),
+  "Learning practically feasible policies for online 3D bin packing", Science China Information Sciences 65, arXiv
+  2108.13680. A load beyond the last support's middle lifts the other ones, as levers do.
+- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly, which balances force and
+  moments exactly and has the same answer for any number of supports. Source of the criterion: Ramos, Oliveira,
+  Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability constraints",
+  Transportation Research Part B 91, 565-581. Force and moment balance alone do not say how more than two supports
+  share; the bedding is ours. (Public re-implementations let each box directly above press with its whole weight, and
+  pass nothing further.)
+
+Both are linear in the load. So each box's weight is passed down alone, and the load on a box after any placement is a
+sum over the boxes placed so far. An even bedding does not pull, though: where it would, supports push with the least
+energy of their springs (petmjx.world.load_sharing). And where it has a resultant beyond an edge, a linear programme
+says whether other forces have all inside (petmjx.world.load_balance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.analysis.plan_contacts import Hulls, IntArray, PlanContacts, hulls_of
+from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
+from petmjx.world.edge_distances import BuildingLoads, balanced_after, building_loads_of, depends_on_sharing
+from petmjx.world.history import CARRIER
+from petmjx.world.supports import Bearing, Boxes
+
+
+def load_polygon_slack(contacts: PlanContacts) -> FloatArray:
+    """(n,) how far each box's centre is inside its polygon's edge, mm; negative outside, NaN without a polygon."""
+    polygons = load_polygons(contacts)
+    return hulls_of(polygons).distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2])
+
+
+def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
+    """(n,) the polygons as shapely's; empty for a box that lies on nothing that bears.
+
+    Boxes are worked through level by level: all those at once whose supports have their polygons.
+    """
+    import shapely
+
+    areas = shapely.box(*contacts.low_mm.T, *contacts.high_mm.T)
+    polygons = np.full(contacts.n_boxes, shapely.Polygon(), dtype=object)
+    level = _levels(contacts)[contacts.upper]
+    for number in range(int(level.max(initial=-1)) + 1):
+        chosen = np.flatnonzero(level == number)
+        borne = _within_polygons(areas[chosen], contacts.lower[chosen], polygons)
+        owner, points_of = shapely.get_coordinates(borne), shapely.get_num_coordinates(borne)
+        boxes, indices = np.unique(np.repeat(contacts.upper[chosen], points_of), return_inverse=True)
+        polygons[boxes] = shapely.convex_hull(shapely.multipoints(owner, indices=indices))
+    return polygons
+
+
+def _levels(contacts: PlanContacts) -> IntArray:
+    """(n,) 0 for boxes on the carrier alone, else one more than the highest level of their supports."""
+    level = np.zeros(contacts.n_boxes, dtype=np.int64)
+    for upper, lower in zip(contacts.upper.tolist(), contacts.lower.tolist(), strict=True):
+        if lower != CARRIER:
+            level[upper] = max(level[upper], level[lower] + 1)
+    return level
+
+
+def _within_polygons(areas: NDArray[np.object_], lower: IntArray, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
+    """Contact areas as far as they lie in the polygons of the bodies below."""
+    import shapely
+
+    borne = areas.copy()
+    on_boxes = np.flatnonzero(lower != CARRIER)
+    cut = on_boxes[~shapely.covers(polygons[lower[on_boxes]], areas[on_boxes])]
+    borne[cut] = shapely.intersection(areas[cut], polygons[lower[cut]])
+    return borne
+
+
+Sharing = Callable[[PlanContacts], FloatArray]
+"""From contacts to (c, 3, 3) matrices: load of the upper box (mass, mass × x, mass × y) → that on the lower body, kg
+and kg·mm."""
+
+
+_SAME: Final = 1e-9
+"""Loads that differ by no more, as a share, differ by rounding."""
+
+
+def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
+    """(n,) ``load_slack`` on an even bedding that pushes, if there is no other balance with all resultants inside.
+
+    Where loads after a placement seem to be beyond edges, and depend on how boxes share theirs, forces that balance
+    decide. After the first placement of which there are none, loads are passed on as if nothing had happened.
+    """
+    bearing = bearing_of(contacts)
+    built = building_loads_of(bearing, [contacts.n_boxes])
+    slack = load_slack(contacts, hulls, even_bedding, built if _pulls(contacts, built) else None)
+    edge_mm = built.edge_m * MM_PER_M
+    open_ = (edge_mm < 0) & depends_on_sharing(bearing, built)
+    surely = np.isin(built.step, built.step[(edge_mm < 0) & ~open_])
+    failed = False
+    for step in np.unique(built.step[open_ & ~surely]).tolist():
+        if failed:
+            break
+        last, balanced_m = balanced_after(bearing, built, step)
+        failed = bool((balanced_m < 0).any())
+        changed = built.box[last[built.step[last] == step]]
+        least_m = balanced_m.min(where=~np.isnan(balanced_m), initial=np.inf) if failed else balanced_m[changed].min()
+        slack[step] = MM_PER_M * least_m
+    return slack
+
+
+def load_slack(
+    contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
+) -> FloatArray:
+    """(n,) how far resultants are inside the edges of the contact hulls after each box's placement, mm.
+
+    It is the least of the box's own and of those of all boxes that bear part of it. NaN where one of these lies on
+    nothing, or is lifted.
+
+    Args:
+        pushed: the loads if supports only push, where the sharing would pull.
+    """
+    on_box = _loads_on_boxes(contacts, sharing)
+    bears = on_box.any(axis=-1)
+    load = on_box.cumsum(axis=1)
+    if pushed is not None:
+        load[pushed.box, pushed.step] = pushed.load * (1.0, MM_PER_M, MM_PER_M)
+    below, placed = np.nonzero(bears)
+    total = load[below, placed]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        point = np.where(total[:, :1] > 0, total[:, 1:] / total[:, :1], np.nan)
+    distance = hulls.distance(below, point)
+    slack = np.full(contacts.n_boxes, np.inf)
+    with np.errstate(invalid="ignore"):
+        np.minimum.at(slack, placed, distance)  # NaN wins
+    return slack
+
+
+def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
+    """(n,) the least 1 − load / strength after each box's placement, of it and of all boxes that bear part of it; NaN
+    where it lies on nothing.
+
+    Args:
+        strength_n: (n,) what a box bears on its top, N; NaN, or None for all: it is not known, and nothing is too much.
+    """
+    slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
+    if strength_n is None:
+        return slack
+    on_box = _loads_on_boxes(contacts, sharing)[..., 0]
+    bears, boxes = on_box != 0, np.arange(contacts.n_boxes)
+    on_box[boxes, boxes] = 0.0  # its own weight is none of what it bears on its top
+    borne = on_box.cumsum(axis=1)
+    built = building_loads_of(bearing_of(contacts), [contacts.n_boxes]) if sharing is even_bedding else None
+    if built is not None and _pulls(contacts, built):
+        borne[built.box, built.step] = built.load[:, 0] - contacts.mass_kg[built.box]
+    left = 1.0 - STANDARD_GRAVITY * borne / strength_n[:, None]
+    below, placed = np.nonzero(bears & ~np.isnan(strength_n)[:, None])
+    np.minimum.at(slack, placed, left[below, placed])
+    return slack
+
+
+def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
+    """(n, n, 3): what box j (row) bears of the weight of box m (column), as (kg, kg·mm, kg·mm); its own included."""
+    n = contacts.n_boxes
+    on_box = np.zeros((n, n, 3))
+    weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
+    on_box[np.arange(n), np.arange(n)] = weights
+    share = sharing(contacts)
+    # contacts are in the order of the boxes above, and supports are placed earlier: from the last box down
+    for contact in range(len(contacts.upper) - 1, -1, -1):
+        lower = contacts.lower[contact]
+        if lower != CARRIER:
+            on_box[lower] += on_box[contacts.upper[contact]] @ share[contact].T
+    return on_box
+
+
+def bearing_of(contacts: PlanContacts) -> Bearing:
+    """The contacts of a plan as those of a scene, in metres."""
+    n = contacts.n_boxes
+    half = contacts.size_mm / 2
+    middle = contacts.corner_mm + half
+    boxes = Boxes(
+        np.array([0, n]),
+        middle / MM_PER_M,
+        half / MM_PER_M,
+        contacts.mass_kg,
+        (contacts.centre_mm - middle) / MM_PER_M,
+        np.full(n, np.inf),
+    )
+    low, high = contacts.low_mm / MM_PER_M, contacts.high_mm / MM_PER_M
+    return Bearing(boxes, contacts.upper, contacts.lower, low, high)
+
+
+def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
+    """Whether an even bedding would pull after some placement: its loads are others than those of supports that only
+    push."""
+    linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
+    pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
+    return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
+
+
+def lever_rule(contacts: PlanContacts) -> FloatArray:
+    """(c, 3, 3): a force at the middle of each contact area."""
+    upper, n = contacts.upper, contacts.n_boxes
+    middle = (contacts.low_mm + contacts.high_mm) / 2
+    count = np.maximum(contacts.n_supports, 1)
+    mean = _sums(middle, upper, n) / count[:, None]
+    arm = middle - mean[upper]
+    inverse = np.linalg.pinv(_sums(arm[:, :, None] * arm[:, None, :], upper, n), hermitian=True)
+    by_moment = np.einsum("cij,cj->ci", inverse[upper], arm)
+    by_mass = 1.0 / count[upper] - (by_moment * mean[upper]).sum(axis=1)
+    force = np.c_[by_mass, by_moment]
+    acts_at = np.c_[np.ones(len(upper)), middle]
+    share: FloatArray = acts_at[:, :, None] * force[:, None, :]
+    return share
+
+
+def even_bedding(contacts: PlanContacts) -> FloatArray:
+    """(c, 3, 3): pressure that varies linearly over all contact areas of the box above."""
+    upper = contacts.upper
+    # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
+    origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
+    moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
+    total_moments = _sums(moments, upper, contacts.n_boxes)[upper]
+    share = moments @ np.linalg.inv(total_moments)
+    to_global = np.zeros_like(share)
+    to_global[:, 0, 0] = 1.0
+    to_global[:, 1:, 0] = origin
+    to_global[:, [1, 2], [1, 2]] = scale
+    passed: FloatArray = to_global @ share @ np.linalg.inv(to_global)
+    return passed
+
+
+def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(c, 3, 3) integrals of (1, x, y) ⊗ (1, x, y) over rectangles."""
+    length = high - low
+    area = length.prod(axis=1)
+    middle = np.c_[np.ones(len(area)), (low + high) / 2]
+    moments: FloatArray = area[:, None, None] * middle[:, :, None] * middle[:, None, :]
+    moments[:, [1, 2], [1, 2]] += area[:, None] * length**2 / 12
+    return moments
+
+
+def _sums(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
+    """(n, …) sums of the values of each owner."""
+    sums = np.zeros((n, *values.shape[1:]))
+    np.add.at(sums, owner, values)
+    return sums

@@ -1,0 +1,281 @@
+"""What a comparison of packers says, in sentences: who stands more often, and how sure that is.
+
+Which packer's plans stand more often, by how much, and is the difference more than luck?
+
+Orders are paired: each is packed by every packer. Compared are the orders that have a valid verdict from every packer.
+Orders without a plan and invalid worlds are counted beside them; ``share_at_worst`` is the share if they counted as
+plans that do not stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.analysis.packer_kpis import KPIS, against_orders
+from petmjx.analysis.packer_runs import MEASURES, MISSING, Run, doubts, plans_of, runs_by_packer
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.engines.verdict import Verdict
+from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
+from petmjx.results.run_reader import RunResults
+from petmjx.results.shares import DEFAULT_CONFIDENCE, PairedCounts, holm, mcnemar_p, newcombe_interval, wilson_interval
+from petmjx.results.to_json import to_json
+
+LEAST_P: Final = 1e-4
+"""Smaller p-values are shown as smaller than this."""
+
+
+def p_in_words(p: float) -> str:
+    """ "p = 0.0020" or "p < 0.0001"."""
+    return f"p < {LEAST_P:.4f}" if p < LEAST_P else f"p = {p:.4f}"
+
+
+def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
+    """One sentence about two packers on the same orders.
+
+    Args:
+        row: of ``PackerComparison.pairs``, size ``all``, with at least one compared order.
+        confidence: of its interval. The test is significant where its p-value is at most 1 − confidence.
+        pairs: how many tests the p-value is corrected for.
+    """
+    better, worse = (row["b"], row["a"]) if row["difference"] > 0 else (row["a"], row["b"])
+    bounds = (row["low"], row["high"]) if row["difference"] > 0 else (-row["high"], -row["low"])
+    low, high = (f"{100 * bound + 0.0:+.2f}" for bound in bounds)
+    orders = count_text(int(row["n"]), "order")
+    level = f"{100 * confidence:g} % interval"
+    test = f"McNemar's exact test, {p_in_words(row['p_holm'])}" + (
+        f", corrected for {pairs} pairs" if pairs > 1 else ""
+    )
+    if row["difference"] == 0:
+        equal = f"Plans of {printable_name(row['a'])} and {printable_name(row['b'])} stand equally often on {orders}"
+        return f"{equal}; a difference of {low} to {high} percentage points is possible ({level}; {test})."
+    more = f"lans of {printable_name(better)} stand more often than plans of {printable_name(worse)}"
+    points = f"{100 * abs(row['difference']):.2f} percentage points"
+    sure = f"({level} {low} to {high}; {test})"
+    if row["p_holm"] <= 1 - confidence:
+        return f"P{more}: by {points} on {orders} {sure}."
+    return f"On these {orders} p{more}, by {points}, but that may be luck {sure}."
+
+
+SIZE_BINS: Final = (0, 20, 40, 60, 80)
+"""Orders by number of boxes: 1 to 20, 21 to 40, …, more than 80."""
+
+ALL_SIZES: Final = "all"
+
+_PAIR_COLUMNS: Final = (
+    "size", "a", "b", "n", "both", "only_a", "only_b", "neither", "difference", "low", "high", "p", "p_holm",
+)  # fmt: skip
+
+SHOWN: Final = (
+    ShownColumn("packer", "packer"),
+    ShownColumn("n", "orders"),
+    ShownColumn("n_stable", "stand"),
+    ShownColumn("share", "share %", 1, 100.0),
+    ShownColumn("low", "from %", 1, 100.0),
+    ShownColumn("high", "to %", 1, 100.0),
+    ShownColumn("boxes", "boxes placed", 1),
+    ShownColumn("height_m", "height m", 3),
+    ShownColumn("kpi_2", "kpi_2", 3),
+)
+"""Columns of ``packers`` in a notebook."""
+
+
+TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
+"""Names of the tables of a comparison."""
+
+
+@dataclass(frozen=True, eq=False)
+class PackerComparison:
+    """What :func:`compare_packers` found.
+
+    Attributes:
+        runs: name of each packer → folder of its run.
+        confidence: of all intervals.
+        packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, ``n`` compared orders,
+            ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; the means of ``MEASURES``, and with
+            orders of ``KPIS``, over the compared orders; ``n_orders`` of this size, of which ``n_invalid`` and
+            ``n_missing``; ``share_at_worst``.
+        pairs: a row for each two packers and size: ``a``, ``b``, ``n``, ``both``, ``only_a``, ``only_b``, ``neither``
+            stand, ``difference`` (share of b − share of a) with Newcombe's interval ``low``, ``high``; ``p`` of
+            McNemar's exact test, and ``p_holm``, corrected for the number of pairs (size ``all``; null in the others,
+            which are there to look at, not to test).
+        reasons: for each two packers, by whom an order is ``lost`` and why the loser's plan does not stand: ``a``,
+            ``b``, ``lost_by``, ``reason``, ``n``.
+        decided: orders that stand with only one of two packers: ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``,
+            ``reason``, ``order_boxes``.
+        plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).
+        notes: reasons to doubt the comparison, one line each.
+    """
+
+    runs: Mapping[str, str]
+    confidence: float
+    packers: pd.DataFrame
+    pairs: pd.DataFrame
+    reasons: pd.DataFrame
+    decided: pd.DataFrame
+    plans: pd.DataFrame
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        rows = self.packers[self.packers["size"] == ALL_SIZES]
+        shares = ", ".join(f"{row.packer} {100 * row.share:.1f} %" for row in rows.itertuples())
+        return f"PackerComparison({shares} of {count_text(int(rows['n'].iloc[0]), 'order')})"
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """For each two packers, one sentence: who stands more often, by how much, and how sure that is. Empty where no
+        order is compared."""
+        rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
+        return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the sentences, and a row for each packer."""
+        rows = self.packers[self.packers["size"] == ALL_SIZES]
+        return block_as_html([repr(self), *self.sentences, *self.notes], [table_as_html(rows, SHOWN, "packers")])
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """All tables by name."""
+        return {name: getattr(self, name) for name in TABLES}
+
+    def to_dict(self) -> dict[str, Any]:
+        """All but ``plans`` as plain JSON values; missing numbers are None."""
+        return dict(to_json({name: value for name, value in vars(self).items() if name != "plans"}))
+
+
+def compare_packers(
+    runs: Sequence[Run] | Mapping[str, Run],
+    confidence: float = DEFAULT_CONFIDENCE,
+    *,
+    orders: str | PathLike[str] | None = None,
+) -> PackerComparison:
+    """Compare packers by runs of their plans, which are paired by plan id.
+
+    Args:
+        runs: two or more runs or their folders, or packer → run. Without names they have those of their folders.
+        confidence: of the intervals.
+        orders: BED-BPP orders of the plans, for which the plans are read again. Boxes are counted against them, orders
+            that nobody packed are missing for all packers, and there are KPIs.
+
+    Raises:
+        InputError: fewer than two runs, no run in a folder, a sweep, two of one name, unreadable orders; or SciPy is
+            missing.
+    """
+    if not 0 < confidence < 1:
+        raise InputError(f"confidence must be between 0 and 1, got {confidence}")
+    return comparison_of(runs_by_packer(runs), confidence, None if orders is None else Path(orders))
+
+
+def comparison_of(found: Mapping[str, RunResults], confidence: float, orders: Path | None) -> PackerComparison:
+    """Packers compared by runs that are open; one alone has no pairs.
+
+    Raises:
+        InputError: unreadable orders, or SciPy is missing.
+    """
+    against = None if orders is None else against_orders(found, orders)
+    plans = plans_of(found, against)
+    notes = doubts(found, plans)
+    if against is not None:
+        plans, notes = _with_kpis(plans, against.rows), [*notes, *against.notes]
+    sized = plans.assign(size=size_names(plans["order_boxes"]))
+    sizes = [ALL_SIZES, *(size for size in _bin_names() if (sized["size"] == size).any())]
+    parts = {size: sized if size == ALL_SIZES else sized[sized["size"] == size] for size in sizes}
+    packers = [_packer_row(size, name, rows, confidence) for size, rows in parts.items() for name in found]
+    pairs = [_pair_row(size, a, b, rows, confidence) for size, rows in parts.items() for a, b in combinations(found, 2)]
+    pair_table = pd.DataFrame(pairs, columns=_PAIR_COLUMNS)
+    overall = pair_table["size"] == ALL_SIZES
+    pair_table.loc[overall, "p_holm"] = holm(pair_table.loc[overall, "p"].tolist())
+    decided = _decided_orders(plans, list(found))
+    by = ["a", "b", "lost_by", "reason"]
+    reasons = decided.groupby(by, sort=False).size().rename("n").reset_index()
+    return PackerComparison(
+        runs={name: str(run.path) for name, run in found.items()},
+        confidence=confidence,
+        packers=pd.DataFrame(packers),
+        pairs=pair_table,
+        reasons=reasons.sort_values([*by[:3], "n"], ascending=[True, True, True, False]).reset_index(drop=True),
+        decided=decided,
+        plans=plans,
+        notes=tuple(notes),
+    )
+
+
+def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
+    """With the columns ``KPIS``; kpi_2 is that of the order's target, where that is known."""
+    kpis = kpis[["plan_id", "packer", *KPIS]]
+    merged = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
+    return merged.assign(kpi_2=merged["kpi_2"].combine_first(plans["kpi_2"]))
+
+
+def _bin_names() -> list[str]:
+    upper = [*SIZE_BINS[1:], None]
+    return [f"{low + 1} to {high}" if high else f"over {low}" for low, high in zip(SIZE_BINS, upper, strict=True)]
+
+
+def size_names(boxes: pd.Series) -> pd.Series:
+    """The bin of each number of boxes, as text."""
+    names = np.array(_bin_names())
+    return pd.Series(names[np.searchsorted(SIZE_BINS, boxes.to_numpy(), side="left") - 1], index=boxes.index)
+
+
+def _packer_row(size: str, name: str, rows: pd.DataFrame, confidence: float) -> dict[str, Any]:
+    mine = rows[rows["packer"] == name]
+    compared = mine[mine["compared"]]
+    stable = int((compared["verdict"] == Verdict.STABLE.value).sum())
+    low, high = wilson_interval(stable, len(compared), confidence)
+    measures = [*MEASURES, *(column for column in KPIS if column in rows and column not in MEASURES)]
+    means = {column: float(compared[column].mean()) for column in measures}
+    standing = int((mine["verdict"] == Verdict.STABLE.value).sum())
+    return {
+        "size": size,
+        "packer": name,
+        "n": len(compared),
+        "n_stable": stable,
+        "share": stable / len(compared) if len(compared) else float("nan"),
+        "low": float(low),
+        "high": float(high),
+        **means,
+        "n_orders": len(mine),
+        "n_invalid": int((mine["verdict"] == Verdict.INVALID.value).sum()),
+        "n_missing": int((mine["verdict"] == MISSING).sum()),
+        "share_at_worst": standing / len(mine) if len(mine) else float("nan"),
+    }
+
+
+def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) -> dict[str, Any]:
+    wide = _standing_table(rows)
+    in_a, in_b = wide[a].to_numpy(bool), wide[b].to_numpy(bool)
+    counts = PairedCounts(*(int(np.sum(mask)) for mask in (in_a & in_b, in_a & ~in_b, in_b & ~in_a, ~in_a & ~in_b)))
+    low, high = newcombe_interval(counts, confidence)
+    test = mcnemar_p(counts) if size == ALL_SIZES else float("nan")
+    shares = {"difference": counts.difference, "low": low, "high": high, "p": test, "p_holm": float("nan")}
+    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}  # _PAIR_COLUMNS
+
+
+def _standing_table(rows: pd.DataFrame) -> pd.DataFrame:
+    """Compared orders × packers: whether the plan stands."""
+    compared = rows[rows["compared"]]
+    stands = compared.assign(stands=compared["verdict"] == Verdict.STABLE.value)
+    return stands.pivot(index="plan_id", columns="packer", values="stands").reindex(columns=rows["packer"].unique())
+
+
+def _decided_orders(plans: pd.DataFrame, names: Sequence[str]) -> pd.DataFrame:
+    compared = plans[plans["compared"]]
+    of = {name: compared[compared["packer"] == name].reset_index(drop=True) for name in names}
+    parts = []
+    for a, b in combinations(names, 2):
+        stands = {name: (of[name]["verdict"] == Verdict.STABLE.value).to_numpy() for name in (a, b)}
+        for winner, loser in ((b, a), (a, b)):
+            won = stands[winner] & ~stands[loser]
+            part = of[loser].loc[won, ["plan_id", "reason", "order_boxes"]]
+            parts.append(part.assign(a=a, b=b, won_by=winner, lost_by=loser))
+    columns = ["a", "b", "won_by", "lost_by", "plan_id", "reason", "order_boxes"]
+    return pd.concat(parts, ignore_index=True)[columns] if parts else pd.DataFrame(columns=columns)

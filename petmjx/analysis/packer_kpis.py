@@ -1,0 +1,124 @@
+"""Packers' plans against the orders that they were packed from: which boxes are the orders', and BED-BPP's KPIs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.analysis.kpis import kpis_of
+from petmjx.common.text import count_text, first_names, printable, printable_name
+from petmjx.plans.order_generator import Order
+from petmjx.plans.order_matching import OddBoxes, counts_of, match, on_target
+from petmjx.plans.order_reader import read_orders
+from petmjx.plans.plan import Plan
+from petmjx.results.plan_lookup import find_plans
+from petmjx.results.run_manifest import Manifest
+from petmjx.results.run_reader import RunResults
+
+KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
+"""Columns of which means are shown. kpi_3 is the height, which is there without orders; kpi_6 is for a static check."""
+
+GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
+"""Columns of boxes: of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and those that are as ordered and on the
+target."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrderComparison:
+    """Plans of packers against orders.
+
+    Attributes:
+        sizes: id of each order → its boxes.
+        rows: a row for each plan that has an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null
+            where a KPI has no value).
+        notes: a line on each packer's boxes that are not the orders', on plans without an order, on plans that were
+            not read again, on orders that nobody packed, and on unusable ones.
+    """
+
+    sizes: Mapping[str, int]
+    rows: pd.DataFrame
+    notes: tuple[str, ...] = ()
+
+
+def against_orders(runs: Mapping[str, RunResults], file: Path) -> OrderComparison:
+    """The plans of runs, which are read again, against the orders of a file.
+
+    Args:
+        runs: name of each packer → its run.
+        file: BED-BPP orders. An order belongs to the plans with its id.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    unusable: list[str] = []
+    orders = dict(read_orders(file, lambda error: unusable.append(str(error))))
+    plans = {name: _plans_of(run, orders) for name, run in runs.items()}
+    comparison = compare_with_orders(plans, orders)
+    notes = list(comparison.notes)
+    if unusable:
+        notes.append(
+            f"{count_text(len(unusable), 'order')} of {printable(str(file))} unusable; the first: {unusable[0]}"
+        )
+    for name, run in runs.items():
+        ids = dict.fromkeys(run.worlds["plan_id"])
+        if without := [plan_id for plan_id in ids if plan_id not in orders]:
+            first = first_names(without)
+            notes.append(
+                f"no KPIs of {count_text(len(without), 'plan')} of {printable_name(name)}: without an order ({first})"
+            )
+        if lost := [plan_id for plan_id in ids if plan_id in orders and plan_id not in plans[name]]:
+            first = first_names(lost)
+            notes.append(
+                f"no KPIs of {count_text(len(lost), 'plan')} of {printable_name(name)}: not found again, so it is "
+                "not known "
+                f"whether their boxes were ordered ({first})"
+            )
+    packed = {plan_id for run in runs.values() for plan_id in run.worlds["plan_id"]}
+    if left := [order_id for order_id in orders if order_id not in packed]:
+        verb = "is" if len(left) == 1 else "are"
+        boxes = count_text(sum(comparison.sizes[order_id] for order_id in left), "box", "boxes")
+        notes.append(f"{count_text(len(left), 'order')} ({boxes}) {verb} packed by nobody: {first_names(left)}")
+    return OrderComparison(comparison.sizes, comparison.rows, tuple(notes))
+
+
+def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping[str, Order]) -> OrderComparison:
+    """Plans against orders, without a file.
+
+    Args:
+        plans: name of each packer → its plans by id. Those without an order are passed over.
+        orders: by id.
+    """
+    rows: list[dict[str, object]] = []
+    notes: list[str] = []
+    for name, by_id in plans.items():
+        odd = OddBoxes()
+        for plan_id, plan in by_id.items():
+            if (order := orders.get(plan_id)) is None:
+                continue
+            matching = match(plan, order)
+            ordered = counts_of(matching)
+            odd.add(plan, order, matching)
+            as_ordered = int(np.count_nonzero(matching.as_ordered & on_target(plan, order)))
+            kpis = kpis_of(plan, order, matching)
+            goods = (ordered.left_out, ordered.not_ordered, ordered.resized, as_ordered)
+            rows.append(
+                {"packer": name, "plan_id": plan_id}
+                | dict(zip(GOODS, goods, strict=True))
+                | {kpi: kpis[kpi] for kpi in KPIS}
+            )
+        notes += odd.lines(f"of {printable_name(name)}")
+    table = pd.DataFrame(rows, columns=["plan_id", "packer", *GOODS, *KPIS])
+    sizes = {order_id: len(order.items) for order_id, order in orders.items()}
+    return OrderComparison(sizes, table.astype(dict.fromkeys((*GOODS, *KPIS), "float64")), tuple(notes))
+
+
+def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
+    """The plans of a run that have an order, as far as they are found again."""
+    records = Manifest.read(run.parts, run.info).plans
+    plan_ids = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
+    return find_plans(run, records, plan_ids).plans

@@ -1,0 +1,207 @@
+"""The runs of several packers as one table: a row for each order and packer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.analysis.packer_kpis import OrderComparison
+from petmjx.common.argument_checks import list_of, text_of
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.common.units import FloatArray
+from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
+from petmjx.results.run_reader import RunResults, load_run
+
+LONGEST_NAME: Final = 200
+"""Bytes of a packer's name: file systems take 255 for a folder's."""
+
+MISSING: Final = "missing"
+"""``verdict`` of an order of which a packer has no plan."""
+
+MEASURES: Final[Mapping[str, str]] = {
+    "boxes": "boxes placed",
+    "left_out": "boxes left out",
+    "volume_m3": "volume, m³",
+    "height_m": "height, m",
+    "kpi_2": "kpi_2, volume over area × height",
+}
+"""Column of a plan → what people read. Their means are shown next to the shares. One more column is one more line
+here, and a column of :func:`plans_of`."""
+
+Run = RunResults | str | Path
+
+
+def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
+    """Name of each packer → its run. Without names they have those of their folders.
+
+    Raises:
+        InputError: fewer than two runs, two of one name, or a folder without a run.
+    """
+    if isinstance(runs, str | Path | RunResults):
+        runs = [runs]  # a text is also a sequence, of its letters
+    named = runs if isinstance(runs, Mapping) else None
+    given: list[Any] = list(named.values()) if named else list_of(runs, "runs", object, "runs or folders")
+    loaded_runs = [run if isinstance(run, RunResults) else load_run(run) for run in given]
+    if len(loaded_runs) < 2:
+        raise InputError("give at least two runs to compare")
+    names = [text_of(name, "runs") for name in named] if named else _names([run.path for run in loaded_runs])
+    for name in names:
+        if not name or not name.isprintable():
+            raise InputError(f"runs: a name must be text that can be printed, got {printable_name(name)!r}")
+    for run in loaded_runs:
+        if run.info.get("config", {}).get("command") == "sweep":
+            raise InputError(f"{run.path}: is a sweep; packers are compared by scores")
+        if run.worlds.duplicated(["plan_id", "variant"]).any():
+            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
+    return dict(zip(names, loaded_runs, strict=True))
+
+
+def _names(folders: Sequence[Path]) -> list[str]:
+    short = [folder.resolve().name for folder in folders]
+    names = short if len(set(short)) == len(short) else [str(folder) for folder in folders]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError(f"{printable_name(name)}: given twice; a packer is compared with others")
+    return names
+
+
+def check_names(names: Iterable[str]) -> None:
+    """Names that can be those of folders.
+
+    Raises:
+        InputError: one cannot.
+    """
+    for name in names:
+        if not isinstance(name, str):
+            raise InputError(f"a packer's name must be text, got {type(name).__name__}")
+        if len(name.encode()) > LONGEST_NAME:
+            raise InputError(f"packer {printable_name(name)!r}: the name must have at most {LONGEST_NAME} bytes")
+        if not name or name in (".", "..") or "/" in name or "\\" in name or not name.isprintable():
+            raise InputError(f"packer {printable_name(name)!r}: the name must be usable as that of a folder")
+
+
+def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
+    """A row for each order and packer, sorted. Orders are those given, and those of which any packer has a plan.
+
+    Args:
+        against: the plans against the orders given; None: no orders are given, and those that runs were compared with
+            are taken, where they were. Where no run was, an order has as many boxes as its largest plan.
+
+    Returns:
+        ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (also ``missing``), ``reason``, ``margin``,
+        ``digest``, the columns of ``MEASURES``; ``as_ordered``: boxes of the plan that were ordered, each once, have
+        the order's size and mass, and are on its target; null where that is not known. ``listed``: the order is one of
+        those that a rating is about. ``compared``: it has a valid verdict from every packer.
+    """
+    table = _worlds_of(runs)
+    sizes = None if against is None else against.sizes
+    ids = sorted({*table["plan_id"], *(sizes or ())})
+    every = pd.MultiIndex.from_product([ids, list(runs)], names=["plan_id", "packer"])
+    table = table.set_index(["plan_id", "packer"]).reindex(every).reset_index()
+    table["verdict"] = table["verdict"].fillna(MISSING)
+    table["reason"] = table["reason"].fillna("")
+    by_order = table.groupby("plan_id", sort=False)
+    table["order_boxes"] = by_order["ordered_boxes"].transform("max").fillna(by_order["boxes"].transform("max"))
+    if against is None or sizes is None:
+        table["listed"] = True
+        known = table["ordered_boxes"] - table["left_out"] - table["resized"].fillna(0)
+        table["as_ordered"] = known.fillna(table["boxes"]).clip(upper=table["order_boxes"])
+    else:
+        table["listed"] = table["plan_id"].isin(sizes.keys())
+        table["order_boxes"] = table["plan_id"].map(sizes).fillna(table["order_boxes"])
+        goods = against.rows.set_index(["plan_id", "packer"]).reindex(every).reset_index()
+        table[["left_out", "as_ordered"]] = goods[["left_out", "as_ordered"]]
+    table["order_boxes"] = table["order_boxes"].astype(np.int64)
+    area = _target_area_m2(by_order, _carrier(runs))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        table["kpi_2"] = table["volume_m3"] / (area * table["height_m"])
+    table["compared"] = table["verdict"].isin(["stable", "unstable"])
+    table["compared"] = table.groupby("plan_id", sort=False)["compared"].transform("all")
+    first = ["plan_id", "packer", "order_boxes", "listed", "compared", "verdict", "reason", "margin"]
+    return table[[*first, *MEASURES, "as_ordered", "digest"]]
+
+
+_OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
+"""Columns of the table ``plans`` of a run; older runs, and those without orders, lack some."""
+
+
+def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
+    """The nominal worlds of runs with what these say of their plans."""
+    of_world = ["plan_id", "verdict", "reason", "n_boxes", "margin"]
+    worlds = [run.worlds[run.worlds["variant"] == 0].reindex(columns=of_world) for run in runs.values()]
+    plans = [run.plans.reindex(columns=["plan_id", "digest", *_OF_PLAN]) for run in runs.values()]
+    joined = [
+        pd.concat(parts, ignore_index=True).assign(packer=np.repeat(list(runs), list(map(len, parts))))
+        for parts in (worlds, plans)
+    ]
+    table = joined[0].rename(columns={"n_boxes": "boxes"}).merge(joined[1], on=["packer", "plan_id"], how="left")
+    return table.astype(dict.fromkeys(("boxes", "margin", *_OF_PLAN), np.float64))
+
+
+def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
+    """The carrier of all runs; ``footprint`` where they have different ones."""
+    carriers = [run.carrier for run in runs.values()]
+    return carriers[0] if all(carrier == carriers[0] for carrier in carriers) else Carrier.FOOTPRINT
+
+
+def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
+    """The area of each row's target, the same for all packers of an order.
+
+    It is the carrier's. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of all packers
+    have room; if there is none, the common extent of the plans.
+    """
+    x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
+    area: FloatArray = x * y
+    known = [extent for target in TARGETS if (extent := CARRIER_EXTENT_M[target]) is not None]
+    if (carrier_extent := extent_m(carrier)) is not None:
+        return np.full(len(area), np.prod(carrier_extent))
+    for length, width in sorted(known, key=lambda extent: -extent[0] * extent[1]):
+        room = (x <= length + 1e-9) & (y <= width + 1e-9)
+        area = np.where(room, length * width, area)
+    return area
+
+
+def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
+    """Reasons to doubt the comparison, a line each."""
+    lines = [line for name, run in runs.items() for line in run.doubts(printable_name(name))]
+    settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
+    first, *others = settings
+    for name in others:
+        differing = _different_options(settings[first], settings[name])
+        if differing:
+            lines.append(
+                f"{printable_name(name)} was simulated with other options than {printable_name(first)}: "
+                f"{', '.join(differing)}"
+            )
+    engines = {str(run.info.get("config", {}).get("engine")) for run in runs.values()}
+    if len(engines) > 1:
+        lines.append(f"simulated by different engines: {', '.join(sorted(engines))}")
+    unknown = [printable_name(name) for name in runs if table.loc[table["packer"] == name, "volume_m3"].isna().all()]
+    if unknown:
+        lines.append(
+            f"no utilisation of {', '.join(unknown)}: the run was written by an earlier petmjx; score it again"
+        )
+    if not table["compared"].any():
+        lines.append("no order has a valid verdict from every packer")
+    lines += _same_plans(table, list(runs))
+    return lines
+
+
+def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """Orders that all packers pack in the same way, if there are any."""
+    compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
+    same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
+    verb = "is" if same == 1 else "are"
+    return [f"{count_text(same, 'plan')} of {len(compared):,} {verb} the same in all runs"] if same else []
+
+
+def _different_options(a: Any, b: Any) -> list[str]:
+    """The names of options that differ; those of tables within them too."""
+    if not isinstance(a, Mapping) or not isinstance(b, Mapping):
+        return []
+    return [str(name) for name in sorted({*a, *b}) if a.get(name) != b.get(name)]

@@ -1,0 +1,378 @@
+"""Convex hulls of the areas on which boxes lie, and how far points are inside them.
+
+Which boxes of a plan lie on which, and on which rectangles; which touch side by side.
+
+Where the boxes of a world touch at rest: the points at which MuJoCo's collider finds them in their last poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.options.physics import Physics
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets, shared_length
+from petmjx.world.history import CARRIER
+from petmjx.world.scene import Scene
+from petmjx.world.supports import TOUCH_M
+
+ON_EDGE_MM: Final = 1e-6
+"""A point this far outside lies on the edge: rounding errors of float64 sums of millimetres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Hulls:
+    """One convex polygon for each of n boxes, counter-clockwise, padded to e vertices by repeating the last one.
+
+    Attributes:
+        vertex: (n, e, 2) mm; NaN where a box has no polygon.
+    """
+
+    vertex: FloatArray
+
+    def distance(self, hull: IntArray, point: FloatArray) -> FloatArray:
+        """How far points are inside the hulls' edges: (p,) mm, negative outside, NaN where there is no hull.
+
+        Args:
+            hull: (p,) of which box each point is asked.
+            point: (p, 2) mm.
+        """
+        start = self.vertex[hull]
+        along = np.roll(start, -1, axis=1) - start
+        to_point = point[:, None, :] - start
+        left = along[..., 0] * to_point[..., 1] - along[..., 1] * to_point[..., 0]
+        length2 = (along**2).sum(axis=-1)
+        with np.errstate(invalid="ignore"):
+            share = (along * to_point).sum(axis=-1) / np.where(length2 > 0, length2, 1.0)
+        nearest = to_point - np.clip(share, 0.0, 1.0)[..., None] * along
+        distance = np.sqrt((nearest**2).sum(axis=-1).min(axis=1))
+        inside: FloatArray = np.where((left >= 0).all(axis=1), distance, -distance)
+        return inside
+
+    def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
+        """(p,) how far points are on the way from a hull's inner point ``middle`` (p, 2) through them to its edge: 0 at
+        the middle, 1 on the edge, more outside."""
+        start = self.vertex[hull]
+        along = np.roll(start, -1, axis=1) - start
+        outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+        to_edge = ((start - middle[:, None, :]) * outward).sum(axis=-1)
+        to_point = ((point - middle)[:, None, :] * outward).sum(axis=-1)
+        with np.errstate(invalid="ignore"):
+            share = np.where(to_edge > 0, to_point / np.where(to_edge > 0, to_edge, 1.0), -np.inf)
+        reach: FloatArray = np.where(np.isnan(to_edge[:, 0]), np.nan, share.max(axis=1))
+        return reach
+
+
+def contact_hulls(contacts: PlanContacts) -> Hulls:
+    """The hulls of the areas on which each box lies. The hull of a single rectangle is that rectangle."""
+    single = contacts.n_supports == 1
+    several = np.flatnonzero(contacts.n_supports > 1)
+    hulls: list[FloatArray] = []
+    if len(several):
+        import shapely
+
+        chosen = contacts.n_supports[contacts.upper] > 1
+        points = contacts.corners_mm[chosen].reshape(-1, 2)
+        owner = np.searchsorted(several, np.repeat(contacts.upper[chosen], 4))
+        hulls = polygon_vertices(shapely.convex_hull(shapely.multipoints(points, indices=owner)))
+    vertex = np.full((contacts.n_boxes, max(4, *(len(hull) for hull in hulls), 4), 2), np.nan)
+    alone = single[contacts.upper]
+    vertex[contacts.upper[alone], :4] = contacts.corners_mm[alone]
+    vertex[contacts.upper[alone], 4:] = contacts.corners_mm[alone, -1:]
+    _put(vertex, several, hulls)
+    return Hulls(vertex)
+
+
+def hulls_of(polygons: NDArray[np.object_]) -> Hulls:
+    """From (n,) convex polygons of shapely; empty ones are no hulls."""
+    import shapely
+
+    with_area = np.flatnonzero(shapely.area(polygons) > 0)
+    hulls = polygon_vertices(polygons[with_area])
+    vertex = np.full((len(polygons), max((len(hull) for hull in hulls), default=1), 2), np.nan)
+    _put(vertex, with_area, hulls)
+    return Hulls(vertex)
+
+
+def _put(vertex: FloatArray, boxes: IntArray, hulls: list[FloatArray]) -> None:
+    for box, hull in zip(boxes, hulls, strict=True):
+        vertex[box, : len(hull)] = hull
+        vertex[box, len(hull) :] = hull[-1]
+
+
+def polygon_vertices(polygons: NDArray[np.object_]) -> list[FloatArray]:
+    """The vertices of each of shapely's polygons, counter-clockwise, each once."""
+    import shapely
+
+    coordinates, owner = shapely.get_coordinates(polygons, return_index=True)
+    # shapely closes rings by repeating the first vertex; its hulls run clockwise
+    rings = np.split(coordinates, np.flatnonzero(np.diff(owner)) + 1)
+    return [ring[:-1] if _area(ring) > 0 else ring[:0:-1] for ring in rings] if len(polygons) else []
+
+
+def _area(ring: FloatArray) -> float:
+    """Twice the area of a closed ring; positive where it runs counter-clockwise."""
+    x, y = (ring - ring[0]).T
+    return float(np.dot(x[:-1], y[1:]) - np.dot(x[1:], y[:-1]))
+
+
+IntArray = NDArray[np.int64]
+
+N_CORNERS: Final = 4
+"""Of a box's base."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlanContacts:
+    """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
+
+    A box lies on the carrier if its bottom is not above the carrier's top. It lies there with its whole base, since
+    the carrier is taken to reach under all boxes. On a carrier made of boards it lies on those boards of the deck that
+    it overlaps along x and y; each is an area of its own. It lies on another box if that one was placed before, its
+    top is at the height of
+    the bottom, and the two overlap along x and y. A box that is pushed in under another one later bears nothing:
+    what hangs in the air until then has fallen.
+
+    Attributes:
+        size_mm, corner_mm: (n, 3) of the boxes, as in the plan.
+        mass_kg: (n,).
+        upper: (c,) the box above.
+        lower: (c,) the box below, placed earlier, or ``CARRIER``.
+        low_mm, high_mm: (c, 2) corners of the rectangle along x and y.
+        under_low_mm, under_high_mm: (c, 2) corners of all of what bears there: the top of the box below, a deck board.
+        tolerance_mm: gaps and overlaps up to this count as touching.
+        mass_center_mm: (n, 3) as in ``Plan``.
+    """
+
+    size_mm: FloatArray
+    corner_mm: FloatArray
+    mass_kg: FloatArray
+    upper: IntArray
+    lower: IntArray
+    low_mm: FloatArray
+    high_mm: FloatArray
+    under_low_mm: FloatArray
+    under_high_mm: FloatArray
+    tolerance_mm: float
+    mass_center_mm: FloatArray | None = None
+
+    @property
+    def n_boxes(self) -> int:
+        return len(self.mass_kg)
+
+    @cached_property
+    def centre_mm(self) -> FloatArray:
+        """(n, 3) centres of gravity: in the middles, unless the plan has others."""
+        centre: FloatArray = self.corner_mm + self.size_mm / 2
+        return centre if self.mass_center_mm is None else centre + self.mass_center_mm
+
+    @cached_property
+    def corners_mm(self) -> FloatArray:
+        """(c, 4, 2) corners of the rectangles, counter-clockwise."""
+        return rectangle_corners(self.low_mm, self.high_mm)
+
+    @cached_property
+    def n_supports(self) -> IntArray:
+        """(n,) on how many areas each box lies: one a box below, and of the carrier one or one a board."""
+        return np.bincount(self.upper, minlength=self.n_boxes)
+
+    @cached_property
+    def grounded(self) -> NDArray[np.bool_]:
+        """(n,) whether a box lies on the carrier with all four corners, so that nothing tips it."""
+        n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
+        on_carrier: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
+        return on_carrier
+
+    def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n, 4) whether a bottom corner lies on something, within the tolerance; edges count.
+
+        Args:
+            chosen: (c,) which contacts are looked at.
+        """
+        base = self.corner_mm[:, :2]
+        corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
+        near = self.under_low_mm[chosen] - self.tolerance_mm
+        far = self.under_high_mm[chosen] + self.tolerance_mm
+        inside = ((corners >= near[:, None]) & (corners <= far[:, None])).all(axis=-1)
+        borne = np.zeros((self.n_boxes, N_CORNERS), dtype=bool)
+        np.logical_or.at(borne, self.upper[chosen], inside)
+        return borne
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """Where boxes touch side by side: s rectangles, each upright.
+
+    Attributes:
+        first, second: (s,) the boxes; the second is on the positive side along the axis.
+        axis: (s,) 0 for x, 1 for y.
+        low_mm, high_mm: (s, 3) corners of the rectangle, which has no extent along its axis.
+    """
+
+    first: IntArray
+    second: IntArray
+    axis: IntArray
+    low_mm: FloatArray
+    high_mm: FloatArray
+
+
+def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(…, 4, 2) corners of rectangles from (…, 2) low and high ones, counter-clockwise."""
+    x0, y0, x1, y1 = low[..., 0], low[..., 1], high[..., 0], high[..., 1]
+    corners: FloatArray = np.stack(
+        [np.stack([x0, y0], -1), np.stack([x1, y0], -1), np.stack([x1, y1], -1), np.stack([x0, y1], -1)], axis=-2
+    )
+    return corners
+
+
+def find_contacts(
+    plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM, deck_mm: FloatArray | None = None
+) -> PlanContacts:
+    """What the boxes of a plan lie on.
+
+    Args:
+        tolerance_mm: gaps and overlaps in height up to this count as touching, and contacts that are narrower than this
+            do not count. By default that of the warnings about a plan: half of the last digit of whole millimetres.
+        deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
+            carrier reaches under all boxes.
+    """
+    low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
+    below, above = np.nonzero(_rests(low, high, tolerance_mm))
+    on_carrier = np.flatnonzero(low[:, 2] <= tolerance_mm)
+    carrier_low, carrier_high = low[on_carrier, :2], high[on_carrier, :2]
+    if deck_mm is not None:
+        lying, board = np.nonzero(_overlap(carrier_low, carrier_high, deck_mm, tolerance_mm))
+        on_carrier, carrier_low, carrier_high = on_carrier[lying], deck_mm[board, 0], deck_mm[board, 1]
+    upper = np.concatenate([on_carrier, above])
+    lower = np.concatenate([np.full(len(on_carrier), CARRIER), below])
+    under_low = np.concatenate([carrier_low, low[below, :2]])
+    under_high = np.concatenate([carrier_high, high[below, :2]])
+    order = np.lexsort((lower, upper))
+    upper, lower, under_low, under_high = upper[order], lower[order], under_low[order], under_high[order]
+    return PlanContacts(
+        size_mm=plan.size_mm,
+        corner_mm=plan.corner_mm,
+        mass_kg=plan.mass_kg,
+        upper=upper,
+        lower=lower,
+        low_mm=np.maximum(low[upper, :2], under_low),
+        high_mm=np.minimum(high[upper, :2], under_high),
+        under_low_mm=under_low,
+        under_high_mm=under_high,
+        tolerance_mm=tolerance_mm,
+        mass_center_mm=plan.mass_center_mm,
+    )
+
+
+def _overlap(low: FloatArray, high: FloatArray, deck_mm: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
+    """(k, b): whether rectangles share more than the tolerance with boards along x and y."""
+    shares = np.minimum(high[:, None], deck_mm[:, 1]) - np.maximum(low[:, None], deck_mm[:, 0]) > tolerance_mm
+    return shares[..., 0] & shares[..., 1]
+
+
+def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
+    """(n, n): whether the box of the column lies on that of the row."""
+    touching = meets(low[:, 2], high[:, 2], tolerance_mm)
+    for axis in range(2):
+        touching &= shared_length(low[:, axis], high[:, axis]) > tolerance_mm
+    return np.triu(touching, k=1)
+
+
+def find_sides(contacts: PlanContacts) -> Sides:
+    """Where the boxes of a plan touch side by side."""
+    low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
+    tolerance_mm = contacts.tolerance_mm
+    pairs_by_axis = []
+    for axis in range(2):
+        touching = meets(low[:, axis], high[:, axis], tolerance_mm)
+        for across in (1 - axis, 2):
+            touching &= shared_length(low[:, across], high[:, across]) > tolerance_mm
+        first, second = np.nonzero(touching)
+        pairs_by_axis.append((first, second, np.full(len(first), axis)))
+    first, second, axes = (np.concatenate(parts) for parts in zip(*pairs_by_axis, strict=True))
+    near, far = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
+    rows = np.arange(len(axes))
+    near[rows, axes] = far[rows, axes] = (near[rows, axes] + far[rows, axes]) / 2
+    return Sides(first, second, axes, near, far)
+
+
+LYING_GAP_M: Final = TOUCH_M
+"""Gap up to which a box lies on another one, as in the criteria. Which of three supports of one height bears is a
+matter of micrometres, which no two simulators and no two pallets share."""
+
+SIDE_GAP_M: Final = 1e-5
+"""Gap up to which boxes touch side by side: what rounds a pose in float32, and little more. Neighbours that are planned
+side by side stand 0.1 mm apart, and do not press on each other before something moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class TouchPoints:
+    """The points where boxes touch each other, the carrier or the floor: p rows.
+
+    Attributes:
+        first, second: (p,) the two bodies, boxes from 0; ``CARRIER`` stands for the floor, too: neither moves.
+        position_m: (p, 3).
+        frame: (p, 3, 3) rows: the normal from first to second, and the two tangents.
+        friction: (p, 2) coefficients along the tangents.
+        pressed: (p,) the box whose top the point is on (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
+        sign: (p,) 1 where the force on ``second`` presses down on ``pressed``, else -1.
+    """
+
+    first: IntArray
+    second: IntArray
+    position_m: FloatArray
+    frame: FloatArray
+    friction: FloatArray
+    pressed: IntArray
+    sign: FloatArray
+
+    def some(self, which: NDArray[np.bool_]) -> TouchPoints:
+        """Some of the points."""
+        return TouchPoints(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> TouchPoints:
+    """Where boxes touch in these poses. The carrier is where it is planned.
+
+    Args:
+        pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z).
+    """
+    import mujoco
+
+    from petmjx.engines.mujoco.top_forces import VERTICAL_COSINE, pressed_box
+    from petmjx.world.mujoco_model import build_spec, geom_bodies
+
+    model = build_spec(scene, physics).compile()
+    model.pair_margin[:] += LYING_GAP_M
+    model.geom_margin[:] += LYING_GAP_M / 2  # those of two geoms add up
+    data = mujoco.MjData(model)
+    poses = data.qpos.reshape(-1, 7)[1:]  # the first is the carrier's
+    poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_collision(model, data)
+    contact = data.contact
+    geom = np.asarray(contact.geom).astype(np.int64)
+    frame = np.asarray(contact.frame).reshape(-1, 3, 3)
+    centre_z = data.geom_xpos[:, 2].copy()
+    centre_z[0] = -np.inf  # the floor is lower than everything
+    body = geom_bodies(model, range(scene.n_boxes))[geom]
+    lower, sign, on_top = pressed_box(body, centre_z[geom], frame[:, 0, 2])
+    gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M
+    lying = np.abs(frame[:, 0, 2]) >= VERTICAL_COSINE
+    body = np.maximum(body, CARRIER)
+    touching = TouchPoints(
+        first=body[:, 0],
+        second=body[:, 1],
+        position_m=np.array(contact.pos),
+        frame=frame.copy(),
+        friction=np.array(contact.friction)[:, :2],
+        pressed=np.where(on_top, lower, CARRIER),
+        sign=sign,
+    )
+    return touching.some((body.max(axis=1) >= 0) & (gap_m <= np.where(lying, LYING_GAP_M, SIDE_GAP_M)))

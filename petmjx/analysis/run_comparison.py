@@ -1,0 +1,289 @@
+"""Two runs of the same worlds: do their verdicts agree, and by how much do their metrics differ?
+
+Run b is compared with run a. Differences of forces are also given relative to a: |b - a| / max(a, 10 N). The minimum of
+10 N is about the weight of a 1 kg box. Ratios of smaller forces say nothing about the pallet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+from petmjx.engines.metrics import DIMENSIONLESS, Column, box_columns, box_metrics, world_columns
+from petmjx.engines.verdict import Verdict
+from petmjx.options.simulation import Thresholds
+from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
+from petmjx.results.run_reader import RunResults, load_run
+from petmjx.results.to_json import to_json
+
+FORCE_FLOOR_N: Final = 10.0
+"""Smallest force by which a difference is divided."""
+
+KEY: Final = ["plan_id", "variant"]
+BOX_KEY: Final = ["plan_id", "variant", "box"]
+
+POSE: Final = (
+    Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
+    Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
+)
+"""Comparisons of whole poses. Their components are not compared one by one."""
+
+SIGNLESS: Final = frozenset(
+    {column.name for column in POSE} | {name for m in box_metrics() if len(m.columns) > 1 for name in m.columns}
+)
+"""Metrics of which b - a has no meaning of its own: distances between two poses, and components of vectors."""
+
+FLIPS: Final = tuple(
+    ShownColumn(name, head, 2)
+    for name, head in (
+        ("plan_id", "plan"),
+        ("verdict_a", "verdict in a"),
+        ("verdict_b", "verdict in b"),
+        ("margin_a", "margin in a"),
+        ("margin_b", "margin in b"),
+    )
+)
+"""Columns of ``flips`` in a notebook."""
+
+GROUPS: Final = ("same verdict", "both stable")
+"""The groups of worlds in which metrics are compared. After a collapse metrics are chaotic."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What :func:`compare_runs` found.
+
+    Attributes:
+        a, b: names of the two runs (their folders).
+        n_common: worlds that are in both runs.
+        confusion: (3, 3) number of worlds by verdict in a (rows) and in b (columns).
+        flips: worlds with different verdicts: verdict, reason and culprit in both runs, and their margins to the
+            thresholds of shift, tilt and acceleration (positive: over the threshold); ``margin``, the column of
+            ``worlds``, has the other sign.
+        worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
+            ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of
+            |b - a|; and where the largest one is: ``plan_id``, ``variant`` (``box``), with the two values ``a`` and
+            ``b``. Null if a group has no value of the metric. Only of plans that are the same in both runs.
+        other_plans: ids of common plans that are not the same in both runs.
+        only_a, only_b: plan_id and variant of worlds that are only in one run.
+        same_reason, same_culprit: of the ``n_not_stable`` worlds that are stable in neither run, how many have the same
+            reason, and the same first box.
+        notes: reasons to doubt the comparison, one line each.
+    """
+
+    a: str
+    b: str
+    n_common: int
+    confusion: pd.DataFrame
+    flips: pd.DataFrame
+    worlds: pd.DataFrame
+    boxes: pd.DataFrame
+    only_a: pd.DataFrame
+    only_b: pd.DataFrame
+    other_plans: tuple[str, ...]
+    same_reason: int
+    same_culprit: int
+    n_not_stable: int
+    notes: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"Comparison({self.a} and {self.b}: {self.n_agree:,} of {count_text(self.n_common, 'world')} agree)"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: worlds by verdict in a (rows) and b (columns), and those with different verdicts."""
+        counts = self.confusion.rename_axis("a").reset_index()
+        columns = [ShownColumn("a", "a \\ b"), *(ShownColumn(name, name) for name in self.confusion.columns)]
+        tables = [table_as_html(counts, columns, "confusion")]
+        if len(self.flips):
+            tables.append(table_as_html(self.flips, FLIPS, "flips"))
+        return block_as_html([repr(self), *self.notes], tables)
+
+    @property
+    def n_agree(self) -> int:
+        """Worlds with the same verdict in both runs."""
+        return self.n_common - len(self.flips)
+
+    @property
+    def flips_within(self) -> float | None:
+        """The smallest x for which each flip has a ``margin`` within ±x in one of the runs; None where none has any."""
+        nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
+        return None if pd.isna(nearer) else float(nearer)
+
+    @property
+    def agreement(self) -> float | None:
+        """Share of the common worlds with the same verdict; None if there is no common world."""
+        return self.n_agree / self.n_common if self.n_common else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """All of it as plain JSON values; missing numbers are None."""
+        confusion = {row: dict(counts) for row, counts in self.confusion.iterrows()}
+        shares = {"n_agree": self.n_agree, "agreement": self.agreement, "flips_within": self.flips_within}
+        return dict(to_json(shares | vars(self) | {"confusion": confusion}))
+
+
+def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, packers: bool = False) -> Comparison:
+    """Compare run b with run a, world by world (same plan and variant).
+
+    Args:
+        packers: the plans are those of two packers, so their differences cause no note.
+
+    Raises:
+        InputError: a folder has no run, is damaged, or has the same world twice.
+    """
+    run_a, run_b = (run if isinstance(run, RunResults) else load_run(run) for run in (a, b))
+    for run in (run_a, run_b):
+        if run.worlds.duplicated(KEY).any():
+            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
+    keys = run_a.worlds[KEY].merge(run_b.worlds[KEY], on=KEY, how="outer", indicator="side")
+    both = run_a.worlds.merge(run_b.worlds, on=KEY, suffixes=("_a", "_b"))
+    same = both["verdict_a"] == both["verdict_b"]
+    both[GROUPS[0]] = same
+    both[GROUPS[1]] = same & (both["verdict_a"] == Verdict.STABLE.value)
+    boxes = run_a.boxes_if_kept.merge(run_b.boxes_if_kept, on=BOX_KEY, suffixes=("_a", "_b"))
+    boxes = boxes.merge(both[[*KEY, *GROUPS]], on=KEY)
+    other = _other_plans(run_a, run_b, both, boxes)
+    same_worlds, same_boxes = (table[~table["plan_id"].isin(other)] for table in (both, boxes))
+    verdicts = [verdict.value for verdict in Verdict]
+    confusion = pd.crosstab(both["verdict_a"], both["verdict_b"]).reindex(index=verdicts, columns=verdicts)
+    not_stable = both[(both["verdict_a"] != Verdict.STABLE.value) & (both["verdict_b"] != Verdict.STABLE.value)]
+    same_culprit = (not_stable["culprit_a"] == not_stable["culprit_b"]).fillna(False)
+    return Comparison(
+        a=str(run_a.path),
+        b=str(run_b.path),
+        n_common=len(both),
+        confusion=confusion.fillna(0).astype(int),
+        flips=_flips(both[~same], thresholds_of(run_a.info), thresholds_of(run_b.info)),
+        worlds=_differences(same_worlds, world_columns(), KEY),
+        boxes=_differences(_with_pose_differences(same_boxes), [*POSE, *box_columns()], BOX_KEY),
+        only_a=keys.loc[keys["side"] == "left_only", KEY].reset_index(drop=True),
+        only_b=keys.loc[keys["side"] == "right_only", KEY].reset_index(drop=True),
+        other_plans=tuple(other),
+        same_reason=int((not_stable["reason_a"] == not_stable["reason_b"]).sum()),
+        same_culprit=int(same_culprit.sum()),
+        n_not_stable=len(not_stable),
+        notes=tuple(_notes(run_a, run_b, both, [] if packers else other)),
+    )
+
+
+def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
+    """The thresholds of a run, searched in all its options (older runs have them elsewhere); else the defaults."""
+    waiting: list[Any] = [info.get("config", {})]
+    while waiting:
+        entry = waiting.pop(0)
+        if isinstance(entry, Mapping):
+            if isinstance(entry.get("thresholds"), Mapping):
+                known = {name: value for name, value in entry["thresholds"].items() if name in Thresholds.model_fields}
+                return Thresholds(**known)
+            waiting.extend(entry.values())
+    return Thresholds()
+
+
+def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.DataFrame:
+    columns = [*KEY]
+    flips = flipped.copy()
+    for side, limits in (("a", of_a), ("b", of_b)):
+        flips[f"shift_margin_m_{side}"] = flips[f"max_shift_m_{side}"] - limits.shift_m
+        flips[f"tilt_margin_deg_{side}"] = flips[f"max_tilt_deg_{side}"] - limits.tilt_deg
+        flips[f"lin_acc_margin_m_s2_{side}"] = flips[f"max_lin_acc_{side}"] - limits.lin_acc_m_s2
+        flips[f"ang_acc_margin_rad_s2_{side}"] = flips[f"max_ang_acc_{side}"] - limits.ang_acc_rad_s2
+        names = ("verdict", "reason", "margin", "culprit", "first_sign_s", "n_dropped", "flags")
+        margins = ("shift_margin_m", "tilt_margin_deg", "lin_acc_margin_m_s2", "ang_acc_margin_rad_s2")
+        columns += [f"{name}_{side}" for name in (*names, *margins)]
+    return flips[columns].reset_index(drop=True)
+
+
+def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
+    """The joined boxes with the distance (m) and the angle (deg) between the two final poses."""
+
+    def rows(side: str, *names: str) -> NDArray[np.float64]:
+        values: NDArray[np.float64] = boxes[[f"{name}_{side}" for name in names]].to_numpy(dtype=np.float64)
+        return values
+
+    position, quaternion = ("pos_x_m", "pos_y_m", "pos_z_m"), ("quat_w", "quat_x", "quat_y", "quat_z")
+    distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
+    q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
+    # 4·asin(|q_a ∓ q_b| / 2), the sign with the shorter chord: exact for small angles, where acos is not
+    chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
+    angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
+    return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)
+
+
+def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[str]) -> pd.DataFrame:
+    """A row for each compared metric and group, from columns ``<metric>_a`` and ``<metric>_b``."""
+    listed = [(column.name, column.name, column.unit) for column in columns if column.compared]
+    listed += [(f"{column.name} relative", column.name, DIMENSIONLESS) for column in columns if column.relative]
+    rows = []
+    for metric, name, unit in listed:
+        if f"{name}_a" not in joined or f"{name}_b" not in joined:
+            continue
+        values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
+        with np.errstate(invalid="ignore"):  # infinite in both runs
+            signed = values_b - values_a
+        if metric != name:
+            signed = signed / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
+        difference = np.abs(signed)
+        for group in GROUPS:
+            chosen = np.flatnonzero(joined[group].to_numpy(dtype=bool) & np.isfinite(difference))
+            row: dict[str, Any] = {"metric": metric, "unit": unit, "group": group, "n": len(chosen)}
+            row.update(dict.fromkeys(("mean", "median", "p95", "largest", *key, "a", "b")))
+            if len(chosen):
+                differences = difference[chosen]
+                worst = int(chosen[int(differences.argmax())])
+                row["mean"] = None if name in SIGNLESS else float(signed[chosen].mean())
+                row["median"], row["p95"] = (float(value) for value in np.percentile(differences, [50, 95]))
+                row["largest"] = float(difference[worst])
+                row.update({column: joined[column].iloc[worst] for column in key})
+                row["a"], row["b"] = float(values_a[worst]), float(values_b[worst])
+            rows.append(row)
+    integers = {column: "Int64" for column in ("variant", "box") if column in key}
+    numbers = dict.fromkeys(("mean", "median", "p95", "largest", "a", "b"), "float64")
+    return pd.DataFrame(rows).astype({**integers, **numbers})
+
+
+def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
+    """Ids of common plans that are not the same in both runs, sorted.
+
+    Their digests tell. Runs that were written without plans have none: of them the number of boxes and the items tell.
+    """
+    digests = [run.plans.set_index("plan_id")["digest"] for run in (run_a, run_b)]
+    plans = pd.DataFrame(index=pd.Index(both["plan_id"].unique(), dtype=object))
+    first, second = (digest.reindex(plans.index) for digest in digests)
+    known = first.notna() & second.notna()
+    unlike = {*both.loc[both["n_boxes_a"] != both["n_boxes_b"], "plan_id"]}
+    unlike |= {*boxes.loc[boxes["item_id_a"] != boxes["item_id_b"], "plan_id"]}
+    other = {*plans.index[known & (first != second)], *(unlike & {*plans.index[~known]})}
+    return sorted(other)
+
+
+def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequence[str]) -> list[str]:
+    """Reasons to doubt the comparison."""
+    notes = run_a.doubts("a") + run_b.doubts("b")
+    without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
+    if without:
+        notes.append(f"{' and '.join(without)} kept no boxes: only worlds are compared")
+    if both.empty:
+        notes.append("no world is in both runs")
+    if thresholds_of(run_a.info) != thresholds_of(run_b.info):
+        notes.append("the runs have different thresholds; margins refer to each run's own")
+    if other:
+        of, verb = count_text(both["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
+        notes.append(
+            f"{len(other):,} of {of} {verb} not the same in b; only their verdicts are compared "
+            "(to compare packers: petmjx compare --packers)"
+        )
+    names = {run: {str(param.get("name")) for param in run.info.get("params", [])} for run in (run_a, run_b)}
+    if names[run_a] != names[run_b]:
+        notes.append("the runs' variants have different parameters")
+    for name in sorted(names[run_a] & names[run_b]):
+        left, right = both.get(f"{name}_a"), both.get(f"{name}_b")
+        if left is not None and right is not None and not ((left == right) | (left.isna() & right.isna())).all():
+            notes.append(f"variants of one number differ in {name}")
+    return notes

@@ -1,0 +1,529 @@
+"""What happened in a story, event by event, and what came of it in one line.
+
+One world as people see it: what was simulated, frame by frame, and what came of it.
+
+A story in sentences: the verdict and its reason, which box failed first, when and by what.
+
+The story of one world: told frame by frame, and in words.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
+from typing import Any, ClassVar, Final, NamedTuple
+
+import numpy as np
+
+from petmjx.common.argument_checks import flag_of, integer_of, number_of, text_of
+from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.common.text import box_in_words, count_text, printable_name
+from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
+from petmjx.engines.engine_choice import ENGINES, has_option, make_engine
+from petmjx.engines.mujoco import box_motion
+from petmjx.engines.outcome_checks import NEAR_M as _NEAR_M
+from petmjx.engines.outcome_checks import contact_tilt_boxes
+from petmjx.engines.protocol import Engine
+from petmjx.engines.run_engine import engine_for
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.run_options import FRAME_INTERVAL_S, RunOptions, sorted_options
+from petmjx.options.simulation import Check, Simulation, Thresholds
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PlanSource, find_plan, usable_plans
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
+from petmjx.results.history_tables import Recording, read_history
+from petmjx.results.run_folder import RUN_FILE
+from petmjx.results.run_reader import RunResults, load_run, read_outcome, world_row
+from petmjx.runs.rerun import worlds_of_run
+from petmjx.runs.sweep_file import nominal_sweep
+from petmjx.runs.sweep_run import SweepRun
+from petmjx.runs.sweep_summary import SweepColumns
+from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.world.compliance import sinks_m
+from petmjx.world.edge_distances import steps_beyond
+from petmjx.world.history import History, Record
+from petmjx.world.job import FORCE, Drive
+from petmjx.world.scene import Scene
+
+MOST_DROPS: Final = 8
+"""Most boxes whose drop has a line."""
+
+
+class Event(NamedTuple):
+    """Something that happened. ``is_first_sign``: a box crossed a limit before all others."""
+
+    time_s: float
+    what: str
+    is_first_sign: bool = False
+
+
+def headline(story: Story) -> str:
+    """Verdict, reason, first box and when, in one line."""
+    outcome = story.outcome
+    text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
+    if outcome.verdict is Verdict.STABLE or outcome.reason is Reason.SHIFT:
+        text += ", still moving" if outcome.flags & Flag.MOVING else ""
+    if outcome.verdict is Verdict.STABLE:
+        text += ", leans" if outcome.flags & Flag.LEANS else ""
+        return text + ("" if math.isnan(outcome.margin) else f", margin {outcome.margin:.2f}")
+    if outcome.culprit < 0:
+        return text
+    return f"{text}: first {box_name(story, outcome.culprit)}, at {outcome.first_sign_s:.2f} s"
+
+
+def box_name(story: Story, box: int) -> str:
+    """ "box 22 (candy-00100723)", with the id where there is no article; boxes count from 0 in packing order."""
+    return box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])
+
+
+def _subject(story: Story, box: int) -> str:
+    """The name of a box at the beginning of a sentence."""
+    return "B" + box_name(story, box)[1:]
+
+
+def events(story: Story) -> list[Event]:
+    """What happened, in order of time; the last one is the end. Drops beyond ``MOST_DROPS`` are one event."""
+    timeline = [*_placements(story), *_shaking_events(story), *_first_sign(story), *_drops(story)]
+    timeline.sort(key=lambda event: event.time_s)
+    end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
+    return [*timeline, Event(end_s, f"End: {_last_state(story)}")]
+
+
+def _placements(story: Story) -> Iterator[Event]:
+    history = story.history
+    grown = np.flatnonzero(np.diff(history.n_placed, prepend=0) > 0)
+    if not len(grown):
+        return
+    placed, first, last = int(history.n_placed[-1]), grown[0], grown[-1]
+    rest = "" if placed == story.plan.n_boxes else f" of {story.plan.n_boxes}"
+    if len(grown) == 1:
+        yield Event(float(history.time_s[first]), f"{count_text(placed, 'box', 'boxes')}{rest} placed at once")
+        return
+    yield Event(float(history.time_s[first]), f"{_subject(story, 0)} is placed, the first of {story.plan.n_boxes}")
+    yield Event(float(history.time_s[last]), f"{_subject(story, placed - 1)} is placed, number {placed}{rest}")
+
+
+def _shaking_events(story: Story) -> Iterator[Event]:
+    if story.drive is None:
+        return
+    pushed = np.flatnonzero(np.abs(story.history.drive).max(axis=1) > 0)
+    if len(pushed):
+        excitation = story.drive.excitation
+        quantity = "forces on the carrier" if excitation.kind == FORCE else "accelerations of the carrier"
+        name = (
+            f"{printable_name(excitation.name)}, scale {story.drive.scale:g}, {math.degrees(story.drive.yaw_rad):.0f}°"
+        )
+        yield Event(float(story.history.time_s[pushed[0]]), f"Shaking begins: {quantity} ({name})")
+        yield Event(float(story.history.time_s[pushed[-1]]), "Shaking ends")
+
+
+def _first_sign(story: Story) -> Iterator[Event]:
+    if story.outcome.culprit >= 0 and math.isfinite(story.outcome.first_sign_s):
+        yield Event(story.outcome.first_sign_s, first_box_in_words(story), is_first_sign=True)
+
+
+def _drops(story: Story) -> Iterator[Event]:
+    times = story.outcome.boxes.drop_s
+    dropped = [int(box) for box in np.argsort(times, kind="stable") if np.isfinite(times[box])]
+    for box in dropped[:MOST_DROPS]:
+        yield Event(float(times[box]), f"{_subject(story, box)} has dropped")
+    if len(dropped) > MOST_DROPS:
+        yield Event(float(times[dropped[MOST_DROPS]]), f"{len(dropped) - MOST_DROPS} more have dropped from here on")
+
+
+def _last_state(story: Story) -> str:
+    outcome = story.outcome
+    placed = slice(outcome.n_placed)
+    moved = np.abs(outcome.boxes.shift_m[placed])
+    largest = f"largest shift {MM_PER_M * np.nanmax(moved):.1f} mm" if np.isfinite(moved).any() else ""
+    return ", ".join(part for part in (headline(story).partition(":")[0], largest) if part)
+
+
+@dataclass(frozen=True, eq=False)
+class Story:
+    """One simulated world with its frames.
+
+    Attributes:
+        plan: the plan; ``scene``: its world in numbers, the variant's changes included.
+        outcome: verdict, first box, metrics of each box.
+        history: the frames; the last one has the poses of ``outcome.boxes``.
+        engine: which engine simulated it.
+        variant: index of the variant, and its values by column; 0 and empty where the plan has one world.
+        drive: what shook it.
+        options: the options of the simulation (``petmjx.Simulation``) by field, as in ``run.json``.
+        note: one line that readers must see, e.g. that another engine than the run's was used; "" for none.
+    """
+
+    plan: Plan
+    scene: Scene
+    outcome: Outcome
+    history: History
+    engine: str
+    variant: int = 0
+    values: Mapping[str, Any] = field(default_factory=dict)
+    drive: Drive | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    note: str = ""
+
+    page: ClassVar[Callable[[Story], str] | None] = None
+    """Makes a story's page for notebooks. ``petmjx.show.pages.story_display`` sets it: pages are made of stories, not
+    the other way round."""
+
+    def __repr__(self) -> str:
+        outcome = self.outcome
+        verdict = f"{outcome.verdict.value}" + (f" by {outcome.reason.value}" if outcome.reason.value else "")
+        return f"Story({self.name}: {verdict}; {self.history!r}, engine {self.engine})"
+
+    def _repr_html_(self) -> str | None:
+        """What a notebook shows: the story's page, to play and turn."""
+        return None if Story.page is None else Story.page(self)
+
+    @property
+    def name(self) -> str:
+        """The plan's id for people, with the variant if the plan has many worlds: "tower, variant 3"."""
+        return printable_name(self.plan.plan_id) + (f", variant {self.variant}" if self.values else "")
+
+
+def tell(
+    plan_id: str | Plan,
+    source: RunResults | PlanSource | None = None,
+    *,
+    plans: PlanSource | None = None,
+    variant: int | None = None,
+    interval_s: float | None = None,
+    details: bool | None = None,
+    **options: Any,
+) -> Story:
+    """One world, frame by frame: as a run recorded it, or simulated again.
+
+    ``petmjx.tell("s0-000016", "results")`` is the world in the table ``worlds`` of the run in the folder ``results``,
+    simulated with the same options and attempts, to the last bit. If the run's engine cannot run here, ``mujoco`` takes
+    its place, and ``Story.note`` says whether the result differs.
+
+    Args:
+        plan_id: the plan's id; or the plan itself, without a source.
+        source: a run (its folder, or what ``petmjx.load_run`` returned), or plans as ``petmjx.score`` takes them; None:
+            the bundled plans.
+        plans: of a run whose plan files are not where they were: where they are now.
+        variant: of a run with several worlds a plan, its index as in ``worlds``; by default the nominal one.
+        interval_s: time between two frames, s, by default 0.05; each placement, and the end, is a frame too.
+        details: also accelerations, penetrations and contacts, on the engine ``mujoco``; by default so. What a run has
+            recorded is taken as it is, unless one of these two is given.
+        options: without a run, fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``.
+
+    Raises:
+        InputError: no such plan or variant, plans or a sweep file that are gone or have changed, or unusable options.
+        EngineUnavailable: the engine asked for cannot run here.
+        PetmjxError: the simulation failed, or the engine records no histories.
+    """
+    if isinstance(plan_id, Plan):
+        source = plan_id if source is None else source
+        plan_id = plan_id.plan_id
+    text_of(plan_id, "plan_id")
+    if variant is not None:
+        integer_of(variant, "variant", 0)
+    if details is not None:
+        flag_of(details, "details")
+    if interval_s is not None and not number_of(interval_s, "interval_s") > 0:
+        raise InputError(f"interval_s must be > 0, got {interval_s}")
+    record = Record(FRAME_INTERVAL_S if interval_s is None else interval_s, details is not False)
+    run = _run_in(source)
+    if run is None:
+        if variant is not None or plans is not None:
+            raise InputError("variant and plans select a world of a run: name the run's folder")
+        assert not isinstance(source, RunResults)
+        return _of_plans(plan_id, source, record, options)
+    if options:
+        raise InputError(f"{next(iter(options))}: a story of a run uses the run's options; drop this one")
+    worlds, index = worlds_of_run(run, plan_id, plans, variant)
+    if interval_s is None and details is None and (story := _recorded_story(run, worlds, index)) is not None:
+        return story
+    engine, note = _engine_of(run.info["config"])
+    story = _story(worlds, index, engine, record)
+    return replace(story, note="; ".join(filter(None, (note, _difference(story, run)))))
+
+
+def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
+    """The run that a source is, if it is one."""
+    if isinstance(source, RunResults):
+        return source
+    if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
+        return load_run(Path(source))
+    return None
+
+
+def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: Mapping[str, Any]) -> Story:
+    of_simulation, of_run = sorted_options(options)
+    sweep, run = nominal_sweep(Simulation(**of_simulation)), RunOptions(**of_run)
+    plan = find_plan(usable_plans(source, sweep.simulation, run), plan_id)
+    worlds = SweepPlan(sweep, [plan])
+    with engine_for(run, worlds.work()) as (engine, _):
+        return _story(worlds, 0, engine, record)
+
+
+def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:
+    """The story that a run recorded; None where it did not."""
+    (plan,) = worlds.plans
+    history = read_history(run, plan.plan_id, index, plan.n_boxes)
+    outcome = read_outcome(run, plan.plan_id, index)
+    if history is None or outcome is None:
+        return None
+    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])  # in full precision
+    group, variant = worlds.find(plan.plan_id, index)
+    row = world_row(run, plan.plan_id, index) or {}
+    return Story(
+        plan=plan,
+        scene=worlds.scene(group),
+        outcome=replace(outcome, boxes=boxes),
+        history=history,
+        engine=str(run.info["config"].get("engine")),
+        variant=index,
+        values={param["name"]: row[param["name"]] for param in run.info["params"]},
+        drive=worlds.drive(plan, variant) if history.drive_kind else None,
+        options=worlds.sweep.simulation.model_dump(mode="json"),
+    )
+
+
+def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
+    """The engine of a run, or the one that takes its place, and a note about that."""
+    name = config.get("engine")
+    if name not in ENGINES:
+        return make_engine(
+            "mujoco"
+        ), f"simulated on mujoco: the run's engine {printable_name(str(name))} is not petmjx's own"
+    try:
+        return make_engine(name, lanes=config.get("lanes") if has_option(name, "lanes") else None), ""
+    except EngineUnavailable as error:
+        return make_engine("mujoco"), f"simulated on mujoco: {error}"
+
+
+def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Story:
+    """The story of a world that is simulated now."""
+    (plan,) = worlds.plans
+    recording = Recording(replace(record, details=record.details and engine.name == "mujoco"))
+    world = SweepRun(worlds, engine, recording=recording).world(plan.plan_id, index)
+    if world.outcome.history is None:
+        why = world.outcome.message or f"engine {engine.name} records no histories"
+        raise PetmjxError(f"plan {printable_name(plan.plan_id)}: there are no frames: {why}")
+    sweep = worlds.sweep
+    values = SweepColumns(worlds).of(world) if sweep.axes else {}
+    return Story(
+        plan=plan,
+        scene=world.scene,
+        outcome=replace(world.outcome, state=None),
+        history=world.outcome.history,
+        engine=engine.name,
+        variant=index,
+        values=values,
+        drive=worlds.drive(plan, world.variant) if world.driven else None,
+        options=sweep.simulation.model_dump(mode="json"),
+    )
+
+
+def _difference(story: Story, run: RunResults) -> str:
+    """How a story differs from the run's row of the same world, in a line; empty where it does not."""
+    row = world_row(run, story.plan.plan_id, story.variant)
+    if row is None:
+        return ""
+    here, run_text = _outcome_text(vars(story.outcome)), _outcome_text(row)
+    if here == run_text:
+        return "" if story.engine == run.info["config"].get("engine") else f"as in the run: {here}"
+    return f"in the run: {run_text}; here: {here}"
+
+
+def _outcome_text(world: Mapping[str, Any]) -> str:
+    """Verdict, reason and first box of a world, in a few words."""
+    culprit = world["culprit"]
+    by = f" by {world['reason']}" if world["reason"] else ""
+    known = culprit is not None and culprit >= 0
+    return f"{world['verdict']}{by}" + (f", first box {culprit}" if known else "")
+
+
+MOST_LEANING: Final = 3
+"""Most boxes that a line about leaning names."""
+
+REASONS: Final = {
+    Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
+    Reason.NONFINITE: "the simulation gave numbers that are not finite",
+    Reason.OVERFLOW: "there were more contacts than the engine had room for",
+    Reason.EXPLOSION: "accelerations were impossibly large before any box had moved",
+    Reason.OUT_OF_MEMORY: "the device had too little memory",
+    Reason.SINKING: "boxes sank into what bears them",
+    Reason.FAILED: "the simulation failed",
+    Reason.TIMEOUT: "the simulation took longer than its time limit",
+    Reason.DROP: "{boxes} dropped",
+    Reason.TILT: "a box tilted by more than {tilt:g}°",
+    Reason.SHIFT: "a box shifted by more than {shift}",
+}
+"""Reason → a sentence without its full stop. In braces: the thresholds, and the boxes that dropped."""
+
+
+def thresholds_of(story: Story) -> Thresholds:
+    """The limits that the verdict was judged by."""
+    return Thresholds(**story.options.get("thresholds", {}))
+
+
+def sinks_of(story: Story) -> FloatArray | None:
+    """(n,) how far each box comes down by design, m; None: not at all."""
+    physics = story.options.get("physics", {})
+    gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
+    return sinks_m(story.scene, gravity)
+
+
+def reason_in_words(story: Story) -> str:
+    """Why the verdict is what it is, as a sentence without its full stop."""
+    outcome, limits = story.outcome, thresholds_of(story)
+    dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
+    boxes = "a box" if dropped == 1 else f"{dropped} boxes"
+    words = REASONS.get(outcome.reason, str(outcome.reason))
+    words = words.format(shift=_mm(limits.shift_m), tilt=limits.tilt_deg, boxes=boxes)
+    return f"{words}: {printable_name(outcome.message)}" if outcome.message else words
+
+
+def notes_in_words(story: Story) -> list[str]:
+    """Warnings for the reader, one line each: the story's note, and flags that make the verdict doubtful."""
+    outcome = story.outcome
+    notes = [story.note] if story.note else []
+    if outcome.verdict is Verdict.INVALID:
+        return notes
+    if outcome.flags & Flag.MOVING:
+        notes.append(
+            "Boxes still moved after the longest wait: the verdict may depend on how long the world is simulated."
+        )
+    if outcome.flags & Flag.KNIFE_EDGE:
+        notes.append(_knife_edge(story))
+    notes += _hangs_over(story)
+    if outcome.flags & Flag.LEANS:
+        notes.append(_leans(story))
+    if outcome.flags & Flag.NOT_PLACED:
+        notes.append("The hand found no room for a box: it let go away from the box's place.")
+    if outcome.flags & Flag.TIMESTEP:
+        notes.append("At half the timestep the verdict differs.")
+    return notes
+
+
+def _knife_edge(story: Story) -> str:
+    """The load that is nearest to an edge, on either side: which box's, how near, and when."""
+    outcome = story.outcome
+    nearest: list[tuple[float, int, str]] = []
+    for of_boxes, least_m, box, when in (
+        (outcome.boxes.plan_edge_m, outcome.plan_edge_m, outcome.plan_edge_box, "by the plan"),
+        (outcome.boxes.rest_edge_m, outcome.rest_edge_m, outcome.rest_edge_box, "at rest"),
+        (np.array([]), outcome.build_edge_m, outcome.build_edge_box, "while it is built"),
+    ):
+        nearest += [(abs(edge_m), number, when) for number, edge_m in enumerate(of_boxes.tolist())]
+        nearest.append((abs(least_m), box, when))
+    edge_m, box, when = min((edge for edge in nearest if not math.isnan(edge[0])), default=(math.nan, -1, ""))
+    load = f" of box {box} ({printable_name(story.plan.articles[box])})" if box >= 0 else ""
+    if not edge_m <= _NEAR_M:  # of a box's own weight, or after a placement, that is the nearest of none
+        return "A load acts at the edge of what bears it: a tenth of a millimetre may change the verdict."
+    return (
+        f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {when}: "
+        f"a tenth of a millimetre may change the verdict{' (the load' + load + ')' if load else ''}."
+    )
+
+
+def _hangs_over(story: Story) -> list[str]:
+    """The box that hangs over while a plan is built, and the box that comes too late to hold it."""
+    outcome = story.outcome
+    if not outcome.build_edge_m < 0:
+        return []
+    box = outcome.build_edge_box
+    begins, held = steps_beyond(story.scene, box)
+    if begins < 0:
+        return []
+    overhang = f"While the plan is built, box {box} hangs over from step {begins} on"
+    if held < 0:
+        return [f"{overhang}; nothing that is placed later holds it."]
+    return [f"{overhang}; its counterweight, box {held}, comes too late."]
+
+
+def _leans(story: Story) -> str:
+    """Which boxes lie otherwise than planned."""
+    boxes = story.outcome.boxes
+    tilt, lower_m = box_motion.tilt_deg(boxes.quat), -boxes.shift_m[:, 2]
+    leaning = contact_tilt_boxes(story.outcome).tolist()
+    listed = [
+        f"box {box} ({printable_name(story.plan.articles[box])}) is tilted by {tilt[box]:.1f}° and lies "
+        f"{_mm(max(lower_m[box], 0.0))} lower than planned"
+        for box in sorted(leaning, key=lambda box: -tilt[box])[:MOST_LEANING]
+    ]
+    more = f", and {len(leaning) - len(listed)} more" if len(leaning) > len(listed) else ""
+    return f"It stands, but leans: {'; '.join(listed)}{more}."
+
+
+def first_box_in_words(story: Story) -> str:
+    """Which box failed first, when and why, as a sentence; "" where none did."""
+    box = story.outcome.culprit
+    if box < 0:
+        return ""
+    when = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
+    name = "B" + box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])[1:]
+    gap_mm = _gap_mm(story, box)
+    planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
+    signs = " and ".join(_signs(story, box)) or "crossed a limit"
+    return f"{name} {planned}failed first:{when} it {signs}."
+
+
+def _gap_mm(story: Story, box: int) -> float:
+    """How far above what is there at its placement a box is planned, mm."""
+    in_order = story.options.get("check") != Check.STATIC
+    return float(gaps_mm(story.plan.corner_mm, story.plan.size_mm, in_order)[box])
+
+
+def _signs(story: Story, box: int) -> list[str]:
+    """The limits that a box was beyond at the first sign, each with how far; between two frames on a straight line."""
+    limits = thresholds_of(story)
+    pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
+    if not np.isfinite(pos).all():
+        return []
+    sinks = sinks_of(story)
+    box_sinks = None if sinks is None else sinks[[box]]
+    shift = float(np.abs(box_motion.shift(pos, story.scene.target[[box]], limits.shift_floor_m, box_sinks)).max())
+    tilt = float(box_motion.tilt_deg(quat)[0])
+    signs = []
+    if box_motion.has_dropped(pos, quat, story.scene.half_size[[box]], limits)[0]:
+        signs.append("had dropped")
+    if tilt > limits.tilt_deg:
+        signs.append(f"was tilted by {tilt:.1f}° (limit {limits.tilt_deg:g}°)")
+    if shift > limits.shift_m:
+        signs.append(f"had shifted by {_mm(shift)} (limit {_mm(limits.shift_m)})")
+    return signs
+
+
+def _at(story: Story, values: FloatArray) -> FloatArray:
+    """(k,) values at the first sign, of (f, k) values in frames."""
+    time_s, sign_s = story.history.time_s, story.outcome.first_sign_s
+    return np.array([np.interp(sign_s, time_s, column) for column in values.T])
+
+
+def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
+    """Names and values of what the answer depends on most: engine, physics, check, schedule, carrier, solver."""
+    options, outcome = story.options, story.outcome
+    physics = options.get("physics", "")
+    facts = [("engine", story.engine), ("physics", _option_name(physics))]
+    facts += [(name, _option_name(options[name])) for name in ("check", "schedule", "carrier") if name in options]
+    facts.append(("solver", outcome.solver if outcome.attempt == 1 else f"{outcome.solver}, attempt {outcome.attempt}"))
+    if story.drive is not None:
+        drive = story.drive
+        facts.append(("shaken by", f"{drive.excitation.name} × {drive.scale:g}, {math.degrees(drive.yaw_rad):g}°"))
+    facts += [(printable_name(str(name)), _value(value)) for name, value in story.values.items() if value is not None]
+    facts.append(("simulated", f"{outcome.sim_time_s:.2f} s in {outcome.n_steps:,} steps"))
+    return [(name, value) for name, value in facts if value]
+
+
+def _option_name(option: object) -> str:
+    """An option's value; of one that is a table, its name."""
+    return printable_name(str(option.get("name") if isinstance(option, Mapping) else option))
+
+
+def _value(value: object) -> str:
+    """The value of a variant's column."""
+    return f"{value:.4g}" if isinstance(value, float) else printable_name(str(value))
+
+
+def _mm(length_m: float) -> str:
+    return f"{MM_PER_M * length_m:.3g} mm" if length_m < 0.1 else f"{MM_PER_M * length_m:,.0f} mm"

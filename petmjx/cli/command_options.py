@@ -1,0 +1,239 @@
+"""Options of commands, made from the records in ``petmjx.options.simulation``."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import tomllib
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args, get_origin
+
+import typer
+from pydantic.fields import FieldInfo
+
+from petmjx.common.checked_records import CheckedRecord, CliFlag
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+
+Command = TypeVar("Command", bound=Callable[..., None])
+
+PLANS_HELP = "Packing plans: files of BED-BPP's JSON, CSV (both also gzipped) or Parquet, or folders of them."
+
+PlanPaths = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples.", show_default=False),
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+
+SIMULATED = "What is simulated"
+PlansOrRun = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="PLANS|DIR",
+        help="Or the folder of a run, whose options are then used; if its plan files were moved, name them after it. "
+        "Without any: the bundled samples.",
+        show_default=False,
+    ),
+]
+Variant = Annotated[
+    int | None,
+    typer.Option(
+        "--variant",
+        metavar="N",
+        help="Number of the world (variant in the table worlds), if the run has several of the plan.",
+        rich_help_panel=SIMULATED,
+    ),
+]
+HOW_SURE = "How sure it is"
+HOW_IT_RUNS = "How it runs"
+
+
+@dataclass(frozen=True)
+class _Option:
+    """A field as an option.
+
+    Attributes:
+        path: the names of fields that lead to it: usually one name, but for instance ``("thresholds", "shift_m")``.
+        section: its heading in the help.
+    """
+
+    path: tuple[str, ...]
+    info: FieldInfo
+    flag: CliFlag
+    section: str
+
+    @property
+    def name(self) -> str:
+        """Its name as a parameter of a function."""
+        return "__".join(self.path)
+
+    @property
+    def kind(self) -> Any:
+        """The type of the value: the field's if it is plain, else text, which the record checks."""
+        kinds = get_args(self.info.annotation) or (self.info.annotation,)
+        if str in kinds or get_origin(self.info.annotation) is tuple:
+            return str
+        return next((kind for kind in kinds if kind in (int, float, bool, Path)), str)
+
+    @property
+    def help(self) -> str:
+        """The field's description (without the part about Python) and its default, if there is one to show."""
+        text = (self.info.description or "").partition("; in Python")[0]
+        value = self.info.default
+        if isinstance(value, CheckedRecord):
+            value = getattr(value, "name", "")
+        if value is None:
+            default = self.flag.default
+        elif isinstance(value, bool):
+            default = "on" if value else ""
+        else:
+            values = value if isinstance(value, tuple) else (value,)
+            default = ",".join(f"{part:g}" if isinstance(part, float) else str(part) for part in values)
+        return f"{text[:1].upper()}{text[1:]}." + (f" [default: {default}]" if default else "")
+
+    @property
+    def parameter(self) -> inspect.Parameter:
+        """The parameter that typer reads from a function's signature. None: the option was not given."""
+        names = [name for name in (self.flag.name, self.flag.short) if name]
+        option = typer.Option(
+            *names,
+            metavar=None if self.kind is bool else self.flag.metavar,
+            help=self.help,
+            show_default=False,
+            rich_help_panel=self.section,
+        )
+        return _keyword(self.name, Annotated[self.kind | None, option])
+
+
+def takes(
+    *fields: str,
+    without: Collection[str] = (),
+    simulated: str = SIMULATED,
+    more: Sequence[tuple[type[CheckedRecord], str]] = (),
+) -> Callable[[Command], Command]:
+    """Give a command the options of ``Simulation`` and ``RunOptions``: all except some, or only those named.
+
+    The command gets the options that were typed, and no others, as keyword arguments: fields of the records; records
+    within them as dictionaries. An error about one of these fields names the option as it was typed.
+
+    Args:
+        fields: names of fields of the two records; none: all.
+        without: fields that are left out.
+        simulated: heading of the options of ``Simulation``.
+        more: further records with their headings. A field of theirs takes the place of one of ``Simulation``.
+    """
+    theirs = {name for record, _ in more for name in record.model_fields}
+    records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
+    options = [
+        option
+        for record, section in records
+        for option in _options_of(record, section)
+        if option.path[0] not in without and (not fields or option.path[0] in fields)
+        if record is not Simulation or option.path[0] not in theirs
+    ]
+    settable = [name for name in Simulation.model_fields if (not fields or name in fields) and name not in theirs]
+
+    def decorate(command: Command) -> Command:
+        def with_options(**given: Any) -> None:
+            tables: dict[str, Any] = {}
+            typed: dict[str, str] = {}
+            for option in options:
+                value = given.pop(option.name, None)
+                if value is not None:
+                    _put(tables, option.path, value)
+                    typed[".".join(option.path)] = option.flag.name.partition("/")[0]
+            for setting in given.pop("settings", None) or ():
+                path, value = _setting(setting, settable)
+                name = ".".join(path)
+                if name in typed:
+                    also = "twice" if typed[name].startswith("--set ") else f"beside {typed[name]}"
+                    raise InputError(f"--set {printable(name)}: is given {also}; drop one of them")
+                _put(tables, path, value)
+                typed[name] = f"--set {name}"
+            try:
+                command(**given, **tables)
+            except InputError as error:
+                line = _as_typed(str(error), typed)
+                if line == str(error):
+                    raise
+                raise InputError(line) from error
+
+        signature = inspect.signature(command, eval_str=True)
+        parameters = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        parameters += [option.parameter for option in options if option.section == simulated]
+        parameters += [_set_parameter(settable, simulated)] if settable else []
+        parameters += [option.parameter for option in options if option.section != simulated]
+        with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
+        with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
+        with_options.__annotations__ = {p.name: p.annotation for p in parameters}
+        return with_options  # type: ignore[return-value]  # called as the signature says
+
+    return decorate
+
+
+def _keyword(name: str, annotation: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation)
+
+
+def _options_of(record: type[CheckedRecord], section: str, path: tuple[str, ...] = ()) -> Iterator[_Option]:
+    """The fields with a flag of a record, and of the records within it."""
+    for name, info in record.model_fields.items():
+        flag = next((entry for entry in info.metadata if isinstance(entry, CliFlag)), None)
+        if flag is not None:
+            yield _Option((*path, name), info, flag, section)
+        elif isinstance(info.default, CheckedRecord):
+            yield from _options_of(type(info.default), section, (*path, name))
+
+
+def _set_parameter(settable: Collection[str], section: str) -> inspect.Parameter:
+    example = "quiet.steps=50 or physics.timestep_s=0.001" if "quiet" in settable else "physics.timestep_s=0.001"
+    option = typer.Option(
+        "--set",
+        metavar="FIELD=VALUE",
+        help=f"Set any other option of the simulation, such as {example}. May be given several times.",
+        rich_help_panel=section,
+        show_default=False,
+    )
+    return _keyword("settings", Annotated[list[str] | None, option])
+
+
+def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any]:
+    """The two parts of ``FIELD=VALUE``. The value is read as TOML, or as plain text if it is not TOML."""
+    path, separator, value = text.partition("=")
+    names = tuple(path.strip().split("."))
+    if not (separator and all(names)):
+        raise InputError(f"--set {printable(text)}: must be FIELD=VALUE, such as physics.timestep_s=0.001")
+    if names[0] not in settable:
+        raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
+    try:
+        return names, tomllib.loads(f"value = {value}")["value"]
+    except (ValueError, RecursionError):  # not TOML, a number of thousands of digits, lists in lists without end
+        return names, value.strip()
+
+
+def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
+    """Store a value at its path. A record may be given by name, as a table, and by single values, in any order."""
+    *records, field = path
+    for name in records:
+        inner = tables.get(name, {})
+        tables[name] = inner = inner if isinstance(inner, dict) else {"name": inner}
+        tables = inner
+    if isinstance(tables.get(field), dict):
+        tables[field].update(value if isinstance(value, dict) else {"name": value})
+    else:
+        tables[field] = value
+
+
+def _as_typed(line: str, typed: Mapping[str, str]) -> str:
+    """An error's line with the option as it was typed, in place of the field at its beginning. A line that names a file
+    is about what stands there."""
+    for path, option in typed.items():
+        named = re.match(rf"(?:simulation\.)?{re.escape(path)}(?=[ :])", line)
+        if named:
+            return option + line[named.end() :]
+    return line

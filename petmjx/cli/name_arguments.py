@@ -1,0 +1,26 @@
+"""Arguments written as NAME=PATH."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+
+
+def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
+    """Name → path of each text; empty if none has a name. An existing path is taken as a path, even with a "=" in it.
+
+    Raises:
+        InputError: only some have a name, or two have the same.
+    """
+    named = [text.partition("=") for text in texts if not Path(text).exists()]
+    pairs = [(name, path) for name, _, path in named if name and path]
+    if pairs and len(pairs) < len(texts):
+        raise InputError(f"{option}: give each a name (NAME=PATH), or none")
+    names = [name for name, _ in pairs]
+    for number, name in enumerate(names):
+        if name in names[:number]:
+            raise InputError(f"{option} {printable_name(name)}: there are two of this name")
+    return dict(pairs)

@@ -1,0 +1,192 @@
+"""The common part of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the tables at the end."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, Final
+
+from petmjx.cli.console import results_console
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+
+if TYPE_CHECKING:
+    from petmjx.results.run_reader import RunResults
+    from petmjx.runs.simulate import Watcher
+
+
+BURST_S: Final = 2.0
+"""Signals that come closer together than this count as one: pressing Ctrl-C six times in a row is one
+interruption."""
+
+
+AGAIN_S: Final = 0.05
+"""Time after which a signal comes again that came where an exception would be lost."""
+
+
+class RunInterrupted(Exception):
+    """Ctrl-C or a signal to end, with how far the run came. (A bare KeyboardInterrupt would end inside typer, without a
+    word.)
+
+    Attributes:
+        number: of the signal.
+    """
+
+    def __init__(self, how_far: str, number: int) -> None:
+        super().__init__(how_far)
+        self.number = number
+
+
+class _StopSignal(KeyboardInterrupt):
+    """Raised in the run by a signal to end."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """SIGTERM and SIGHUP end the body as Ctrl-C does, each burst of signals once. Ignored signals stay ignored
+    (nohup).
+
+    Python ignores what is raised while an object is finalised, as Ray's often are. A signal then comes again.
+    """
+    last_s = -math.inf
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        nonlocal last_s
+        if any(caller.f_code.co_name == "__del__" for caller in _frames_of(frame)):
+            threading.Timer(AGAIN_S, os.kill, (os.getpid(), number)).start()
+            return
+        now_s, before_s = time.monotonic(), last_s
+        last_s = now_s
+        if now_s - before_s >= BURST_S:
+            raise _StopSignal(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    try:
+        for number, handler in before.items():
+            if handler is not signal.SIG_IGN:
+                signal.signal(number, stop)
+        yield
+    finally:
+        if last_s == -math.inf:  # else the process is about to end, and the rest of the burst may still come
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
+    """A frame and those that led to it."""
+    while frame is not None:
+        yield frame
+        frame = frame.f_back
+
+
+def run_and_show(
+    run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any], as_json: bool
+) -> None:
+    """Run something with a progress bar and print its tables, or JSON.
+
+    Args:
+        run: called with a watcher and the options, which have the folder.
+
+    Raises:
+        Interrupted: Ctrl-C, SIGTERM or SIGHUP.
+    """
+    results = run_watched(run, options)
+    if as_json:
+        print(json.dumps(brief(results), indent=2))
+        return
+    from petmjx.show.run_tables import run_tables
+    from petmjx.show.table_layout import print_renderables
+
+    print_renderables(run_tables(results), results_console())
+
+
+def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any]) -> RunResults:
+    """Run something with a progress bar; as :func:`run_and_show`, without the tables."""
+    from petmjx.show.progress import BarWatcher
+
+    watcher = BarWatcher()
+    with stoppable():
+        made = None if "out" in options or options.get("resume") else default_folder()
+        if made is not None:
+            options["out"] = made
+        try:
+            with watcher:
+                return run(watcher, options)
+        except KeyboardInterrupt as stop:
+            raise RunInterrupted(
+                _how_far(Path(options["out"]), watcher), getattr(stop, "number", signal.SIGINT)
+            ) from None
+        finally:
+            if made is not None:
+                remove_empty(made)
+
+
+def default_folder() -> Path:
+    """Make a folder named after this moment that no other run has.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    parent = Path("petmjx-results")
+    name = datetime.now().strftime("%Y%m%d-%H%M%S")
+    try:
+        parent.mkdir(exist_ok=True)
+        for number in itertools.count(1):
+            folder = parent / (name if number == 1 else f"{name}-{number}")
+            with suppress(FileExistsError):
+                folder.mkdir()
+                break
+    except OSError as error:
+        raise InputError(f"{parent}: cannot write results there: {error.strerror or error}") from error
+    return folder
+
+
+def remove_empty(folder: Path) -> None:
+    """Take away a folder that was made for a run that did not begin, and the one around it."""
+    with suppress(OSError):
+        folder.rmdir()
+        folder.parent.rmdir()
+
+
+def _how_far(folder: Path, watcher: Any) -> str:
+    """How far an interrupted run came, as text."""
+    from petmjx.results.run_reader import load_run
+
+    try:
+        done = load_run(folder).info["counts"]["worlds"]
+    except InputError:
+        return f"before the first {watcher.what} was finished; nothing was written"
+    of = (
+        count_text(done, watcher.what)
+        if watcher.total is None
+        else f"{done:,} of {count_text(watcher.total, watcher.what)}"
+    )
+    return f"{of} {'is' if done == 1 else 'are'} done and in {folder}"
+
+
+def brief(results: RunResults) -> dict[str, Any]:
+    """A run as --json prints it."""
+    names = ("status", "counts", "timings", "device", "skipped", "warnings")
+    brief = {"out": str(results.path), **{name: results.info[name] for name in names}}
+    if results.info.get("orders"):
+        brief["orders"] = results.info["orders"]
+    if results.summary is not None:
+        brief["summary"] = json.loads(results.summary.to_json(orient="records"))
+    return brief

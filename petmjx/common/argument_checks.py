@@ -1,0 +1,132 @@
+"""Checks of arguments from Python: a value of a wrong type is one line with the argument's name."""
+
+from __future__ import annotations
+
+import math
+from os import PathLike
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+
+Kind = TypeVar("Kind")
+
+
+def path_of(value: Any, name: str) -> Path:
+    """A path that names something. ``Path("")`` would be the current folder.
+
+    Raises:
+        InputError: it is not.
+    """
+    usable = isinstance(value, Path) or (isinstance(value, str | PathLike) and bool(str(value)))
+    if not usable:
+        raise InputError(f"{name} must be a path, {shown_value(value)}")
+    try:
+        return Path(value)
+    except TypeError:  # a path of bytes
+        raise InputError(f"{name} must be a path, {shown_value(value)}") from None
+
+
+def text_of(value: Any, name: str) -> str:
+    """Text. Raises InputError: it is not."""
+    return instance_of(value, name, str, "text")
+
+
+def flag_of(value: Any, name: str) -> bool:
+    """True or false. Raises InputError: it is neither."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name} must be true or false, {shown_value(value)}")
+    return bool(value)
+
+
+def integer_of(value: Any, name: str, least: int | None = None, most: int | None = None) -> int:
+    """A whole number within limits.
+
+    Raises:
+        InputError: it is not, or it is beyond a limit.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InputError(f"{name} must be a whole number, {shown_value(value)}")
+    _check_limits(int(value), name, least, most)
+    return int(value)
+
+
+def number_of(value: Any, name: str, least: float | None = None, most: float | None = None) -> float:
+    """A finite number within limits.
+
+    Raises:
+        InputError: it is not, or it is beyond a limit.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
+        raise InputError(f"{name} must be a number, {shown_value(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        raise InputError(f"{name} must be finite, {shown_value(value)}")
+    _check_limits(number, name, least, most)
+    return number
+
+
+def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
+    """An object of a class, which people know by other words.
+
+    Raises:
+        InputError: it is another one.
+    """
+    if not isinstance(value, kind):
+        raise InputError(f"{name} must be {words}, {shown_value(value)}")
+    return value
+
+
+def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
+    """A list of objects of one class, from any iterable.
+
+    Raises:
+        InputError: it cannot, is text, or something in it is another object.
+    """
+    try:
+        members = None if isinstance(values, str | bytes) else list(values)
+    except Exception:  # whatever an object raises when it is iterated
+        members = None
+    if members is None:
+        raise InputError(f"{name} must be a list of {words}, {shown_value(values)}")
+    if not set(map(type, members)) <= {kind}:  # of the names of all boxes of 10,000 plans, so in C
+        for index, value in enumerate(members):
+            instance_of(value, f"{name}[{index}]", kind, words)
+    return members
+
+
+def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool = False) -> NDArray[np.float64]:
+    """An array of finite numbers.
+
+    Args:
+        shape: of what one value stands for: (3,) for an array of (n, 3), () for one of (n,).
+        may_lack: whether NaN stands for a value that is not given.
+
+    Raises:
+        InputError: it is not, or it has another shape.
+    """
+    try:
+        array = np.asarray(values)
+    except Exception:  # whatever an object says when it is asked for an array
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in "iuf":
+        raise InputError(f"{name} must be an array of numbers, {shown_value(values)}")
+    if array.ndim != 1 + len(shape) or array.shape[1:] != shape:
+        raise InputError(f"{name} must have the shape ({', '.join(['n', *map(str, shape)])}), got {array.shape}")
+    if array.dtype.kind == "f" and not (np.isfinite(array) | (may_lack & np.isnan(array))).all():
+        raise InputError(f"{name} must be finite")
+    return array.astype(np.float64, copy=False)
+
+
+def _check_limits(value: float, name: str, least: float | None, most: float | None) -> None:
+    if least is not None and value < least:
+        raise InputError(f"{name} must be at least {least:,}, {shown_value(value)}")
+    if most is not None and value > most:
+        raise InputError(f"{name} must be at most {most:,}, {shown_value(value)}")

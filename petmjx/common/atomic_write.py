@@ -1,0 +1,74 @@
+"""Files that users name, written so that they appear whole or not at all."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO
+
+from petmjx.common.checked_records import reason
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
+
+
+def check_writable(file: Path) -> None:
+    """Check that a file can be written, as far as can be seen before it is tried.
+
+    Raises:
+        InputError: it is a folder, or its parent is not a folder or is not writable.
+    """
+    folder = file.parent
+    if file.is_dir():
+        why = "is a folder"
+    elif not folder.is_dir():
+        why = f"{folder} is not a folder"
+    else:
+        why = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
+    if why:
+        raise InputError(f"{printable(str(file))}: cannot be written: {printable(why)}")
+
+
+@contextmanager
+def write_errors(path: Path) -> Iterator[None]:
+    """System errors while a file or a folder is written become an InputError that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"{printable(str(path))}: cannot be written: {reason(error)}") from error
+
+
+@contextmanager
+def atomic_write(file: Path) -> Iterator[Path]:
+    """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
+
+    For a link it is the target that is replaced. Existing paths that are not files, such as a FIFO or
+    ``/dev/stdout``, are written to directly.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    if "\0" in str(file):
+        raise InputError(f"{printable(str(file))}: cannot be written: no file has such a name")
+    target = file.resolve() if file.is_symlink() else file
+    direct = file.exists() and not file.is_file()  # of /dev/stdout to a pipe the target is no path
+    temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
+    try:
+        with write_errors(file):
+            yield temporary
+            if not direct:
+                os.replace(temporary, target)
+    except InputError as error:  # of what was written, which names the hidden path
+        raise InputError(str(error).replace(str(temporary), str(file))) from error
+    finally:
+        if not direct:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def gzip_stream(stream: IO[bytes]) -> gzip.GzipFile:
+    """A stream that compresses into another one, without a name or a time: its bytes depend only on the content."""
+    return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

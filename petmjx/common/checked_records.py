@@ -1,0 +1,334 @@
+"""What options are called in messages: as they are typed on the command line, as arguments in Python.
+
+Records that check their own values, and the one place that makes error lines from pydantic's errors.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Any, Final, Self, Union, get_args, get_origin
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
+from pydantic._internal._model_construction import ModelMetaclass  # has no public name
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from petmjx.common.errors import InputError
+from petmjx.common.safe_read import read_regular
+from petmjx.common.text import count_text, printable, printable_name, shortened_text
+
+_typed = False
+"""Whether the command line runs. One process has one command line, whose threads share it."""
+
+
+@contextmanager
+def typed_options() -> Iterator[None]:
+    """In the body, messages have options as they are typed: the command line runs."""
+    global _typed
+    before, _typed = _typed, True
+    try:
+        yield
+    finally:
+        _typed = before
+
+
+def option(flag: str, value: str = "", *, python: str = "") -> str:
+    """An option for a message: "--overwrite" on the command line, "overwrite=True" in Python.
+
+    Args:
+        flag: as it is typed, such as ``--out``.
+        value: what stands behind it in Python, such as ``True``; it is not typed.
+        python: name of the argument, where it is not that of the flag.
+    """
+    if _typed:
+        return flag
+    name = python or flag.removeprefix("--").replace("-", "_")
+    return f"{name}={value}" if value else name
+
+
+_TEXTS: Final = {
+    "greater_than": "must be > {gt:g}",
+    "greater_than_equal": "must be ≥ {ge:g}",
+    "less_than": "must be < {lt:g}",
+    "less_than_equal": "must be ≤ {le:g}",
+    "literal_error": "must be {expected}",
+    "enum": "must be {expected}",
+    "string_type": "must be text",
+    "path_type": "must be a path",
+    **dict.fromkeys(("float_type", "float_parsing", "finite_number"), "must be a finite number"),
+    **dict.fromkeys(("int_type", "int_parsing", "int_parsing_size", "int_from_float"), "must be a whole number"),
+    **dict.fromkeys(("bool_type", "bool_parsing"), "must be true or false"),
+    **dict.fromkeys(("list_type", "tuple_type"), "must be a list"),
+    **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
+}
+"""pydantic's kind of error → what comes after the field's path, before the value that was found."""
+
+_NO_NUMBERS: Final = (str, bytes, bool)
+
+_COMPLAINT: Final = "complaint"
+
+MOST_TOML_BYTES: Final = 16 << 20
+"""A list of 100,000 force windows takes half of it."""
+_MOST_PARTS: Final = 64
+_MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
+"""A key in so many tables within tables that tomllib, which looks at all of them for each, would take minutes."""
+
+TABLE: Final = "<a table>"
+LIST: Final = "<a list>"
+VALUE: Final = "<a single value>"
+"""Tags of the members of a union, where the shape of a value decides which member it is. pydantic puts tags into the
+path of an error; the angle brackets let `describe` find them and take them out."""
+
+
+@dataclass(frozen=True)
+class CliFlag:
+    """The name of a field on the command line.
+
+    Attributes:
+        metavar: placeholder of its value in the help.
+        default: what the help shows as the default where the field's own default is None.
+    """
+
+    name: str
+    metavar: str = "NAME"
+    short: str = ""
+    default: str = ""
+
+
+class _OneLine(ModelMetaclass):
+    """Makes the constructor of a record raise ``InputError`` with one line instead of pydantic's own error.
+
+    Records within records are made by pydantic itself and do not come here, so that the line has the whole path.
+    """
+
+    def __call__(cls, *args: Any, **values: Any) -> Any:
+        try:
+            return super().__call__(*args, **values)
+        except ValidationError as error:
+            raise InputError(describe(error)) from None
+
+
+class CheckedRecord(BaseModel, metaclass=_OneLine):
+    """A frozen record with checked values. Unknown fields are refused.
+
+    Raises:
+        InputError: "interval_s must be > 0, got -1".
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @classmethod
+    def read(cls, values: Mapping[str, Any], context: Any = None) -> Self:
+        """A record made from plain values, such as those of a file. ``context`` is passed to the validators."""
+        try:
+            return cls.model_validate(dict(values), context=context)
+        except ValidationError as error:
+            raise InputError(describe(error)) from None
+
+    def changed(self, **values: Any) -> Self:
+        """A checked copy with other values for some fields.
+
+        A table in place of a record changes the old record. A table with a ``name`` replaces it.
+        """
+        return self.read(_fields_with(self, values))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_its_fields(cls, values: Any) -> Any:
+        """Refuse unknown and missing fields. pydantic does that too, but does not say which fields there are."""
+        if not isinstance(values, Mapping):
+            return values
+        fields = {info.alias or name: info for name, info in cls.model_fields.items()}
+        for name in values:
+            if name not in fields:
+                raise complaint(f": unknown field; {hint(str(name), fields)}", str(name))
+        for name, value in values.items():
+            expected = _lax(fields[name].annotation, value)
+            if expected:
+                raise complaint(f"{expected}, {shown_value(value)}", str(name))
+        for name, info in fields.items():
+            if info.is_required() and name not in values:
+                raise complaint(f"is missing: {info.description}" if info.description else "is missing", name)
+        return values
+
+
+def _lax(annotation: Any, value: Any) -> str:
+    """What a value must be that pydantic would turn into a number or into true and false: text, or true for 1."""
+    union = isinstance(annotation, UnionType) or get_origin(annotation) is Union
+    kinds = set(get_args(annotation)) if union else {annotation}
+    kinds.discard(type(None))
+    if kinds == {bool}:
+        return "" if value is None or isinstance(value, bool) else "must be true or false"
+    if kinds and kinds <= {float, int} and isinstance(value, _NO_NUMBERS):
+        return _TEXTS["int_type" if kinds == {int} else "float_type"]
+    numbers = get_origin(annotation) is tuple and set(get_args(annotation)) - {Ellipsis} <= {float, int}
+    if numbers and isinstance(value, list | tuple) and any(isinstance(element, _NO_NUMBERS) for element in value):
+        return "must be a list of numbers"
+    return ""
+
+
+def within(low: float, high: float) -> AfterValidator:
+    """A check of a physical range, whose error names the range."""
+
+    def check(value: Any) -> Any:
+        if value is not None and not low <= value <= high:
+            raise ValueError(f"must be from {low:g} to {high:g}, {shown_value(value)}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
+    """A record's fields with some replaced. They are checked together later, so that an error has the whole path."""
+    fields = {name: getattr(record, name) for name in type(record).model_fields}
+    for name, value in values.items():
+        old = fields.get(name)
+        if isinstance(old, CheckedRecord) and isinstance(value, Mapping) and "name" not in value:
+            value = _fields_with(old, value)
+        fields[name] = value
+    return fields
+
+
+def hint(name: str, known: Iterable[str]) -> str:
+    """A hint for an unknown name: "did you mean scale?", or a list of the known names."""
+    names = list(known)
+    close = difflib.get_close_matches(name, names, n=1)
+    return f"did you mean {close[0]}?" if close else f"there are {', '.join(names)}"
+
+
+def similar(name: str, known: Iterable[str]) -> str:
+    """The end of a message about an unknown name, one of thousands: "; did you mean s0-000016?", or ""."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f"; did you mean {printable_name(close[0])}?" if close else ""
+
+
+def complaint(text: str, *path: str | int) -> ValidationError:
+    """An error for a validator to raise about a field inside the value that it validates.
+
+    Args:
+        text: follows the field's path, as in "must be > 0", or with a colon as in ": unknown field".
+        path: from the validated value to the field.
+    """
+    kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
+    return ValidationError.from_exception_data("value", [InitErrorDetails(type=kind, loc=path, input=None)])
+
+
+def shape(value: object) -> str:
+    """`TABLE`, `LIST` or `VALUE`. ``Discriminator(shape)`` picks the member of a union by it."""
+    if isinstance(value, Mapping | BaseModel):
+        return TABLE
+    return LIST if isinstance(value, list | tuple) else VALUE
+
+
+def by_entry(key: str) -> Discriminator:
+    """Picks the record of a union by one entry of its table. Each record's tag is that entry's value in <…>."""
+
+    def tag(value: object) -> str | None:
+        if not isinstance(value, Mapping):
+            return None
+        entry = value.get(key)
+        return f"<{entry}>" if isinstance(entry, str) else "<>"
+
+    # pydantic names the function in its errors, and `describe` reads the entry's name from there
+    tag.__name__ = key
+    return Discriminator(tag)
+
+
+def shown_value(value: object) -> str:
+    """The end of a message: "got" and the value, in one line of bounded length."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):
+        # a whole number with more digits than Python writes, or tables nested too deeply
+        return f"got {type(value).__name__} too large to be shown"
+    except Exception:  # of an object of the user's own
+        return f"got {type(value).__name__} that cannot be shown"
+    return f"got {shortened_text(' '.join(text.split()) if len(text.splitlines()) > 1 else text)}"
+
+
+def describe(error: ValidationError) -> str:
+    """The first of pydantic's errors as one line: "simulation.interval_s must be > 0, got -1"."""
+    first = error.errors(include_url=False)[0]
+    place = _path(first["loc"])
+    text = _error_text(first["type"], first.get("ctx", {}), first.get("input"), first["msg"])
+    if not place:
+        return text.removeprefix(": ")
+    return f"{place}{text}" if text.startswith((":", ".")) else f"{place} {text}"
+
+
+def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
+    """What comes after the field's path."""
+    if kind in (_COMPLAINT, "value_error"):
+        # raised by one of petmjx's validators, whose text is all that follows the path
+        return message.removeprefix("Value error, ")
+    if kind == "missing":  # an entry of a list; fields are asked for in Checked
+        return "is missing"
+    if kind in _TEXTS:
+        return f"{_TEXTS[kind].format(**context)}, {shown_value(value)}"
+    if kind in ("too_short", "too_long"):
+        most, key = ("most", "max_length") if kind == "too_long" else ("least", "min_length")
+        length = context.get("actual_length")  # None where pydantic stopped counting
+        limit = count_text(context[key], "entry", "entries")
+        return f"must have at {most} {limit}, got {'more' if length is None else length}"
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        return _no_member(context, value)
+    return f": {message.removeprefix('Input ')}, {shown_value(value)}".replace("\n", " ")
+
+
+def _no_member(context: Mapping[str, str], value: Any) -> str:
+    """The text for a value that fits no member of a union."""
+    key = context["discriminator"].removesuffix("()")
+    known = re.findall("<(.*?)>", context.get("expected_tags", ""))
+    if key == shape.__name__:
+        return f"must be {' or '.join(known)}, {shown_value(value)}"
+    if not isinstance(value, Mapping):
+        return f"must be a table, {shown_value(value)}"
+    if key not in value:
+        return f".{key} is missing: it must be one of {', '.join(known)}"
+    return f".{key} must be one of {', '.join(known)}, {shown_value(value[key])}"
+
+
+def _path(location: tuple[int | str, ...]) -> str:
+    """A path as TOML and Python write it: fields by name, list entries as [i]. Tags of unions are left out."""
+    path = ""
+    for part in location:
+        if isinstance(part, int):
+            path += f"[{part}]"
+        elif not (part.startswith("<") and part.endswith(">")):
+            path += f".{printable_name(part)}" if path else printable_name(part)
+    return path
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        InputError: "x.toml: not valid TOML: …", or that it cannot be read.
+    """
+    try:
+        data = read_regular(path, MOST_TOML_BYTES)
+    except FileNotFoundError:
+        raise InputError(f"{printable(str(path))}: no such file") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        raise InputError(f"{printable(str(path))}: cannot be read: {reason(error)}") from None
+    if _MANY_PARTS.search(data):
+        raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
+    except RecursionError:
+        raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
+    except ValueError as error:  # also a whole number of too many digits
+        raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
+
+
+def reason(error: Exception) -> str:
+    """Why a file cannot be used, in one line."""
+    return " ".join(printable(getattr(error, "strerror", None) or str(error)).split())

@@ -1,0 +1,158 @@
+"""What this machine has: CPU threads, CUDA devices, package versions. Nothing here imports jax at module level."""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from petmjx.common.compile_caches import why_no_folder
+from petmjx.common.text import count_text
+from petmjx.version import __version__
+
+PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
+"""Packages whose versions are written beside every result, after petmjx's own."""
+
+_NAME_BYTES = 128
+
+_PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
+_STARTING_JAX = threading.Lock()
+
+
+def cpu_threads() -> int:
+    """Threads this process may use at once (its CPU affinity, if the system tells it)."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def own_environment() -> dict[str, str]:
+    """The environment variables of another interpreter that imports what this one does."""
+    path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+    # no file of the user's folder stands before a module
+    return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
+
+
+@functools.cache
+def cpu_name() -> str:
+    """The name of the processor, or its architecture if the system does not tell the name."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()
+
+
+@functools.cache
+def cuda_devices() -> tuple[str, ...]:
+    """Names of the CUDA devices, asked from the driver: this takes milliseconds and allocates no device memory."""
+    try:
+        driver = ctypes.CDLL("libcuda.so.1")
+    except OSError:
+        return ()
+    count = ctypes.c_int(0)
+    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0:
+        return ()
+    names = []
+    for ordinal in range(count.value):
+        device = ctypes.c_int(0)
+        name = ctypes.create_string_buffer(_NAME_BYTES)
+        if driver.cuDeviceGet(ctypes.byref(device), ordinal) == 0:
+            driver.cuDeviceGetName(name, _NAME_BYTES, device)
+        names.append(name.value.decode(errors="replace") or "unknown CUDA device")
+    return tuple(names)
+
+
+def jax_devices(platform: str | None = None) -> list[Any]:
+    """JAX's devices, started in a way that leaves device memory to Warp.
+
+    XLA takes three quarters of a GPU's memory when JAX first asks for its devices, unless an environment variable
+    forbids it at that moment. The variable is set for that moment only. If the user has set it, it stays as it is.
+
+    Args:
+        platform: such as "cuda"; None: JAX's default.
+
+    Raises:
+        RuntimeError: JAX has no such devices.
+    """
+    import jax
+
+    with _STARTING_JAX:
+        unset = _PREALLOCATE not in os.environ
+        if unset:
+            os.environ[_PREALLOCATE] = "false"
+        try:
+            devices: list[Any] = jax.devices(platform)
+        finally:
+            if unset:
+                del os.environ[_PREALLOCATE]
+    return devices
+
+
+def package_versions() -> dict[str, str]:
+    """Package → version, of the packages that results depend on and that are installed."""
+    return dict(_package_versions())
+
+
+@functools.cache
+def _package_versions() -> dict[str, str]:
+    # petmjx's own from the code: an editable installation has the metadata of the day it was installed
+    versions = {"petmjx": __version__}
+    for package in PACKAGES:
+        try:
+            versions[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return versions
+
+
+def device_name(engine: str, threads: int | None = None) -> str:
+    """The name of the device on which an engine's worlds run.
+
+    Args:
+        threads: of an engine on CPU threads; None: all.
+    """
+    if engine == "mjx-warp" and cuda_devices():
+        return cuda_devices()[0]
+    if engine == "mjx-jax":
+        device = jax_devices()[0]
+        return device.device_kind if device.platform != "cpu" else f"{cpu_name()} (jax on {device.platform})"
+    return f"{cpu_name()}, {count_text(threads or cpu_threads(), 'thread')}"
+
+
+def why_no_warp_at_once() -> str | None:
+    """Why mjx-warp cannot run here, as far as that can be told without importing JAX, which takes seconds.
+
+    None: nothing speaks against it so far.
+    """
+    if not cuda_devices():
+        return "no CUDA device (or no driver) on this machine"
+    if importlib.util.find_spec("warp") is None:
+        return "Warp is not installed: pip install 'petmjx[cuda]'"
+    return why_no_folder("warp")
+
+
+def why_no_warp() -> str | None:
+    """Why mjx-warp cannot run here; None if it can. JAX is imported only if a CUDA device and Warp are present."""
+    if problem := why_no_warp_at_once():
+        return problem
+    try:
+        jax_devices("cuda")
+    except RuntimeError as error:
+        return f"jax sees no CUDA device: {' '.join(str(error).split())}; pip install 'petmjx[cuda]'"
+    return None
+
+
+def why_no_warp_on_cpu() -> str | None:
+    """Why mjx-warp-cpu cannot run here; None if it can, unless JAX uses a GPU in this process."""
+    if importlib.util.find_spec("warp") is None:
+        return "Warp is not installed: pip install 'petmjx[warp]'"
+    return why_no_folder("warp")

@@ -1,0 +1,129 @@
+"""A function over many tasks in several processes: results in the order of the tasks, or as they come."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from itertools import chain, islice
+from typing import Final, Generic, Self, TypeVar
+
+from petmjx.common.processes import process_pool, stop
+
+ALONE: Final = 256
+"""Fewer tasks of milliseconds are done in this process: other processes would take longer to start."""
+
+_CHUNK: Final = 16
+_CHUNKS_AHEAD: Final = 4
+"""Chunks for each process that are under way, which bounds the memory."""
+
+_NICE: Final = 5
+"""By how much the niceness of processes is higher than that of the one that takes their results as they come: it goes
+first, since it keeps an engine at work."""
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def ordered_results(
+    function: Callable[[Task], Result],
+    tasks: Iterable[Task],
+    workers: int,
+    *,
+    alone: int | None = None,
+    chunk: int = _CHUNK,
+) -> Iterator[Result]:
+    """``function`` of each task. What comes out does not depend on ``workers``.
+
+    Args:
+        function: a function of a module (or ``functools.partial`` of one), since other processes import it.
+        tasks: read as far ahead as is needed, in this process.
+        workers: how many processes; 1: this one. Scripts that ask for more need ``if __name__ == "__main__":``.
+        alone: fewer tasks than this are done in this process; None: ``ALONE``.
+        chunk: tasks that another process gets at a time.
+    """
+    tasks, alone = iter(tasks), ALONE if alone is None else alone
+    first = list(islice(tasks, alone)) if workers > 1 else []
+    everything = chain(first, tasks)
+    if len(first) < alone:
+        yield from map(function, everything)
+        return
+    pool = process_pool(workers, gpu=False)
+    try:
+        waiting: deque[Future[list[Result]]] = deque()
+        while some := list(islice(everything, chunk)):
+            waiting.append(pool.submit(_task_results, function, some))
+            if len(waiting) >= _CHUNKS_AHEAD * workers:
+                yield from waiting.popleft().result()
+        while waiting:
+            yield from waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _task_results(function: Callable[[Task], Result], tasks: list[Task]) -> list[Result]:
+    return [function(task) for task in tasks]
+
+
+class UnorderedResults(Generic[Task, Result]):
+    """``function`` of each task, when it is known. Within a ``with`` block.
+
+    Args:
+        function, tasks: as of ``ordered_results``.
+        workers: how many processes; 1: this one, when a result is waited for.
+    """
+
+    def __init__(self, function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> None:
+        self._function, self._tasks = function, enumerate(tasks)
+        self._ahead = _CHUNKS_AHEAD * workers
+        self._pool = process_pool(workers, gpu=False, nice=_NICE) if workers > 1 else None
+        self._numbers: dict[Future[Result], int] = {}
+        self._all_begun = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether it is known that all results have been taken."""
+        return self._all_begun and not self._numbers
+
+    @property
+    def alone(self) -> bool:
+        """Whether it is done in this process."""
+        return self._pool is None
+
+    def take(self, *, waits: bool) -> list[tuple[int, Result]]:
+        """Results that are there and have not been taken, each with the number of its task.
+
+        Args:
+            waits: for one at least, as long as there is any.
+        """
+        if self._pool is None:
+            results = [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
+            self._all_begun = waits and not results
+            return results
+        self._submit(self._pool)
+        done, _ = wait(self._numbers, None if waits else 0, FIRST_COMPLETED)
+        results = [(self._numbers.pop(future), future.result()) for future in done]
+        self._submit(self._pool)
+        return results
+
+    def _submit(self, pool: ProcessPoolExecutor) -> None:
+        some = list(islice(self._tasks, self._ahead - len(self._numbers)))
+        self._all_begun = len(some) < self._ahead - len(self._numbers)
+        for number, task in some:
+            self._numbers[pool.submit(self._function, task)] = number
+
+    def __enter__(self) -> Self:
+        try:
+            if self._pool is not None:
+                self._submit(self._pool)
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, kind: object = None, *_: object) -> None:
+        """End the processes, whatever they do."""
+        if self._pool is not None:
+            if kind is not None:
+                stop(self._pool)
+            self._pool.shutdown(cancel_futures=True)

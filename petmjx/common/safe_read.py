@@ -1,0 +1,241 @@
+"""Files that users name, read within bounds: whatever a path leads to, reading it ends. Also for Arrow."""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from petmjx.common.text import printable_name
+
+_BLOCK: Final = 1 << 20
+
+MOST_BYTES: Final = 4 << 30
+"""Of the largest file of plans or tables: 100 times BED-BPP's 10,003 plans, which take some 40 MB."""
+MOST_RATIO: Final = 100
+FREE_BYTES: Final = 64 << 20
+"""Gzip packs plans to a tenth or a thirtieth, and zeros to a thousandth; Parquet packs results to a tenth. What unpacks
+to more than `FREE_BYTES` and to more than `MOST_RATIO` times its own size is no file of plans or of a table."""
+
+_KINDS: Final = (
+    (stat.S_ISDIR, errno.EISDIR, "Is a directory"),
+    (stat.S_ISFIFO, errno.EINVAL, "it is a FIFO, not a file"),
+    (stat.S_ISSOCK, errno.EINVAL, "it is a socket, not a file"),
+    (stat.S_ISCHR, errno.EINVAL, "it is a device, not a file"),
+    (stat.S_ISBLK, errno.EINVAL, "it is a device, not a file"),
+)
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """A regular file to read from. FIFOs, sockets and devices are refused and not waited for: some of them never end.
+
+    Raises:
+        OSError: it cannot be read, or is no regular file; ``strerror`` says which.
+        ValueError: a name that no file can have.
+    """
+    # a device may do something when it is opened, so it is looked at before; what is opened is looked at again
+    _check(os.stat(path))
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    try:
+        _check(os.fstat(descriptor))
+        return os.fdopen(descriptor, "rb")
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_regular(path: Path, most: int) -> bytearray:
+    """The bytes of a regular file. A file that changes meanwhile is read as far as it goes.
+
+    Args:
+        most: bytes; a larger file is refused, before it is read where its size is known.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is too large; ``strerror`` says which.
+        ValueError: a name that no file can have.
+    """
+    with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > most:
+            raise _too_large(most)
+        data = bytearray()
+        while block := os.read(file.fileno(), _BLOCK):
+            data += block
+            if len(data) > most:
+                raise _too_large(most)
+        return data
+
+
+def _check(status: os.stat_result) -> None:
+    for is_kind, number, text in _KINDS:
+        if is_kind(status.st_mode):
+            raise OSError(number, text)
+
+
+def _too_large(most: int) -> OSError:
+    return OSError(errno.EFBIG, f"it is larger than {size(most)}")
+
+
+def size(n_bytes: int) -> str:
+    """ "4 GiB", "16 MiB": a bound, for messages."""
+    return f"{n_bytes >> 30} GiB" if n_bytes >= 1 << 30 else f"{n_bytes >> 20} MiB"
+
+
+_WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
+"""Bytes of a value in memory, by its type in the file; of a text, its end and its length."""
+
+_ROWS: Final = 1 << 16
+_FEW_ROWS: Final = 1 << 8
+"""Rows that are read at a time, and where texts may be long though the file is small."""
+
+_PREFIXED: Final = "DELTA_BYTE_ARRAY"
+"""Texts as what they have in common with the one before, and the rest: each may be as long as all before together."""
+
+
+def open_for_arrow(path: Path) -> pa.NativeFile:
+    """A regular file that Arrow reads by itself. Parquet is read from no stream of Python's.
+
+    Threads of Arrow's read Parquet, and one may still free what it read when the table is there. If Python read it, the
+    thread asks the interpreter to free it; if that is ending, the process aborts ("terminate called without an active
+    exception") or hangs: https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
+
+    Raises:
+        OSError: it cannot be read, or is no regular file; ``strerror`` says which.
+        ValueError: a name that no file can have.
+    """
+    # Python looks first: Arrow waits for FIFOs. Arrow's functions for paths read "s3:" as a scheme, "a=1" in a folder's
+    # name as a column, and know no names that are not UTF-8; this one takes the bytes of any name.
+    with open_regular(path):
+        return pa.OSFile(os.fsencode(path))
+
+
+class OversizedFile(ValueError):
+    """A Parquet file that would take much more memory than its size lets one expect."""
+
+
+def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> int:
+    """Bytes that columns of a Parquet file take at least when they are read, by the file's own numbers. Text counts as
+    where it begins and ends: how long it is shows when it is read.
+
+    Args:
+        columns: names; None: all.
+    """
+    metadata, chosen = file.metadata, None if columns is None else set(columns)
+    n_bytes = 0
+    for group in range(metadata.num_row_groups):
+        rows = metadata.row_group(group)
+        for index in range(metadata.num_columns):
+            column = rows.column(index)
+            if chosen is None or column.path_in_schema in chosen or column.path_in_schema.split(".")[0] in chosen:
+                n_bytes += max(column.num_values, rows.num_rows) * _WIDTHS.get(column.physical_type, 16)
+    return n_bytes
+
+
+def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:
+    """Bytes that a file of this size may take when it is read, as of gzipped files."""
+    return min(most, max(free, MOST_RATIO * file_bytes))
+
+
+def read_within(
+    stream: pa.NativeFile, columns: Sequence[str] | None = None, *, free: int = FREE_BYTES, most: int = MOST_BYTES
+) -> pa.Table:
+    """Columns of a Parquet file, read within bounds: a few bytes may stand for millions of rows, and a short name for a
+    long text in each of them.
+
+    Args:
+        columns: names; None: all.
+        free, most: as of :func:`allowed_bytes`.
+
+    Raises:
+        TooMuch: it would take more memory than such a file may.
+        pyarrow.ArrowException, OSError: it is not a whole Parquet file.
+    """
+    allowed = allowed_bytes(stream.size(), free, most)
+    with pq.ParquetFile(stream) as file:
+        schema, metadata = file.schema_arrow, file.metadata
+        needed = decoded_bytes(file, columns)
+        if needed > allowed:
+            raise OversizedFile(
+                f"its {metadata.num_rows:,} rows would take {size(needed)}, too much for a file of this size"
+            )
+        names = schema.names if columns is None else list(columns)
+        for name in names:
+            if pa.types.is_nested(schema.field(name).type):
+                raise ValueError(f"the column {printable_name(name)} has lists or tables in it")
+        texts = [name for name in names if _is_text(schema.field(name).type)]
+        by_prefix = set(_columns_by_prefix(metadata))
+        # texts stay codes of a dictionary until it is known how long they are; Arrow has no codes of prefixed ones
+        codes = [name for name in texts if name not in by_prefix]
+        coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
+        few = not by_prefix.isdisjoint(names)
+        batches, long = [], 0
+        for batch in coded.iter_batches(_FEW_ROWS if few else _ROWS, columns=names):
+            long += sum(_length_of(batch.column(name)) for name in texts)
+            if needed + long > allowed:
+                raise OversizedFile(f"its texts would take more than {size(allowed)}, too much for a file of this size")
+            batches.append(_decoded_columns(batch, schema))
+        kept = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
+        return pa.Table.from_batches(batches, schema=kept)
+
+
+def _columns_by_prefix(metadata: pq.FileMetaData) -> Iterator[str]:
+    for group in range(metadata.num_row_groups):
+        for index in range(metadata.num_columns):
+            column = metadata.row_group(group).column(index)
+            if _PREFIXED in column.encodings:
+                yield column.path_in_schema
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(
+        pa.types.is_string(kind)
+        or pa.types.is_large_string(kind)
+        or pa.types.is_binary(kind)
+        or pa.types.is_large_binary(kind)
+        or (pa.types.is_dictionary(kind) and _is_text(kind.value_type))
+    )
+
+
+def _length_of(coded: pa.Array) -> int:
+    """Bytes of the texts that codes stand for."""
+    if not pa.types.is_dictionary(coded.type):
+        return int(coded.nbytes)
+    lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))
+    codes = np.asarray(coded.indices.drop_null())
+    return int(lengths[codes].sum(dtype=np.int64)) if len(codes) else 0
+
+
+def _decoded_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    """The columns as the file has them."""
+    fields = [schema.field(name) for name in batch.schema.names]
+    arrays = [column.cast(field.type) for column, field in zip(batch.columns, fields, strict=True)]
+    return pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields, metadata=schema.metadata))
+
+
+def parquet_table(path: Path) -> pa.Table:
+    """All of a Parquet file, read within bounds.
+
+    Raises:
+        OSError: it cannot be read, or is no regular file.
+        pyarrow.ArrowException: it is not a whole Parquet file.
+        ValueError: a name that no file can have, two columns have one name, or the file would take too much memory.
+    """
+    with open_for_arrow(path) as stream:
+        with pq.ParquetFile(stream) as file:
+            names = file.schema_arrow.names
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(f"the column {printable_name(twice)} is repeated")
+        return read_within(stream)
+
+
+def parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
+    """The rows of a Parquet file, a few at a time; as :func:`parquet_table`."""
+    for batch in parquet_table(path).to_batches(_FEW_ROWS):
+        yield from batch.to_pylist()

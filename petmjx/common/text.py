@@ -1,0 +1,124 @@
+"""How texts, counts and times are written for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+_SHOWN_CHARACTERS: Final = 60
+
+_ESCAPES: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
+
+
+def printable(text: str) -> str:
+    """Text that fits into one line: characters that are not visible are escaped ("\\u001b").
+
+    These are control characters (ESC and C1 of terminals too), line breaks, marks that change the direction of
+    writing, and broken UTF-8. All text that comes from a file and is printed goes through here.
+    """
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else _ESCAPES.get(char, _escape_sequence(ord(char))) for char in text)
+
+
+def _escape_sequence(code: int) -> str:
+    """ "\\xe4" for a byte that is no UTF-8, which Python has as a lone surrogate; else "\\u001b"."""
+    return f"\\x{code - 0xDC00:02x}" if 0xDC80 <= code <= 0xDCFF else f"\\u{code:04x}"
+
+
+def printable_name(text: str) -> str:
+    """A name from a file as messages show it: printable, and of bounded length."""
+    return shortened_text(printable(text))
+
+
+def shortened_text(text: str) -> str:
+    """The beginning of a text that is too long for a message."""
+    return text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "…"
+
+
+def first_names(names: Sequence[str], most: int = 5) -> str:
+    """ "a, b and 3 more": the first of many names from files, as messages show them."""
+    more = f" and {len(names) - most:,} more" if len(names) > most else ""
+    return ", ".join(map(printable_name, names[:most])) + more
+
+
+def is_text(text: str) -> bool:
+    """Whether a string can be written as UTF-8. Lone surrogates, which stand for bytes that were not UTF-8, cannot."""
+    if text.isascii():
+        return True
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+UNNAMED: Final = "no article"
+"""What legends call boxes that have no article."""
+
+
+def box_in_words(box: int, article: str) -> str:
+    """ "box 22 (candy-00100723)", "box 22" where it has no article; boxes count from 0 in packing order."""
+    return f"box {box} ({printable_name(article)})" if article else f"box {box}"
+
+
+def box_label(box: int, article: str) -> str:
+    """ "22 candy-00100723", "22" where it has no article."""
+    return f"{box} {article}" if article else str(box)
+
+
+def number_in(text: str) -> float | None:
+    """The number that a file has as text; None if it is none. Python's own reads more: "1_000", and other digits."""
+    if not text.isascii() or "_" in text:
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def one_line(error: BaseException) -> str:
+    """An error's kind and text, in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def count_text(number: int, noun: str, plural: str | None = None) -> str:
+    """ "1 plan", "2,000 plans"; give ``plural`` where it is not the noun with an s."""
+    return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
+
+
+def rounded_text(count: float) -> str:
+    """A large number with three digits: "136 thousand"."""
+    for unit, size in (("billion", 1e9), ("million", 1e6), ("thousand", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f}"
+
+
+def duration(seconds: float) -> str:
+    """A time to wait, in whole seconds, minutes or tenths of an hour."""
+    if seconds < 90:
+        return f"{max(seconds, 1):.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+def time_left(seconds: float) -> str:
+    """A time that counts down: "45 s", "1 min 45 s", "2 h 5 min"."""
+    rounded_s = round(seconds)
+    if rounded_s < 60:
+        return f"{rounded_s} s"
+    if rounded_s < 3600:
+        return f"{rounded_s // 60} min {rounded_s % 60} s"
+    return f"{rounded_s // 3600:,} h {rounded_s % 3600 // 60} min"
+
+
+def three_digits(value: float, sign: bool = False) -> str:
+    """A number of any size in at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
+
+    Args:
+        sign: whether positive numbers get a sign too.
+    """
+    grouped = 99.95 <= abs(value) < 999_999.5
+    return format(value, ("+" if sign else "") + (",.0f" if grouped else ".3g"))

@@ -1,0 +1,75 @@
+"""How fast the worlds of a run end, in words for all that shows its progress."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+from petmjx.common.text import count_text, three_digits, time_left
+
+MARK_S = 0.1
+"""Marks are so far apart, s: of a million worlds, too, there are few."""
+
+
+class Throughput:
+    """Counts finished worlds, and says how many there are, how many a second, and how long the others will take.
+
+    Args:
+        total: number of worlds; None if it is not known.
+        what: the user's word for a world: ``plan``, or ``world`` in sweeps.
+        clock: the time now, s.
+    """
+
+    def __init__(self, total: int | None, what: str, clock: Callable[[], float] = time.monotonic) -> None:
+        self._total, self._what, self._clock = total, what, clock
+        self._done = 0
+        self._begin = clock()
+        self._marks = deque([(0, self._begin)])
+        """Numbers of finished worlds and when they were first seen; from the time on that ``left`` looks back to."""
+
+    def update(self, done: int) -> None:
+        """``done`` worlds are finished."""
+        if done == self._done:
+            return
+        self._done = done
+        mark = done, self._clock()
+        if len(self._marks) > 2 and mark[1] - self._marks[-2][1] < MARK_S:
+            self._marks[-1] = mark
+        else:
+            self._marks.append(mark)
+        others = (self._total or 0) - done
+        while others > 0 and len(self._marks) > 1 and self._marks[1][0] <= done - others:
+            self._marks.popleft()
+
+    @property
+    def count(self) -> str:
+        """Finished worlds: "5 of 12 plans", or "5 plans"."""
+        if self._total is None:
+            return count_text(self._done, self._what)
+        return f"{self._done:,} of {count_text(self._total, self._what)}"
+
+    @property
+    def rate(self) -> str:
+        """Finished worlds per second, over the whole run so far: "12.3 plans/s". Empty before the first one."""
+        until = self._marks[-1][1] if self._done == self._total else self._clock()
+        seconds = until - self._begin
+        return f"{three_digits(self._done / seconds)} {self._what}s/s" if self._done and seconds > 0 else ""
+
+    @property
+    def left(self) -> str:
+        """How long the others will take: "1 min 20 s left". Empty if that is not known, and at the end.
+
+        As long as the last ones took, if as many have ended. The last worlds of a run are few and long: at the rate
+        of all that have ended they would take no time.
+        """
+        if not self._done or self._total is None or self._done >= self._total:
+            return ""
+        others = self._total - self._done
+        seconds = (self._clock() - self._marks[0][1]) * max(others / self._done, 1.0)
+        return f"{time_left(max(seconds, 1.0))} left"
+
+    @property
+    def words(self) -> list[str]:
+        """All of it that is known."""
+        return [part for part in (self.count, self.rate, self.left) if part]

@@ -1,0 +1,285 @@
+"""How far boxes sink into what bears them because simulated contacts are softer than any carton.
+
+``petmjx.world.contact_laws`` says how deep a contact is at rest. What is needed for it is known on the host for every
+engine: plans, masses and the largest force on each box. It is not read from final poses, since a column that stood on a
+box which gave way may have fallen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from itertools import compress, pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.contact_tilt import BOUND_SHARE, contact_tilt_suspects
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
+from petmjx.options.physics import Cone, Physics
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan_warnings import shared_length
+from petmjx.world.contact_laws import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+
+LEAST_TIME_CONSTANT_STEPS = 4
+"""It stays at least so many timesteps: MuJoCo asks for 2, and at 2.5 pallets were seen to explode."""
+
+
+def stiffened_physics(physics: Physics, share: float) -> Physics:
+    """The same physics with contacts that bear light boxes under heavy ones, and slender ones upright.
+
+    They are as stiff from their onset as beyond it, with the largest impedance that MuJoCo takes and a share of the
+    time constants: with a half 40 times as stiff as in ``pallet``, with a tenth 1,000 times.
+    """
+    time_s, damping = physics.solref
+    if time_s > 0:
+        time_s = min(time_s, max(share * time_s, LEAST_TIME_CONSTANT_STEPS * physics.timestep_s))
+    friction_s, friction_damping = physics.solreffriction
+    changed = {
+        "solimp": (MOST_IMPEDANCE, MOST_IMPEDANCE, physics.solimp[2]),
+        "solref": (time_s, damping),
+        "solreffriction": (share * friction_s if friction_s > 0 else friction_s, friction_damping),
+    }
+    return physics.model_copy(update=changed)  # not checked again: its timestep may be below what users may give
+
+
+def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
+    """(n,) how far each box's centre comes down because the contacts below it give way, m: an upper estimate.
+
+    Args:
+        top_force_n: (n,) what presses on each box's top, N; 0 for boxes that were not placed. A force beyond the
+            weight of everything above a box in the plan is an impact, which is over before the box has sunk, so it
+            does not count.
+        enough_m: where no box can sink by more than this, zeros are returned and nothing is looked at closely.
+    """
+    gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
+    box, plate = scene.friction[:, 0].max(), scene.carrier.friction[:, 0].max()
+    of_boxes, of_carrier = cone_factor(physics, box, box), cone_factor(physics, box, plate)
+    low = scene.target - scene.half_size
+    stands_on_carrier = low[:, 2] < ON_CARRIER_M
+    own_per_kg = np.where(stands_on_carrier, of_carrier * (1 / mass + 1 / carrier), of_boxes / mass) / CONTACTS_PER_FACE
+    on_floor = (
+        cone_factor(physics, plate, scene.floor_friction[0]) * scene.total_mass * gravity / carrier / CONTACTS_PER_FACE
+    )
+    base = float(depth_m(physics, on_floor))
+
+    def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(n,) each: a box's part in A · f of a contact on its top, and of one below it, m/s²."""
+        return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
+
+    def is_enough(top_n: FloatArray) -> bool:
+        # the depth grows less than in proportion to A · f, so that the parts' depths are a bound
+        return bool(base + sum(depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
+
+    if is_enough(top_force_n):
+        return np.zeros(len(mass))
+    stack = _stack(scene)
+    at_rest_n = np.minimum(top_force_n, gravity * stack.mass_above)
+    if is_enough(at_rest_n):
+        return np.zeros(len(mass))
+    above, below = pulls(at_rest_n)
+    alone = base + depth_m(physics, below)
+    pairs = stack.pairs
+    through = depth_m(physics, below[pairs.upper] + above[pairs.lower])
+    sinking = np.zeros(len(mass))
+    for number, span in zip(stack.order, pairs.spans, strict=True):
+        sinking[number] = (sinking[pairs.lower[span]] + through[span]).max(initial=alone[number])
+    return sinking
+
+
+def may_penetrate(scene: Scene, sim: Simulation) -> bool:
+    """Whether boxes come down so far that it counts (``has_penetrated``) where each bears all that is above it. If none
+    does, a world of this plan sinks by chance alone."""
+    most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
+    bound_m = BOUND_SHARE * sim.thresholds.shift_m
+    return bool((contact_penetration_m(scene, sim.physics, most_n, enough_m=bound_m) > bound_m).any())
+
+
+class _Stack:
+    """Which boxes of a plan are above which."""
+
+    def __init__(self, scene: Scene) -> None:
+        low, high = scene.target - scene.half_size, scene.target + scene.half_size
+        over = (shared_length(low[:, 0], high[:, 0]) > 0) & (shared_length(low[:, 1], high[:, 1]) > 0)
+        self.order = np.argsort(scene.target[:, 2], kind="stable")
+        """(n,) the boxes from the lowest to the highest."""
+        self._over = over[np.ix_(self.order, self.order)]
+        self.mass_above = _mass_above(scene.mass, self._over, self.order)
+        """(n,) mass of all boxes that a box may bear, directly or through others, kg."""
+
+    @cached_property
+    def pairs(self) -> _Pairs:
+        """Boxes that overlap seen from above."""
+        under = np.tril(self._over, -1)
+        places, lower_places = np.nonzero(under)
+        ends = np.cumsum(under.sum(axis=1)).tolist()
+        spans = [slice(begin, end) for begin, end in pairwise([0, *ends])]
+        return _Pairs(self.order[places], self.order[lower_places], spans)
+
+
+class _Pairs(NamedTuple):
+    """Attributes:
+    upper, lower: (p,) boxes, in the order of the upper ones in ``_Stack.order``.
+    spans: (n) the pairs of each of these.
+    """
+
+    upper: NDArray[np.intp]
+    lower: NDArray[np.intp]
+    spans: list[slice]
+
+
+@lru_cache(maxsize=256)
+def _stack(scene: Scene) -> _Stack:
+    """Kept, since in a sweep many worlds have the same scene."""
+    return _Stack(scene)
+
+
+def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
+    """(n,) the mass of all boxes that a box may bear, directly or through others, kg.
+
+    No box at rest bears more on its top: what presses down on a box passes on, together with its weight, to the boxes
+    under it, and none of it is counted twice.
+
+    Args:
+        over: (n, n) whether two boxes overlap seen from above, in the order of ``order``.
+        order: (n,) the boxes from the lowest to the highest.
+    """
+    total = np.empty(len(mass))
+    total[order] = _transitive_closure(over).astype(float) @ mass[order]
+    return total
+
+
+def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """(…, n, n) 1 where the column's box is above the row's, directly or over others; rows from the lowest to the
+    highest."""
+    above = np.triu(over, 1).astype(np.float32)
+    while True:  # matrices of ones and zeros: each product doubles the number of boxes in between
+        further = np.minimum(above + above @ above, 1.0)
+        if np.array_equal(further, above):
+            return above
+        above = further
+
+
+_SUM_ERROR = 1e-9
+"""By which two sums of the same numbers may differ, as a share: their order does."""
+
+_MOST_PAIRS = 1 << 20
+"""Pairs of boxes that are looked at together: arrays of 8 MB."""
+
+ON_CARRIER_M = 0.001
+"""A box whose planned bottom is lower than this stands on the carrier."""
+
+
+def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
+    """The outcomes, with ``Flag.SINKING`` where contacts gave way so far that a verdict may come from it.
+
+    A world whose boxes sank has no verdict; one that may have tipped over since contacts are soft keeps it, for the
+    case that stiffer ones do not change it. With pyramidal cones, the reference's, all keep it.
+    """
+    noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
+    may_lean: list[int] = []
+    scenes = [job.scene for job in jobs]
+    did_not = penetration_excluded(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
+    for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
+        if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
+            continue
+        if not did_not[k] and has_penetrated(outcome, scene, sim):
+            noted[k] = _softened_outcome(outcome, sim, sank=elliptic)
+        elif elliptic and outcome.verdict is Verdict.UNSTABLE:
+            may_lean.append(k)
+    if may_lean:
+        leans = contact_tilt_suspects([outcomes[k] for k in may_lean], [jobs[k] for k in may_lean], sim)
+        for k in compress(may_lean, leans):
+            noted[k] = _softened_outcome(outcomes[k], sim, sank=False)
+    return noted
+
+
+def _softened_outcome(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outcome:
+    flags = outcome.flags | Flag.SINKING
+    verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sank)
+    return replace(outcome, flags=flags, verdict=verdict, reason=reason)
+
+
+def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
+    """Of which worlds ``has_penetrated`` says no, for all together: whose boxes did not come down by more than counts,
+    and which did not fail by sinking alone. It is asked about the others, each alone. For elliptic cones."""
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    if not len(counts):
+        return []
+    enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
+    at_a_time = max(_MOST_PAIRS // max(int(counts.max()), 1) ** 2, 1)
+    mask: list[bool] = []
+    for first in range(0, len(counts), at_a_time):
+        some = slice(first, first + at_a_time)
+        sinking_m = _deepest_m(outcomes[some], scenes[some], sim.physics)
+        of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes[some]]
+        mask += ((sinking_m <= enough_m) & of_other_reason).tolist()
+    return mask
+
+
+def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
+    """Whether a world did not fail by a shift, or by one that is not straight down alone."""
+    if outcome.reason is not Reason.SHIFT:
+        return True
+    shift = outcome.boxes.shift_m[: outcome.n_placed]
+    return bool(((np.abs(shift) > limit_m) & (shift > [-np.inf, -np.inf, 0.0])).any())
+
+
+def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
+    """(m,) how far the centre of the box that comes down most does so in each world, m, as ``contact_penetration_m``
+    has it but for rounding. Worlds have as many columns as the largest of them."""
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    is_box = np.arange(counts.max()) < counts[:, None]
+
+    def filled(values: Iterable[FloatArray], otherwise: float) -> FloatArray:
+        joined = np.concatenate([*values])
+        table = np.full((*is_box.shape, *joined.shape[1:]), otherwise)
+        table[is_box] = joined
+        return table
+
+    place, half = (filled((getattr(scene, name) for scene in scenes), 0.0) for name in ("target", "half_size"))
+    order = np.argsort(np.where(is_box, place[..., 2], np.inf), axis=1, kind="stable")
+    place, half = (np.take_along_axis(values, order[..., None], axis=1) for values in (place, half))
+    placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
+    top_n = np.where(placed, filled((outcome.boxes.max_top_force_n for outcome in outcomes), 0.0), 0.0)
+    mass = filled((scene.mass for scene in scenes), 1.0)
+    top_n, mass = (np.take_along_axis(values, order, axis=1) for values in (top_n, mass))
+    carrier = np.array([scene.carrier.mass for scene in scenes])
+    total, gravity = np.array([scene.total_mass for scene in scenes]), physics.gravity_m_s2
+    low, high = place - half, place + half
+    over = (shared_length(low[..., 0], high[..., 0]) > 0) & (shared_length(low[..., 1], high[..., 1]) > 0)
+    at_rest_n = np.minimum(top_n, gravity * (_transitive_closure(over).astype(float) @ mass[..., None])[..., 0])
+    inverse = 1 / mass + np.where(low[..., 2] < ON_CARRIER_M, 1 / carrier[:, None], 0.0)
+    above = at_rest_n / mass / CONTACTS_PER_FACE
+    below = inverse * (at_rest_n + mass * gravity) / CONTACTS_PER_FACE
+    world, upper, lower = np.nonzero(np.tril(over, -1))
+    through = np.full(over.shape, -np.inf)
+    through[world, upper, lower] = depth_m(physics, below[world, upper] + above[world, lower])
+    sinking = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)[:, None] + depth_m(physics, below)
+    for number in range(1, sinking.shape[1]):
+        deeper = (sinking[:, :number] + through[:, number, :number]).max(axis=1)
+        np.maximum(sinking[:, number], deeper, out=sinking[:, number])
+    deepest: FloatArray = np.where(np.take_along_axis(is_box, order, axis=1), sinking, 0.0).max(axis=1)
+    return deepest
+
+
+def has_penetrated(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
+    """Whether boxes came down so far that the verdict may come from it."""
+    placed = np.arange(outcome.n_boxes) < outcome.n_placed
+    force = np.where(placed, outcome.boxes.max_top_force_n, 0.0)
+    limit_m = sim.thresholds.shift_m
+    bound_m = BOUND_SHARE * limit_m
+    shift = outcome.boxes.shift_m[placed]
+    except_down = (np.abs(shift) > limit_m) & (shift > [-np.inf, -np.inf, 0.0])
+    only_down = outcome.reason is Reason.SHIFT and not except_down.any()
+    sinking = contact_penetration_m(scene, sim.physics, force, enough_m=0.0 if only_down else bound_m)
+    if not only_down or (sinking > bound_m).any():
+        return bool((sinking > bound_m).any())
+    without = shift.copy()
+    without[:, 2] += np.where(shift[:, 2] < 0, sinking[placed], 0.0)
+    return bool((np.abs(shift) > limit_m).any() and not (np.abs(without) > limit_m).any())

@@ -1,0 +1,178 @@
+"""How near soft contacts bring piles to tipping over, which would stand on hard ones.
+
+What bears a box gives way, and more on the side on which the load acts. So a box turns by the difference of the depths
+on its two sides over the width between them, and the load above it, at its height, moves towards the edge. With the
+share r of the load on the far side of a base of width w, the load acts r·w from the edge, and
+
+    e(r) = r·w + h·(x(1 − r) − x(r)) / w
+
+from it if nothing gave way; h is the height of its centre and x the depth of a side that bears a share
+(``petmjx.world.contact_laws``). So a load that acts nearer to the edge than the least of e(r), the *loss*, tips over.
+Boxes below that lean by themselves add to it by their angle times h.
+
+A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does; so a world in which
+this may have decided is simulated again in stiffer contacts (petmjx/engines/attempts.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Outcome
+from petmjx.options.physics import Physics
+from petmjx.options.simulation import Simulation
+from petmjx.world.contact_laws import depth_m, is_stiff
+from petmjx.world.edge_distances import loads_and_edges
+from petmjx.world.history import CARRIER
+from petmjx.world.job import Job
+from petmjx.world.supports import Bearing, bearings_of, find_bearings, joined_bearing
+
+CONTACTS_PER_SIDE: Final = 2
+
+SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
+"""Shares r for which e(r) is worked out."""
+
+SAFETY: Final = 10.0
+"""A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next
+one is placed on them. Among stacks that stand by statics and fall because of soft contacts, the farthest was at 8 times
+the loss."""
+
+STIFF_SAFETY: Final = 40.0
+"""The same in stiffer contacts, in which the loss is a fortieth: the farthest was at 28 times it."""
+
+SURE: Final = 1.0
+"""The same where the plan has a load of the pile beyond the edge: hard contacts do not hold such a pile either, so that
+soft ones count only where they alone tip a load over."""
+
+KNIFE_EDGE_M: Final = 0.0004
+"""So far beyond an edge a load surely is: half a millimetre of the plan, less what boxes are smaller by."""
+
+NEAR_M: Final = 0.001
+"""A load that is nearer to the edge, on the inside, may have tipped over in soft contacts, whatever the loss: soft
+contacts let boxes rock by some tenths of a millimetre when the next one comes."""
+
+BOUND_SHARE: Final = 0.25
+"""A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of that of shift: 5 mm
+of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
+
+
+class ContactTilt(NamedTuple):
+    """What soft contacts do to n boxes.
+
+    Attributes:
+        loss_m: (n,) see above.
+        angle_rad: (n,) by which each box leans.
+        shift_m: (n,) by which its centre moves sideways.
+    """
+
+    loss_m: FloatArray
+    angle_rad: FloatArray
+    shift_m: FloatArray
+
+
+def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics) -> ContactTilt:
+    """How far boxes lean under loads that act ``edge_m`` inside the edges of what bears them: upper estimates.
+
+    Args:
+        load: (n, 4) as in ``Bearing.loads``.
+    """
+    boxes, width = bearing.boxes, bearing.widths_m
+    with np.errstate(divide="ignore", invalid="ignore"):
+        height = load[:, 3] / load[:, 0] - boxes.bottom
+    of_carrier = bearing.lower == CARRIER
+    mass_below = np.where(of_carrier, boxes.carrier_mass[bearing.upper], boxes.mass[bearing.lower])
+    inverse_below = np.zeros(len(boxes.mass))
+    np.maximum.at(inverse_below, bearing.upper, 1 / mass_below)
+    pull = (1 / boxes.mass + inverse_below) * load[:, 0] * physics.gravity_m_s2 / CONTACTS_PER_SIDE
+
+    def angle(share: FloatArray) -> FloatArray:
+        turned: FloatArray = (depth_m(physics, pull * (1 - share)) - depth_m(physics, pull * share)) / width
+        return turned
+
+    own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
+    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # it tips over in any contacts
+    below, shift = _tilt_from_below(bearing, own_lean)
+    loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
+    return ContactTilt(loss + below * height, below + own_lean, shift)
+
+
+def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(n,) each: the angle by which boxes lean because the boxes below them lean, and how far their centres move
+    sideways."""
+    bottom, angle = bearing.boxes.bottom.tolist(), own_lean.tolist()
+    half, middle = bearing.boxes.half_size[:, 2].tolist(), bearing.boxes.target[:, 2].tolist()
+    below, shift, under = [0.0] * len(angle), [0.0] * len(angle), _supports(bearing)
+    for box in np.argsort(bottom, kind="stable").tolist():
+        if under[box]:
+            below[box] = max(below[lower] + angle[lower] for lower in under[box])
+            shift[box] = max(shift[k] + (below[k] + angle[k]) * (bottom[box] - middle[k]) for k in under[box])
+        shift[box] += (below[box] + angle[box]) * half[box]
+    return np.array(below), np.array(shift)
+
+
+def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[bool]:
+    """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
+    the plan may have moved beyond it. There is one at least."""
+    placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
+    bearings = _bearings(jobs, sim.thresholds.shift_m)
+    bearing = joined_bearing(bearings)
+    load, _, edge = loads_and_edges(bearings, bearing, placed)
+    lean, under = contact_tilt_of(bearing, load, edge, sim.physics), _supports(bearing)
+    limits, first = sim.thresholds, bearing.boxes.first.tolist()
+    most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
+
+    def leans(outcome: Outcome, has_errors: bool, first: int, end: int) -> bool:
+        far = lean.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
+        if far or np.degrees(lean.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
+            return True
+        pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
+        edges, losses = edge[pile], lean.loss_m[pile]
+        beyond = bool((edges < -KNIFE_EDGE_M).any())
+        reach = (SURE if beyond else most_safety) * losses
+        least = KNIFE_EDGE_M
+        if not (beyond or has_errors):  # of errors each world has others
+            reach, least = np.maximum(reach, NEAR_M), 0.0
+        return bool(((edges > least) & (edges <= reach)).any())
+
+    return [
+        leans(outcome, job.has_errors, k, k + n)
+        for outcome, job, k, n in zip(outcomes, jobs, first, placed, strict=False)
+    ]
+
+
+def _bearings(jobs: Sequence[Job], most_gap_m: float) -> list[Bearing]:
+    """What bears what in each world.
+
+    With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
+    the strip that they share. It does not stand there: it tips, and leans on what is beside the strip. So boxes of such
+    worlds are where they are released, and lie on all that is no further below than they may shift. With the strip
+    alone, 75 of 167 unstable worlds with errors would be simulated again; so, few are.
+    """
+    with_errors = [job.scene for job in jobs if job.has_errors]
+    released = [np.c_[scene.start_pos[:, :2], scene.target[:, 2]] for scene in with_errors]
+    of_errors = iter(find_bearings(with_errors, released, most_gap_m))
+    of_plans = iter(bearings_of([job.scene for job in jobs if not job.has_errors]))
+    return [next(of_errors if job.has_errors else of_plans) for job in jobs]
+
+
+def _supports(bearing: Bearing) -> list[list[int]]:
+    """The boxes that bear each box."""
+    under: list[list[int]] = [[] for _ in bearing.boxes.mass]
+    for upper, lower in zip(bearing.upper.tolist(), bearing.lower.tolist(), strict=True):
+        if lower != CARRIER:
+            under[upper].append(lower)
+    return under
+
+
+def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
+    """A box and all below it that bear it."""
+    pile, new = {box}, [box]
+    while new:
+        below = [lower for lower in under[new.pop()] if lower not in pile]
+        pile.update(below)
+        new += below
+    return sorted(pile)

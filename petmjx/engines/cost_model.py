@@ -1,0 +1,374 @@
+"""The cost model: ``auto`` and all estimates of time use it.
+
+On a CPU thread a step of a pallet at rest takes one iteration of Newton's method, whose cost grows somewhat faster than
+the boxes. While boxes land or slide a step takes more iterations, and each of them costs more the more contacts slide:
+what a landing costs beyond rest grows with the square of the standing boxes. On a device a full stack's step grows with
+that square, too; but of plans with more boxes more steps are at rest, so that their runs take less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray, seconds_to_steps
+from petmjx.options.carriers import Carrier
+from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.world.job import Drive, Job
+
+STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
+"""Steps of a schedule as a share of the fixed schedule's, physics ``pallet``: the mean of 2,000 generated plans and of
+63 third-party ones of 16 to 241 boxes; physics ``reference`` takes three to four times as many."""
+
+SOFT_STARTS = 2 * SOFT_START_STEPS
+"""Steps before the first box of a placement, which are not among the schedule's."""
+
+QUIET_STEPS = 220
+"""Steps until a pallet is quiet with the schedule adaptive, where it need not be placed box by box: in a static check
+(150 to 890 with 45 to 241 boxes), and after a profile (216 after EUMOS's, of pallets that stand)."""
+
+COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
+"""The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with it fixed in
+21 s on the same machine. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
+
+JAX_POWER, WARP_POWER = 2.0, 1.0
+"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes, over whole runs: of plans with
+more boxes more steps are at rest. While boxes come one by one, on ``mjx-warp`` it is the mean of k to this power over
+k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in the model from the beginning."""
+
+SHAKEN_FACTOR = 2.5
+"""Cost of a step of a drive on a device, relative to one of the same pallet with the schedule fixed: 6,400 of EUMOS's
+drives at 735 to 786 a second on an H200, when they still went on after the pallet was quiet."""
+
+REST_POWER = 1.25
+"""The cost of a step at rest on a CPU thread grows with this power of the standing boxes."""
+
+STATIC_LANDINGS = 45
+"""What it costs beyond rest that all boxes of a static check land at once, in landings of one box on the full pallet:
+fitted to checks of 16 to 241 boxes with both schedules."""
+
+SHAKEN_STEPS = 700
+"""Steps of a drive in which boxes slide or fall, at most: all of EUMOS's profile. Of the 2,970 steps of a tilt most
+are at rest. Shakes of many seconds in which a pallet does not rest take up to ten times as long as expected."""
+
+STEADY_G, CREEPING = 0.35, 2.0
+"""A drive that accelerates a pallet by more, in units of 9.81 m/s², shakes it down. After any other one it may creep:
+such drives are expected to take so many times as many steps, and begin earlier. Of EUMOS's 4,032 drives of 100
+plans the former take 336 steps in the mean and 1,149 at most, the latter 570 and 6,088."""
+
+
+FALL_STEPS = 1350
+"""Steps from the first box that tips over to the drop that ends a world placed box by box: 22 plans of two shelf
+packers, of which all fall, take 1,730 to 1,910 steps in the mean, of which placing takes some 450."""
+
+STATIC_FALL_STEPS = 600
+"""Steps in which boxes of a static check fall until one has dropped, at most: 480 of ten shelf packings, with more
+iterations each than where single boxes fall."""
+
+BOARDS_COST = 1.25
+"""Cost of a step on a carrier of boards, relative to a slab: 1.2 to 1.5 times with scores, drives and searches of 5 to
+30 boxes on epal-1 and gma-48x40."""
+
+FALL_BOXES = 7
+"""Boxes that are placed meanwhile, in the same plans."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What placements with errors cost, or their steps, relative to one as planned.
+
+    Attributes:
+        displaced: a placement in which boxes appear at places with errors: they slip into each other's gaps.
+        carried: one in which boxes are carried to their places.
+    """
+
+    displaced: float
+    carried: float
+
+    def of(self, job: Job) -> float:
+        """A job's placement, relative to one as planned."""
+        if job.scene.placing.carries:
+            return self.carried
+        return self.displaced if job.has_errors else 1.0
+
+
+ERROR_STEPS = Errors(displaced=1.1, carried=4.0)
+"""Their steps: where boxes are moved apart before they appear, hardly more than as planned; by hand a share of 0.285 of
+the fixed schedule's, for 0.072: 0.45 with few boxes, 0.24 with many."""
+
+ON_DEVICE = Errors(displaced=2.8, carried=4.5)
+"""Their cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s, where 10,003 without
+errors took 17 s."""
+
+
+def rest_steps(sim: Simulation, rest_s: float) -> int:
+    """Expected steps after a profile, until the pallet is quiet. rest_s: the time that it has, s."""
+    most = seconds_to_steps(rest_s, sim.physics.timestep_s)
+    return min(most, QUIET_STEPS) if sim.schedule is Schedule.ADAPTIVE else most
+
+
+def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
+    """Expected steps of one drive."""
+    steps = rest_steps(sim, drive.rest_s) + len(drive.excitation.samples)
+    peak_g = abs(drive.scale) * drive.excitation.peak_g
+    return CREEPING * steps if sim.schedule is Schedule.ADAPTIVE and peak_g <= STEADY_G else steps
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """What a run has to simulate: placements, and drives from their settled states.
+
+    Attributes:
+        sim: its check and schedule decide how many steps a placement has.
+        boxes: of each plan.
+        placements, drives: of each plan.
+        displaced: placements in which boxes appear at places with errors, or with other sizes.
+        carried: placements in which boxes are carried to their places.
+        drive_steps: of one drive, with ``rest_steps``; mean over profiles.
+        filmed: whether there is film around what is shaken.
+        placed_share: of each plan the share of its boxes that are there when the first comes that tips over at once
+            (petmjx.plans.loose_boxes), 1 where none does; empty: not known, and none is expected to.
+    """
+
+    sim: Simulation
+    boxes: Sequence[int]
+    placements: int = 1
+    displaced: int = 0
+    carried: int = 0
+    drives: int = 0
+    drive_steps: float = 0.0
+    filmed: bool = False
+    placed_share: Sequence[float] | FloatArray = ()
+
+    @property
+    def share(self) -> FloatArray:
+        """(n,) share of the boxes of each plan that are placed before the world ends."""
+        known = self._falls.any() and self.sim.check is Check.ONE_BY_ONE
+        return np.asarray(self.placed_share, dtype=float) if known else np.ones(len(self.boxes))
+
+    @property
+    def _falls(self) -> NDArray[np.bool_]:
+        """(n,) whether a box of each plan tips over, which ends the world."""
+        known = len(self.placed_share) > 0 and self.sim.early_stop
+        return np.asarray(self.placed_share, dtype=float) < 1.0 if known else np.zeros(len(self.boxes), dtype=bool)
+
+    @property
+    def fall_steps(self) -> FloatArray:
+        """(n,) steps in which boxes fall, before the world ends."""
+        if self.sim.check is Check.ONE_BY_ONE:
+            return np.where(self._falls, float(FALL_STEPS), 0.0)
+        return np.where(self._falls, np.minimum(self.fixed_steps, STATIC_FALL_STEPS), 0.0)
+
+    @property
+    def shaken(self) -> FloatArray:
+        """(n,) drives of each plan: what does not stand is not shaken."""
+        return np.where(self._falls, 0.0, float(self.drives))
+
+    @property
+    def on_boards(self) -> bool:
+        """Whether the carrier has boards."""
+        slabs = (Carrier.FOOTPRINT, Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
+        return self.sim.carrier not in slabs
+
+    @property
+    def fixed_steps(self) -> FloatArray:
+        """(n,) steps of one placement of each plan with the fixed schedule, with the time to settle before a drive."""
+        sim, boxes = self.sim, np.asarray(self.boxes)
+        one_by_one = sim.check is Check.ONE_BY_ONE
+        if self.drives:
+            seconds = (boxes * sim.interval_s if one_by_one else 0.0 * boxes) + sim.settle_s
+        else:
+            seconds = (boxes + 1) * sim.interval_s if one_by_one else 0.0 * boxes + sim.duration_s
+        return np.array([seconds_to_steps(float(period), sim.physics.timestep_s) for period in seconds], dtype=float)
+
+    @property
+    def steps(self) -> FloatArray:
+        """(n,) expected steps of each plan, with soft starts."""
+        placing = self.as_planned(ERROR_STEPS) * (self.share * self._placing_steps + self.fall_steps)
+        return self.placements * SOFT_STARTS + placing + self.shaken * self.drive_steps
+
+    def as_planned(self, errors: Errors) -> float:
+        """As many placements of each plan without errors as have the cost, or the steps, of all of them."""
+        displaced, carried = (errors.displaced - 1) * self.displaced, (errors.carried - 1) * self.carried
+        return self.placements + displaced + carried
+
+    @property
+    def _placing_steps(self) -> FloatArray:
+        """(n,) expected steps of one placement without errors, after its soft start."""
+        if self.sim.check is Check.STATIC and self.sim.schedule is Schedule.ADAPTIVE:
+            return np.minimum(self.fixed_steps, QUIET_STEPS)
+        return STEP_SHARE[self.sim.schedule] * self.fixed_steps
+
+    def _placing(self, power: float, *, grows: bool) -> FloatArray:
+        """(n,) box^power × steps of one placement, on a device; ``grows``: boxes that are to come cost nothing."""
+        share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
+        return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
+
+    def _driving(self, power: float, steps: FloatArray | float) -> FloatArray:
+        """(n,) box^power × steps of a drive of each plan, on a device. steps: of the drive."""
+        return np.asarray(SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** power * steps)
+
+
+@dataclass(frozen=True)
+class ThreadCosts:
+    """Measured costs of an engine on one CPU thread.
+
+    Attributes:
+        rest_s: time for a step of a world at rest, s per box to the power ``REST_POWER``.
+        overhead_s: time that any step takes in addition, s.
+        landing_s: time that it takes in addition until a box has landed, s per box² of those that stand then.
+        driven_s: time that a step of a drive takes in addition, s: forces of each count, and contacts slide.
+        board_s: time that a step takes in addition on a carrier of boards, s per box: all pairs are looked at.
+        shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
+        fall_s: time that a step takes in addition in which boxes of a placement fall, s per box².
+        errors: what placements with errors cost.
+        film_s: time that a step takes in addition in which film acts, s.
+    """
+
+    rest_s: float
+    overhead_s: float
+    landing_s: float
+    shaken_s: float
+    fall_s: float
+    errors: Errors
+    film_s: float = 0.0
+    driven_s: float = 0.0
+    board_s: float = 0.0
+
+    def slowed(self, factor: float) -> ThreadCosts:
+        """Those of a thread that takes so many times as long."""
+        times = ("rest_s", "overhead_s", "landing_s", "shaken_s", "fall_s", "film_s", "driven_s", "board_s")
+        return replace(self, **{name: factor * getattr(self, name) for name in times})
+
+    def seconds(self, work: Work, threads: int) -> float:
+        """Expected time, s, with the worlds shared out over threads: at least that of the longest one."""
+        placing_s, driving_s = self.placing_s(work), self.driving_s(work.boxes, work.drive_steps)
+        driving_s = driving_s + work.drive_steps * self.film_s * work.filmed
+        thread_s = float((work.as_planned(self.errors) * placing_s + work.shaken * driving_s).sum())
+        each_s = (self.errors.carried if work.carried else self.errors.displaced if work.displaced else 1.0) * placing_s
+        longest_s = float((each_s + np.where(work.shaken > 0, driving_s, 0.0)).max())
+        if work.on_boards:
+            # of the boxes half are there, in the mean
+            thread_s += 0.5 * self.board_s * float((work.steps * np.asarray(work.boxes)).sum())
+            return BOARDS_COST * max(thread_s / threads, longest_s)
+        return max(thread_s / threads, longest_s)
+
+    def placing_s(self, work: Work) -> FloatArray:
+        """(n,) time of one placement of each plan, s."""
+        boxes = np.asarray(work.boxes, dtype=float) * work.share
+        one_by_one = work.sim.check is Check.ONE_BY_ONE
+        # sums over the boxes that stand, 1…n, where they come one by one
+        at_rest = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
+        landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
+        placing_s = (at_rest + self.overhead_s) * (SOFT_STARTS + work.share * work._placing_steps)
+        fallen = np.minimum(boxes + FALL_BOXES, np.asarray(work.boxes, dtype=float))
+        falling_s = self.rest_s * fallen**REST_POWER + self.overhead_s + self.fall_s * fallen**2
+        return np.asarray(placing_s + self.landing_s * landings + work.fall_steps * falling_s)
+
+    def driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
+        """(n,) time of a drive of each plan, s. steps: of the drive."""
+        n = np.asarray(boxes, dtype=float)
+        at_rest = self.rest_s * n**REST_POWER + self.overhead_s
+        shaken_s = self.shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS)
+        return np.asarray((at_rest + self.driven_s) * steps + shaken_s)
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Measured costs of the engines, in the detail that ``auto`` and estimates of time need.
+
+    Attributes:
+        mujoco, kernel: of ``mujoco`` and of ``mjx-warp-cpu`` on a CPU thread.
+        kernel_start_s: time to start ``mjx-warp-cpu``, with compilation, s.
+        jax_step_s: time of ``mjx-jax`` on a CPU for a step of one world, s per box²: 57 steps/s with 40 boxes on two
+            cores.
+        gpu_step_s: time of a device for a step of ``full_worlds`` worlds, s per box to the power ``WARP_POWER``.
+        full_worlds: worlds that fill the device.
+        tail_worlds: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
+        gpu_start_s: time to start the device engine, with compilation, s.
+    """
+
+    mujoco: ThreadCosts = ThreadCosts(
+        1.3e-6, 2.2e-5, 1.9e-6, 6.5e-7, 1e-6, Errors(2.0, 9.5), film_s=1.2e-4, driven_s=3.5e-5
+    )
+    kernel: ThreadCosts = ThreadCosts(4e-7, 6e-6, 9e-7, 6e-8, 1.5e-7, Errors(1.3, 4.9), board_s=3e-6)
+    kernel_start_s: float = 10.0
+    jax_step_s: float = 1.1e-5
+    gpu_step_s: float = 2.6e-6
+    full_worlds: int = 264
+    tail_worlds: int = 900
+    gpu_start_s: float = 17.0
+
+    def slowed(self, factor: float) -> Costs:
+        """Those of a machine whose CPU threads take so many times as long; of GPUs nothing is known."""
+        return replace(
+            self,
+            mujoco=self.mujoco.slowed(factor),
+            kernel=self.kernel.slowed(factor),
+            kernel_start_s=factor * self.kernel_start_s,
+            jax_step_s=factor * self.jax_step_s,
+        )
+
+    def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
+        """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
+        n_plans = len(work.boxes)
+        if not n_plans:
+            starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
+            return {"mujoco": 0.0, "mjx-jax": 0.0} | starts
+        placements = work.as_planned(ON_DEVICE)
+        jax_placing, jax_driving = work._placing(JAX_POWER, grows=False), work._driving(JAX_POWER, work.drive_steps)
+        return {
+            "mujoco": self.mujoco.seconds(work, threads),
+            "mjx-warp-cpu": self.kernel_start_s + self.kernel.seconds(work, threads),
+            "mjx-jax": self.jax_step_s * float((placements * jax_placing + work.drives * jax_driving).sum()),
+            "mjx-warp": self.gpu_start_s
+            + self._phase_s(n_plans * placements / gpus, float(work._placing(WARP_POWER, grows=True).mean()))
+            + self._phase_s(n_plans * work.drives / gpus, float(work._driving(WARP_POWER, work.drive_steps).mean())),
+        }
+
+    def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
+        """(n,) expected time of each job on one CPU thread, s. costs: of the engine; None: of ``mujoco``."""
+        costs = costs or self.mujoco
+        work, placements, drive_steps = _expected_work(jobs, sim, costs.errors)
+        drives_s = costs.driving_s(work.boxes, drive_steps)
+        return np.asarray(placements * costs.placing_s(work) + drives_s)
+
+    def of_jobs_on_device(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
+        """(n,) expected time of each job in a thread block of ``mjx-warp``, in units of a step of one box."""
+        work, placements, drive_steps = _expected_work(jobs, sim, ON_DEVICE)
+        placing = placements * work._placing(WARP_POWER, grows=True)
+        return np.asarray(placing + work._driving(WARP_POWER, drive_steps))
+
+    def _phase_s(self, worlds: float, work: float) -> float:
+        """Time of a phase of many worlds on the device, with its end, when only a few still run."""
+        return self.gpu_step_s * work * (worlds + self.tail_worlds) / self.full_worlds if worlds else 0.0
+
+
+def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
+    """The placement of each job as planned, how many of these it is worth, and (n,) expected steps of its drive."""
+    placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
+    drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
+    work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
+    return work, placements, drive_steps
+
+
+MEASURED = Costs()
+"""Records of runs that it was fitted to, within a factor of two: the lines ``estimates`` of
+benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, with which tests compare it, and those of
+tests/unit/test_engine_choice.py.
+
+CPU threads: one thread of two virtual EPYC cores, and a busier one that was 2.3 to 3.6 times as slow
+(petmjx/engines/machine_speed.py), physics ``pallet``: scores of generated plans of 5 to 80 boxes and
+third-party ones of 16 to 241, static checks, both schedules, scores with confidence, placed exactly and by hand,
+EUMOS's drives and search, tilts, placement errors. Plans in which a box tips over as soon as it is let go are fitted to
+shelf packings of 24 boxes (tests/unit/test_falling_plans.py), and film to EUMOS's drives of 8, 20 and 44 boxes with 1
+to 16 turns, each beside the same without film. Other plans that fall early take less, large ones that collapse up to
+five times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated
+again with finer steps are not estimated.
+
+Devices: one H100 without start and compilation, adaptive if nothing else is said: 10,003 generated plans, 4,000 with
+the schedule fixed, 500 and 1,000 plans with confidence 16, placed exactly, 250 by hand, 128,000 worlds of 12 boxes with
+errors and a million. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier run)."""

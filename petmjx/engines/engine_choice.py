@@ -1,0 +1,126 @@
+"""Engines by name, and the one that ``auto`` stands for: the one that should finish first."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from petmjx.common.errors import EngineUnavailable, InputError
+from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.common.text import count_text, one_line
+from petmjx.engines.protocol import Engine
+from petmjx.options.run_options import AUTO, RunOptions
+
+ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
+    "mujoco": ("petmjx.engines.mujoco.engine", "MujocoEngine", ("threads", "world_timeout_s")),
+    "mjx-jax": ("petmjx.engines.mjx.engine", "MjxJaxEngine", ("lanes",)),
+    "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine", ("lanes",)),
+    "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
+}
+"""Engine name → module, class, and which options of a run it has, in the order of its arguments. A module is imported
+only when its engine is used."""
+
+
+def has_option(engine: str, option: str) -> bool:
+    """Whether an engine of petmjx's has an option of a run."""
+    return option in ENGINES[engine][2]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An engine's name, why it was chosen (one line), and the expected time in s (None: not known)."""
+
+    name: str
+    reason: str
+    seconds: float | None = None
+
+
+def options_of(name: str, options: RunOptions) -> dict[str, Any]:
+    """The arguments of ``make_engine`` that a run has for an engine. With ``auto`` only those that the engine has."""
+    of_engine = ENGINES[name][2] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
+    return {option: getattr(options, option) for option in of_engine}
+
+
+def choose(
+    seconds: dict[str, float],
+    threads: int,
+    gpus: int = 1,
+    why_no_gpu: Callable[[], str | None] | None = None,
+    why_no_kernel: Callable[[], str | None] | None = None,
+) -> tuple[str, str]:
+    """The engine ``auto`` stands for, and why.
+
+    Args:
+        seconds: expected time of each engine, s.
+        threads: CPU threads that ``mujoco`` or ``mjx-warp-cpu`` would use.
+        gpus: that ``mjx-warp`` would use.
+        why_no_gpu: tells why ``mjx-warp`` cannot run; None: whether it can run on this machine.
+        why_no_kernel: the same of ``mjx-warp-cpu``.
+    """
+    cpu, gpu = count_text(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
+    where = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
+    problem_of_gpu = functools.cache(why_no_gpu or why_no_warp)
+    problem_of_kernel = why_no_kernel or why_no_warp_on_cpu
+
+    def problem(name: str) -> str | None:
+        if name == "mujoco":
+            return None
+        if name == "mjx-warp":
+            return problem_of_gpu()
+        return problem_of_kernel() if problem_of_gpu() else "jax uses the GPU"
+
+    by_time = sorted(where, key=lambda name: seconds[name])
+    engine = next(name for name in by_time if problem(name) is None)
+    faster = by_time[: by_time.index(engine)]
+    if engine == "mujoco" and faster:
+        return engine, f"{faster[0]} would be faster but cannot run: {problem(faster[0])}"
+    other = "mjx-warp" if engine == "mujoco" else "mujoco"
+    on = "" if engine == "mjx-warp" else f" on {cpu}"
+    its = other if engine == "mjx-warp-cpu" else where[other]
+    return engine, f"about {seconds[engine]:.0f} s{on}, {its} would need about {seconds[other]:.0f} s"
+
+
+def make_engine(
+    name: str, *, threads: int | None = None, lanes: int | None = None, world_timeout_s: float | None = None
+) -> Engine:
+    """Build an engine by name.
+
+    Args:
+        threads: CPU threads of ``mujoco`` or ``mjx-warp-cpu``; None: all.
+        lanes: worlds at once of ``mjx-jax`` or ``mjx-warp``; None: as many as each finds good.
+        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
+
+    Raises:
+        InputError: no such engine, or it does not have this option.
+        EngineUnavailable: it cannot run here; the line says why.
+    """
+    given = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
+    check_options(name, **given)
+    module_name, class_name, its_options = ENGINES[name]
+    try:
+        module = importlib.import_module(module_name)
+    except ImportError as error:
+        raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
+    try:
+        engine: Engine = getattr(module, class_name)(*(given[option] for option in its_options))
+    except OSError as error:
+        raise EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}") from error
+    return engine
+
+
+def check_options(name: str, **given: Any) -> None:
+    """Raises InputError if there is no such engine, or it does not have one of these options."""
+    if name not in ENGINES:
+        raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
+    for option, value in given.items():
+        if value is None or has_option(name, option):
+            continue
+        if option == "world_timeout_s":
+            raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
+        owners = " and ".join(engine for engine in ENGINES if has_option(engine, option))
+        other = {"threads": "lanes", "lanes": "threads"}[option]
+        its_own = f"; the engine {name} has {other}" if has_option(name, other) else ""
+        raise InputError(f"{option} belong to the engines {owners}{its_own}")

@@ -1,0 +1,61 @@
+"""Frames that an engine has taken of a world become its history, on all engines in the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.world.history import History
+from petmjx.world.job import Job
+
+
+def history_of(
+    job: Job,
+    step: NDArray[np.integer],
+    placed: NDArray[np.integer],
+    pose: ArrayLike,
+    top_force_n: ArrayLike,
+    carrier_pose: ArrayLike,
+    time_s: Callable[[int], float],
+    driven_from: int | None,
+) -> History:
+    """The history of f frames, one after each of these steps. Values of boxes that are not placed may be anything.
+
+    Args:
+        step: (f,) steps since the soft start, rising.
+        placed: (f,) boxes in the world.
+        pose: (f, n, 7) positions (m) and quaternions; carrier_pose: (f, 7).
+        top_force_n: (f, n).
+        time_s: the time after a step.
+        driven_from: the step after which the drive began; None: there was none.
+    """
+    absent = np.arange(job.scene.n_boxes) >= placed[:, None]
+    poses, forces = np.array(pose, np.float64), np.array(top_force_n, np.float64)
+    poses[absent], forces[absent] = np.nan, np.nan
+    carrier = np.asarray(carrier_pose, np.float64)
+    return History(
+        time_s=np.array([time_s(number) for number in step.tolist()]),
+        n_placed=placed.astype(np.int32),
+        pos=poses[..., :3],
+        quat=poses[..., 3:],
+        top_force_n=forces,
+        carrier_pos=carrier[:, :3],
+        carrier_quat=carrier[:, 3:],
+        drive=_drive(job, step, driven_from),
+        drive_kind=job.drive.excitation.kind if job.drive is not None else "",
+    )
+
+
+def _drive(job: Job, step: NDArray[np.integer], driven_from: int | None) -> FloatArray:
+    """(f, 3) what shook the world during each of these steps; zero before the drive and after its last sample."""
+    acting = np.zeros((len(step), 3))
+    if job.drive is None or driven_from is None:
+        return acting
+    rows = job.drive.rows(job.scene.total_mass)
+    row = step - driven_from - 1
+    during = (row >= 0) & (row < len(rows))
+    acting[during] = rows[row[during]]
+    return acting

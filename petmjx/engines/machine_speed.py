@@ -1,0 +1,70 @@
+"""How fast this machine is, for estimates: constants of petmjx/engines/cost_model.py are those of one machine.
+
+It is measured in CPU time of the thread, so that other programs on the machine count little.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from typing import Final
+
+import numpy as np
+
+from petmjx.engines.cost_model import MEASURED, Costs, Work
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+
+WORTH_S: Final = 2.0
+"""Expected time of a run from which on the machine is measured, s: below it nobody looks at the estimate."""
+
+BOX_MM: Final = (400.0, 300.0, 200.0)
+SIDE, LAYERS, ROUNDS = 3, 3, 2
+"""Of the block of boxes that is built to measure the machine: it stands. The fastest round counts: others may have been
+held up."""
+
+REFERENCE_S: Final = 0.04
+"""CPU time of the block on the machine of ``MEASURED``."""
+
+SLOWEST, FASTEST = 8.0, 0.125
+"""Bounds of what is believed: beyond them something else was measured."""
+
+
+def costs_here(work: Work, threads: int) -> Costs:
+    """``MEASURED``, on this machine where its speed matters: for runs of some seconds.
+
+    Args:
+        work: what is to be simulated, by so many CPU threads.
+    """
+    seconds = MEASURED.seconds(work, threads)
+    if min(seconds["mujoco"], seconds["mjx-warp-cpu"]) < WORTH_S:
+        return MEASURED
+    return MEASURED.slowed(slowness())
+
+
+@functools.cache
+def slowness() -> float:
+    """How many times as long a CPU thread of this machine takes as one of that of ``MEASURED``."""
+    return float(np.clip(min(block_s() for _ in range(ROUNDS)) / REFERENCE_S, FASTEST, SLOWEST))
+
+
+def block_s() -> float:
+    """CPU time in which this thread builds the block on C MuJoCo, s."""
+    from petmjx.engines.mujoco.world_run import WorldRun  # MuJoCo takes a quarter of a second to import
+
+    sim = Simulation()
+    job = Job(build_scene(block(), sim))
+    begin_s = time.thread_time()
+    WorldRun(0, job, sim, lambda: False).run()
+    return time.thread_time() - begin_s
+
+
+def block() -> Plan:
+    """Columns of boxes, side by side, layer by layer."""
+    length, width, height = BOX_MM
+    at = np.stack(np.meshgrid(np.arange(LAYERS), np.arange(SIDE), np.arange(SIDE), indexing="ij")).reshape(3, -1)
+    places = [(x * length, y * width, z * height) for z, y, x in at.T.astype(float)]
+    size_mm, mass_kg = [BOX_MM] * len(places), [5.0] * len(places)
+    return Plan.from_boxes("block", size_mm=size_mm, corner_mm=places, mass_kg=mass_kg)

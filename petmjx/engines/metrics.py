@@ -1,0 +1,398 @@
+"""The table of all metrics: name, unit, type, meaning, when it is taken, how values of boxes become one of the world.
+
+It defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
+(petmjx.results.part_buffer), what is compared between two runs (petmjx.analysis.run_comparison), and the tables of
+docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the files beside this one, in
+NumPy and in JAX.
+
+How to add a metric, step by step: docs/extending.md.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+
+DIMENSIONLESS: Final = "1"
+"""Unit of counts, indices and factors."""
+
+TEXT: Final = ""
+"""Unit of columns without a quantity: texts, yes or no."""
+
+RESTLESS_M_S: Final = 0.01
+RISING_M_S2: Final = 0.5
+"""Forces on tops are looked at in all steps that begin with a box faster than the first and in which one is accelerated
+upwards by more than the second, and else at looks for quiet (docs/rules.md, section 7). What is left out is a twentieth
+more than a weight: boxes press by more than their weights while they are accelerated upwards."""
+
+
+class SampleAt(StrEnum):
+    """When in a run a metric is taken."""
+
+    PLAN = "plan"
+    STEPS = "steps"
+    SAMPLES = "samples"
+    LOOKS = "looks"
+    REST = "rest window"
+    END = "end"
+
+
+class Reduction(StrEnum):
+    """How values of a world's boxes become one value of the world. Boxes without a value do not count."""
+
+    LARGEST = "largest magnitude"
+    SMALLEST = "smallest"
+    COUNT = "number of boxes"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of results.
+
+    Attributes:
+        dtype: NumPy type of the column on disk.
+        meaning: one line, written into the Parquet file.
+        compared: whether a comparison of two runs shows |b - a|.
+        relative: whether it also shows |b - a| / a.
+    """
+
+    name: str
+    unit: str
+    dtype: type[np.generic]
+    meaning: str
+    compared: bool
+    relative: bool = False
+
+
+@dataclass(frozen=True)
+class WorldReduction:
+    """The column of ``worlds`` that is made from a metric of boxes."""
+
+    name: str
+    reduction: Reduction
+    meaning: str
+
+
+@dataclass(frozen=True)
+class BoxMetric:
+    """A quantity of boxes: a column of ``boxes``, or one column for each component.
+
+    Attributes:
+        attribute: field of ``BoxMetrics``: (n,) values or (n, components).
+        columns: name → meaning, for each component.
+        definition: the formula, for docs/metrics.md.
+        dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines compute in it), float64 for times,
+            bool for yes or no.
+        of_world: the column of ``worlds`` made from it, if there is one.
+        driven_only: only runs with profiles have it.
+        compared, relative: as of :class:`Column`. Yes or no is compared only as the number of boxes of a world.
+    """
+
+    attribute: str
+    unit: str
+    columns: Mapping[str, str]
+    when: SampleAt
+    definition: str
+    dtype: type[np.generic] = np.float32
+    of_world: WorldReduction | None = None
+    driven_only: bool = False
+    compared: bool = True
+    relative: bool = False
+
+    def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
+        """Values of (…, n) boxes on which it was not measured: NaN, or no."""
+        shape = (*n, len(self.columns)) if len(self.columns) > 1 else n
+        return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
+
+    def world_columns(self) -> list[Column]:
+        """Its column of ``worlds``, if it has one. There are few worlds, so their measures are float64."""
+        if self.of_world is None:
+            return []
+        counts = self.of_world.reduction is Reduction.COUNT
+        unit, dtype = (DIMENSIONLESS, np.int32) if counts else (self.unit, np.float64)
+        return [Column(self.of_world.name, unit, dtype, self.of_world.meaning, self.compared, self.relative)]
+
+
+@dataclass(frozen=True)
+class WorldMetric:
+    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome``, both with this name. A whole
+    number counts boxes or steps from 0; -1 in the outcome is null in the table."""
+
+    name: str
+    unit: str
+    meaning: str
+    when: SampleAt
+    dtype: type[np.generic] = np.float64
+    compared: bool = True
+
+    @property
+    def numbers(self) -> bool:
+        """Whether it is the number of a box or a step."""
+        return self.dtype is np.int32
+
+    def world_columns(self) -> list[Column]:
+        """Its column of ``worlds``."""
+        return [Column(self.name, self.unit, self.dtype, self.meaning, self.compared)]
+
+
+def _largest(
+    name: str, unit: str, when: SampleAt, definition: str, of_box: str, of_world: str, relative: bool = False
+) -> BoxMetric:
+    """A metric with one column. ``worlds`` has the largest value under the same name. ``of_…``: the two meanings."""
+    reduced = WorldReduction(name, Reduction.LARGEST, of_world)
+    return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
+
+
+def _number(name: str, meaning: str, when: SampleAt) -> WorldMetric:
+    """The number of a box or a step."""
+    return WorldMetric(name, DIMENSIONLESS, meaning, when, np.int32, compared=False)
+
+
+METRICS: tuple[BoxMetric | WorldMetric, ...] = (
+    WorldMetric(
+        "margin", DIMENSIONLESS,
+        "distance to the nearest threshold as a share of it: 1 nothing moved, 0 on it, < 0 beyond; null if invalid",
+        SampleAt.LOOKS,
+    ),
+    WorldMetric(
+        "plan_edge_m", "m",
+        "smallest distance of a box's load from the edge of what bears it, in the plan; < 0 beyond it; null if invalid",
+        SampleAt.PLAN, compared=False,
+    ),
+    _number("plan_edge_box", "whose load that is (packing order from 0)", SampleAt.PLAN),
+    WorldMetric(
+        "rest_edge_m", "m", "the same where the boxes came to rest; null unless the world is stable and was not shaken",
+        SampleAt.END, compared=False,
+    ),
+    _number("rest_edge_box", "whose load that is", SampleAt.END),
+    WorldMetric(
+        "build_edge_m", "m",
+        "the same over all steps in which the plan is built; null if all boxes are placed at once, or with errors",
+        SampleAt.PLAN, compared=False,
+    ),
+    _number("build_edge_box", "whose load that is", SampleAt.PLAN),
+    _number("build_edge_step", "the box whose placement leads to it (packing order from 0)", SampleAt.PLAN),
+    WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", SampleAt.LOOKS),
+    BoxMetric(
+        "shift_m", "m",
+        {"shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
+         "shift_y_m": "final centre - planned centre, y",
+         "shift_z_m": "final centre - planned centre, z"},
+        SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
+        "downwards, only the part beyond what boxes with a stiffness are meant to sink counts",
+        of_world=WorldReduction(
+            "max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"
+        ),
+    ),
+    _largest(
+        "max_tilt_deg", "deg", SampleAt.LOOKS,
+        "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
+        of_box="largest angle of the box's z axis to the world's",
+        of_world="largest angle of any box's z axis to the world's",
+    ),
+    BoxMetric(
+        "dropped", TEXT, {"dropped": "the box fell off the carrier"}, SampleAt.LOOKS,
+        "once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
+        "R is the box's rotation matrix, h its half sizes",
+        dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "boxes that dropped"),
+    ),
+    BoxMetric(
+        "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, SampleAt.LOOKS,
+        "time of the first check at which it had dropped", dtype=np.float64,
+        of_world=WorldReduction("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
+    ),
+    _largest(
+        "max_lin_acc", "m/s^2", SampleAt.SAMPLES,
+        "max ‖a‖, with a the linear part of MuJoCo's `qacc` of the box's free joint",
+        of_box="largest sampled linear acceleration", of_world="largest sampled linear acceleration of any box",
+    ),
+    _largest(
+        "max_ang_acc", "rad/s^2", SampleAt.SAMPLES, "max ‖α‖, with α the angular part of the same `qacc`",
+        of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
+    ),
+    _largest(
+        "max_top_force_n", "N", SampleAt.STEPS,
+        "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
+        of_box="largest force on its top in any step, at least the one at rest",
+        of_world="largest force on top of any box in any step, at least the one at rest", relative=True,
+    ),
+    _largest(
+        "rest_top_force_n", "N", SampleAt.REST,
+        "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
+        of_box="force on its top at rest; null where the world never came to rest",
+        of_world="largest force on top of any box at rest; null where the world never came to rest", relative=True,
+    ),
+    BoxMetric(
+        "pos", "m",
+        {"pos_x_m": "final centre, x", "pos_y_m": "final centre, y",
+         "pos_z_m": "final centre, z; 0 is the carrier's top"},
+        SampleAt.END, "c; compared by the distance between two runs' centres", compared=False,
+    ),
+    BoxMetric(
+        "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
+        SampleAt.END, "unit quaternion; compared by the angle between two runs' orientations", compared=False,
+    ),
+    BoxMetric(
+        "plan_edge_m", "m",
+        {"plan_edge_m": "how far inside the nearest edge of what bears it its load acts, in the plan; < 0 beyond it"},
+        SampleAt.PLAN, "the smaller distance of its own weight and of its load; its load's where that alone is inside",
+        compared=False,
+    ),
+    BoxMetric(
+        "rest_edge_m", "m", {"rest_edge_m": "the same where the boxes came to rest"}, SampleAt.END,
+        "the same, with all boxes at their last places", compared=False,
+    ),
+    BoxMetric(
+        "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
+        SampleAt.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
+    ),
+    WorldMetric("sim_time_s", "s", "simulated time after the soft start", SampleAt.END),
+    WorldMetric(
+        "n_steps", DIMENSIONLESS, "simulated steps after the soft start", SampleAt.END, np.int64, compared=False
+    ),
+)  # fmt: skip
+"""In the order of the columns. Those with ``driven_only`` come last in ``boxes``."""
+
+
+@dataclass(eq=False)
+class BoxMetrics:
+    """Metrics of one world's n boxes, in packing order. Meaning and unit of each: ``METRICS``.
+
+    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN: there is no value.
+    """
+
+    shift_m: FloatArray
+    max_tilt_deg: FloatArray
+    max_lin_acc: FloatArray
+    max_ang_acc: FloatArray
+    max_top_force_n: FloatArray
+    rest_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+    drop_s: FloatArray
+    max_sway_m: FloatArray
+    pos: FloatArray
+    quat: FloatArray
+    plan_edge_m: FloatArray
+    rest_edge_m: FloatArray
+
+    @classmethod
+    def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:
+        """Metrics of n boxes, or of (…, n), from those that an engine has measured; the others have no values.
+
+        Raises:
+            TypeError: there is no metric of that name.
+        """
+        missing: dict[str, Any] = {
+            metric.attribute: metric.nothing(*n) for metric in box_metrics() if metric.attribute not in values
+        }
+        return cls(**missing, **values)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled, and copied, as one array of float64: eleven small ones take two and a half times as long. What is no
+        metric is not kept."""
+        values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
+        return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
+
+
+def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
+    """Metrics of (…, n) boxes from what they were pickled as."""
+    values: dict[str, NDArray[Any]] = {}
+    size, begin = math.prod(shape), 0
+    for metric in box_metrics():
+        components = len(metric.columns)
+        end = begin + components * size
+        mine = numbers[begin:end].reshape((*shape, components) if components > 1 else shape)
+        values[metric.attribute] = mine != 0 if metric.dtype is np.bool_ else mine
+        begin = end
+    return kind(**values)
+
+
+FORCE_INTERVAL: Final = tuple(
+    Column(
+        name, "N", np.float32,
+        f"{word} force on its top at rest that balance and friction allow; null where it is not known", compared=False,
+    )
+    for name, word in (("rest_top_force_low_n", "least"), ("rest_top_force_high_n", "most"))
+)  # fmt: skip
+"""Columns of ``boxes`` in runs that are asked for them, after the metrics (petmjx.analysis.force_intervals)."""
+
+
+@functools.cache
+def box_metrics(driven: bool = True) -> tuple[BoxMetric, ...]:
+    """Metrics of boxes in the order of their columns; ``driven``: include those that only runs with profiles have."""
+    metrics = [metric for metric in METRICS if isinstance(metric, BoxMetric) and (driven or not metric.driven_only)]
+    return tuple(sorted(metrics, key=lambda metric: metric.driven_only))
+
+
+@functools.cache
+def world_metrics() -> tuple[WorldMetric, ...]:
+    """Metrics of whole worlds."""
+    return tuple(metric for metric in METRICS if isinstance(metric, WorldMetric))
+
+
+def box_columns(driven: bool = True) -> list[Column]:
+    """Columns of ``boxes`` with metrics."""
+    return [
+        Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
+        for m in box_metrics(driven)
+        for name, meaning in m.columns.items()
+    ]
+
+
+def world_columns() -> list[Column]:
+    """Columns of ``worlds`` with metrics."""
+    return [column for metric in METRICS for column in metric.world_columns()]
+
+
+def reduce_boxes(reduction: Reduction, values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
+    """One value for each world from those of its boxes; NaN if no box has a value, 0 for counts.
+
+    Args:
+        values: (rows, components) of all worlds' boxes, one world after the other; NaN: no value.
+        starts: (worlds,) row at which each world begins; every world has at least one box.
+    """
+    if not len(starts):
+        return np.empty(0)
+    if reduction is Reduction.COUNT:
+        return np.add.reduceat((values > 0).any(axis=1).astype(np.float64), starts)
+    largest = reduction is Reduction.LARGEST
+    pick = np.fmax if largest else np.fmin
+    of_boxes = pick.reduce(np.abs(values) if largest else values, axis=1)
+    return np.asarray(pick.reduceat(of_boxes, starts))
+
+
+def markdown() -> str:
+    """The tables of docs/metrics.md."""
+    boxes = [("columns of `boxes`", "unit", "type", "taken at", "definition")]
+    worlds = [("column of `worlds`", "unit", "type", "made from", "meaning")]
+    for metric in METRICS:
+        if isinstance(metric, BoxMetric):
+            names = ", ".join(f"`{name}`" for name in metric.columns)
+            note = " (runs with profiles)" if metric.driven_only else ""
+            boxes.append((names + note, metric.unit, metric.dtype.__name__, str(metric.when), metric.definition))
+            source = f"{metric.of_world.reduction} of {names}" if metric.of_world else ""
+        else:
+            source = f"the world, at: {metric.when}"
+        worlds += [(f"`{c.name}`", c.unit, c.dtype.__name__, source, c.meaning) for c in metric.world_columns()]
+    return "\n".join((*_table(boxes), "", *_table(worlds)))
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """Markdown lines; the first row is the head."""
+    for number, row in enumerate(rows):
+        yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
+        if number == 0:
+            yield "| " + " | ".join("---" for _ in row) + " |"
+
+
+if __name__ == "__main__":
+    print(markdown())

@@ -1,0 +1,95 @@
+"""Shift, tilt, drop, excess and speed of boxes (JAX). Twin of ``motion_np``, without shared arithmetic."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from petmjx.options.simulation import Thresholds
+
+
+def shift(
+    pos: Float[Array, "world box 3"],
+    target: Float[Array, "world box 3"],
+    floor_m: float,
+    sinks_m: Float[Array, "world box"] | None = None,
+) -> Float[Array, "world box 3"]:
+    """Displacement from the planned centre, m; components under ``floor_m`` count as 0, and so does what boxes are
+    meant to come down (``sinks_m``)."""
+    delta = pos - target
+    if sinks_m is not None:
+        down = jnp.where(delta[..., 2] < 0, jnp.minimum(delta[..., 2] + sinks_m, 0.0), delta[..., 2])
+        delta = delta.at[..., 2].set(down)
+    return jnp.where(jnp.abs(delta) < floor_m, 0.0, delta)
+
+
+def middles(pose: Float[Array, "world box 7"], middle: Float[Array, "world box 3"]) -> Float[Array, "world box 3"]:
+    """Middles of boxes, m, from the poses of their frames, in which they are at ``middle``."""
+    w, axis = pose[..., 3:4], pose[..., 4:]
+    twice = 2 * jnp.cross(axis, middle) / (pose[..., 3:] ** 2).sum(-1, keepdims=True)
+    return pose[..., :3] + (middle + w * twice + jnp.cross(axis, twice))
+
+
+def tilt_deg(quat: Float[Array, "world box 4"]) -> Float[Array, "world box"]:
+    """Angle between a box's z axis and the world's, degrees.
+
+    From the half angle: sin²(θ/2) = x² + y² of the unit quaternion. arccos of the rotated axis' z component cannot
+    resolve angles below 0.02° in float32.
+    """
+    sine = jnp.sqrt(quat[..., 1] ** 2 + quat[..., 2] ** 2)
+    cosine = jnp.sqrt(quat[..., 0] ** 2 + quat[..., 3] ** 2)
+    return jnp.rad2deg(2 * jnp.arctan2(sine, cosine))
+
+
+def lowest_z(
+    pos: Float[Array, "world box 3"], quat: Float[Array, "world box 4"], half: Float[Array, "world box 3"]
+) -> Float[Array, "world box"]:
+    """z of the lowest point of each turned box, m: centre − |R[2, :]| · half extents."""
+    w, x, y, z = (quat[..., i] for i in range(4))
+    row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+    return pos[..., 2] - (jnp.abs(row) * half).sum(-1)
+
+
+def has_dropped(
+    pos: Float[Array, "world box 3"],
+    quat: Float[Array, "world box 4"],
+    half: Float[Array, "world box 3"],
+    thresholds: Thresholds,
+) -> Bool[Array, "world box"]:
+    """Centre below the carrier's top, or lowest point below ``drop_hull_z_m``."""
+    return (pos[..., 2] < 0) | (lowest_z(pos, quat, half) < thresholds.drop_hull_z_m)
+
+
+def excess(
+    shift_m: Float[Array, "world box 3"],
+    tilt: Float[Array, "world box"],
+    dropped: Bool[Array, "world box"],
+    thresholds: Thresholds,
+) -> Float[Array, "world box"]:
+    """Excess of each box: the larger of shift / its threshold and tilt / its threshold.
+
+    A value above 1 is a sign of failure. A dropped box has at least the next float32 after 1.
+    """
+    worst = jnp.maximum(jnp.abs(shift_m).max(-1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
+    just_over = jnp.nextafter(jnp.float32(1), jnp.float32(2))
+    return jnp.where(dropped, jnp.maximum(worst, just_over), worst)
+
+
+def radius(half: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
+    """Half diagonal of a box, m."""
+    return jnp.sqrt((half**2).sum(-1))
+
+
+def speed(vel: Float[Array, "world box 6"], half: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
+    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
+    linear, angular = (jnp.sqrt((part**2).sum(-1)) for part in (vel[..., :3], vel[..., 3:]))
+    return linear + radius(half) * angular
+
+
+def moved(
+    before: Float[Array, "world box 7"], after: Float[Array, "world box 7"], half: Float[Array, "world box 3"]
+) -> Float[Array, "world box"]:
+    """How far a point of a box has moved at most, m: twice the chord between two quaternions is the angle, as long as
+    that is small."""
+    change = (after - before) ** 2
+    return jnp.sqrt(change[..., :3].sum(-1)) + 2 * radius(half) * jnp.sqrt(change[..., 3:].sum(-1))

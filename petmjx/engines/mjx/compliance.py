@@ -1,0 +1,67 @@
+"""Contacts of boxes that give, for all worlds of a batch. Twin of petmjx/world/compliance.py, without shared
+arithmetic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.options.physics import Physics
+from petmjx.world.compliance import LEAST_IMPEDANCE, LEAST_SHARE
+from petmjx.world.contact_laws import CONTACTS_PER_FACE
+from petmjx.world.supports import TOUCH_M
+
+
+def laws(
+    worlds: Worlds, model: Any, inverse_mass: Float[Array, "world body"], physics: Physics
+) -> dict[str, Float[Array, "world ..."]]:
+    """Fields of the model: solref and solimp of all declared pairs.
+
+    Args:
+        inverse_mass: 1/kg, 0 of a carrier that is held.
+    """
+    one, two = model.pair_geom1, model.pair_geom2
+    n, shapes = worlds.shape_give.shape
+    boards = shapes - worlds.half.shape[1]
+    planned = jnp.concatenate([worlds.carrier_pos[:, None] + worlds.shape_pos[:, :boards], worlds.target], axis=1)
+    # the floor comes first; nothing is as large, and it is below all
+    middle = jnp.concatenate([jnp.full((n, 1, 3), -1e3), planned], axis=1)
+    half = jnp.concatenate([jnp.full((n, 1, 3), 1e2), worlds.shape_half], axis=1)
+    give = jnp.pad(worlds.shape_give, ((0, 0), (1, 0)))
+    of_shape = jnp.take_along_axis(inverse_mass, worlds.shape_body, axis=1)
+    inverse = jnp.pad(of_shape, ((0, 0), (1, 0)))
+    base = 4.0 * half[..., 0] * half[..., 1]
+    smaller = jnp.minimum(base[:, one], base[:, two])
+    reach, apart = half[:, one] + half[:, two], jnp.abs(middle[:, one] - middle[:, two])
+    low = jnp.maximum(middle[:, one] - half[:, one], middle[:, two] - half[:, two])
+    high = jnp.minimum(middle[:, one] + half[:, one], middle[:, two] + half[:, two])
+    length = (high - low)[..., :2]
+    beside = (apart[..., 2] < reach[..., 2] - TOUCH_M) | (length <= 0).any(-1)
+    area = jnp.where(beside, smaller, jnp.maximum(length.prod(-1), LEAST_SHARE * smaller))
+    soft = give[:, one] + give[:, two]
+    gives = soft > 0
+    spring = area / jnp.where(gives, soft, 1.0) / CONTACTS_PER_FACE
+    solref, impedance = spring_laws(physics, spring, jnp.maximum(inverse[:, one] + inverse[:, two], 1e-12))
+    solimp = jnp.broadcast_to(model.pair_solimp, (n, *model.pair_solimp.shape)).at[..., :2].set(impedance[..., None])
+    return {
+        "pair_solref": jnp.where(gives[..., None], solref, model.pair_solref),
+        "pair_solimp": jnp.where(gives[..., None], solimp, model.pair_solimp),
+    }
+
+
+def spring_laws(
+    physics: Physics, spring_n_m: Float[Array, ...], inverse_mass: Float[Array, ...]
+) -> tuple[Float[Array, "... 2"], Float[Array, ...]]:
+    """solref and impedance of contacts that are springs of these stiffnesses at rest."""
+    time, damping = physics.solref
+    time = time if time < 0 else max(time, 2 * physics.timestep_s)
+    stiffness = -time if time < 0 else 1 / (time * damping) ** 2
+    lack = stiffness / (spring_n_m * inverse_mass)
+    impedance = jnp.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
+    longer = jnp.maximum(lack / (1 - LEAST_IMPEDANCE), 1.0)
+    if time < 0:
+        return jnp.stack([time / longer, damping / jnp.sqrt(longer)], axis=-1), impedance
+    return jnp.stack([time * jnp.sqrt(longer), jnp.full_like(longer, damping)], axis=-1), impedance

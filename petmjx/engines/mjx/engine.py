@@ -1,0 +1,226 @@
+"""Engine ``mjx-jax``: batches of worlds side by side on padded MJX models, in pure JAX. The rules as array programs."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.free_bodies import paths
+from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, load, round_up
+from petmjx.engines.mjx.jax_setup import set_up_jax
+from petmjx.engines.mjx.outcomes import outcomes
+from petmjx.engines.mjx.padded_model import PaddedModel
+from petmjx.engines.mjx.readback import read_back
+from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.mjx.world_constants import device_array
+from petmjx.engines.mjx.world_state import State, Status
+from petmjx.engines.protocol import Engine, Progress, RunLock, says_at_hand
+from petmjx.engines.verdict import Flag, Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.free_bodies import FreeBodies
+from petmjx.world.job import ACCELERATION, Job
+
+MOST_WORLDS = 256
+"""Worlds of a batch, if the user gives no number of ``lanes``."""
+
+FEWEST_WORLDS = 8
+"""A batch has room for so many worlds at least: each size is a program of its own, and compiles for a minute."""
+
+
+@dataclass(frozen=True)
+class ProgramKey:
+    """What a compiled program depends on.
+
+    Attributes:
+        capacity, worlds: room for boxes and worlds.
+        boards: shapes of each carrier.
+        drive: kind of the excitation; None: placement.
+        profiles: shape of the table of profiles.
+        carries: whether there are boxes that do not appear at their places.
+        gives: whether there are boxes that give.
+        wraps: whether film holds boxes.
+    """
+
+    sim: Simulation
+    capacity: int
+    worlds: int
+    boards: int
+    drive: str | None
+    profiles: tuple[int, ...]
+    carries: bool
+    gives: bool
+    wraps: bool
+
+
+@dataclass(frozen=True)
+class Program:
+    """``BatchRollout.chunk``, compiled, with the model that it steps."""
+
+    model: PaddedModel
+    chunk: Any
+
+
+class MjxJaxEngine(Engine):
+    """Worlds of similar size side by side, each step for all of them, until the last one has ended.
+
+    Boxes that are not placed yet hang in the air. So a batch has one model from its first step to its last.
+
+    Boxes have no skin: MJX's collider always prefers a face to an edge that is almost parallel to it. And it measures
+    depths along the face's normal (3.17: ``collision_convex.py``), so that with a skin contacts of edges and corners
+    would be deeper than they are.
+
+    Args:
+        lanes: most worlds of a batch; fewer if there are fewer worlds, or if memory runs out.
+    """
+
+    name = "mjx-jax"
+
+    def __init__(self, lanes: int | None = None) -> None:
+        set_up_jax()
+        self.lanes = lanes or MOST_WORLDS
+        self.programs: dict[ProgramKey, Program] = {}
+        """What is compiled, and kept for later runs."""
+        self._running = RunLock(self.name)
+
+    def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
+        """The padded model for worlds of up to so many boxes."""
+        return PaddedModel(capacity, boards, sim, held=held)
+
+    def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
+        """As in the protocol, as many worlds at a time as in a batch."""
+        with self._running:
+            return paths(bodies, without_skin(sim), self.lanes)
+
+    @says_at_hand
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        """Simulate each job once. The outcomes of a batch come together. If memory runs out, batches are halved.
+
+        Raises:
+            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
+        """
+        if not jobs:
+            return
+        sim = without_skin(sim)
+        progress = progress or Progress()
+        most = self.lanes
+        with self._running:
+            for alike in stackable_jobs(jobs):
+                capacity = round_up(max(jobs[index].scene.n_boxes for index in alike))
+                while alike:
+                    # as many in each batch, so that one program serves all
+                    some = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
+                    room = min(max(1 << (len(some) - 1).bit_length(), FEWEST_WORLDS), most)
+                    rows, batch = np.arange(len(some)), _load(jobs, some, room, capacity, sim)
+                    if not self._simulate(batch, sim, progress):
+                        if most > 1:
+                            most = max(room // 2, 1)
+                            progress.message = f"out of device memory, again with {most} worlds at once"
+                            continue
+                        batch = _load(jobs, some, room, capacity, sim)
+                        batch.give_up(rows, Flag.OUT_OF_MEMORY)
+                    picked = read_back(rows, batch.table, batch.worlds, sim)
+                    for count, outcome in enumerate(outcomes(picked, batch.jobs, sim, batch.recorder), start=1):
+                        progress.at_hand = len(some) - count
+                        outcome.job = some[outcome.job]
+                        yield outcome
+                    alike = alike[len(some) :]
+
+    def _simulate(self, batch: Batch, sim: Simulation, progress: Progress) -> bool:
+        """Take a batch, whose worlds are alike, to its end: through the placement, then the drive.
+
+        Returns:
+            Whether there was memory for it. If not, what is compiled is let go.
+        """
+        job = batch.jobs[0]
+        try:
+            if not isinstance(job.start, State):
+                self._go_on(batch, sim, None, progress)
+            if job.drive is not None:
+                self._go_on(batch, sim, job.drive.excitation.kind, progress)
+        except Exception as error:
+            if not is_out_of_memory(error):
+                raise
+            self.programs.clear()
+            return False
+        return True
+
+    def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
+        """Steps until no world is left that is placed, or driven."""
+        # placement needs no profiles, whose table would make it compile again for each shape
+        profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
+        program = self._program(batch, sim, drive, profiles, progress)
+        worlds, capacity, _ = batch.worlds.half.shape
+        forces = program.model.no_forces(worlds)
+        going = (Status.RUNNING,) if drive is None else (Status.RUNNING, Status.SETTLED)
+        label = f"{'place' if drive is None else 'drive'} capacity {capacity}"
+        begin = time.perf_counter()
+        while running := int(np.isin(np.asarray(batch.table.status), going).sum()):
+            progress.message = f"{label}: {running} worlds running"
+            batch.table, forces, trail = program.chunk(batch.table, forces, batch.worlds, profiles)
+            if not batch.recorder.idle:
+                batch.recorder.add_trail(trail)
+            progress.world_steps += running * CHUNK_STEPS
+        spent = f"{label} seconds"
+        progress.extra[spent] = progress.extra.get(spent, 0) + time.perf_counter() - begin
+        progress.extra[f"{label} lanes"] = worlds
+
+    def _program(
+        self, batch: Batch, sim: Simulation, drive: str | None, profiles: jax.Array, progress: Progress
+    ) -> Program:
+        worlds, capacity, _ = batch.worlds.half.shape
+        scene = batch.jobs[0].scene
+        carries = drive is None and not scene.placing.appears
+        gives, wraps = scene.stiffness is not None, drive is not None and scene.wrap.holds
+        key = ProgramKey(sim, capacity, worlds, batch.boards, drive, profiles.shape, carries, gives, wraps)
+        if key not in self.programs:
+            progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
+            begin = time.perf_counter()
+            model = self.make_model(capacity, batch.boards, sim, held=drive == ACCELERATION)
+            rules = Rules(sim, build_timetable(sim, capacity), capacity, drive is not None, carries)
+            chunk = BatchRollout(rules, model, gives, wraps).compiled(
+                batch.table, model.no_forces(worlds), batch.worlds, profiles
+            )
+            self.programs[key] = Program(model, chunk)
+            progress.compile_s += time.perf_counter() - begin
+        return self.programs[key]
+
+
+def without_skin(sim: Simulation) -> Simulation:
+    """These options with boxes that have no skin."""
+    return sim.changed(physics=sim.physics.changed(skin_m=0.0))
+
+
+def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
+    """Jobs that may share a batch, by index, those with the largest plans first: with the same kind of drive, all from
+    their beginning or all from a settled state, all with boxes that appear at their places or none, on carriers of as
+    many boards, all with boxes that give or none, all wrapped or none, and of similar size: 1 to 4 boxes, 5 to 8, 9 to
+    16, …."""
+    indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
+    for index, job in enumerate(jobs):
+        size = ((job.scene.n_boxes - 1) // GRANULE).bit_length()
+        drive = job.drive.excitation.kind if job.drive is not None else None
+        boards, begun = len(job.scene.carrier.half_size), isinstance(job.start, State)
+        scene = job.scene
+        key = (size, boards, drive, begun, scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
+        indices_by_key.setdefault(key, []).append(index)
+    return [indices_by_key[key] for key in sorted(indices_by_key, key=lambda key: -key[0])]
+
+
+def _load(jobs: Sequence[Job], some: list[int], room: int, capacity: int, sim: Simulation) -> Batch:
+    """A batch with room for so many worlds and boxes. Its padding has ended already."""
+    timetable = build_timetable(sim, capacity)
+    batch = load([jobs[index] for index in some], room, capacity, sim, timetable)
+    status = np.array(batch.table.status)
+    status[len(some) :] = Status.FINISHED
+    batch.table = batch.table._replace(status=device_array(status))
+    return batch

@@ -1,0 +1,141 @@
+"""Frames of worlds that are simulated together, as they come from the device, and the histories made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.common.units import seconds_to_steps
+from petmjx.engines.frame_history import history_of
+from petmjx.engines.mjx.world_state import NEVER, State, Status
+from petmjx.options.simulation import Simulation
+from petmjx.world.history import History
+from petmjx.world.job import Job
+
+
+class Trail(NamedTuple):
+    """What worlds went through in the steps of a chunk; all as it was after a step and what followed from it.
+
+    ``ran``: whether the step was taken; ``fresh``: a box has just been placed.
+    """
+
+    ran: Bool[Array, "step world"]
+    fresh: Bool[Array, "step world"]
+    number: Int[Array, "step world"]
+    placed: Int[Array, "step world"]
+    status: Int[Array, "step world"]
+    pose: Float[Array, "step world box 7"]
+    top_force: Float[Array, "step world box"]
+    carrier_pose: Float[Array, "step world 7"]
+
+
+class Frames(NamedTuple):
+    """Some frames of one world of n boxes. NumPy arrays; as the arguments of ``history_of``."""
+
+    step: NDArray[np.int32]
+    placed: NDArray[np.int32]
+    pose: NDArray[np.float32]
+    top_force: NDArray[np.float32]
+    carrier_pose: NDArray[np.float32]
+
+
+class Recorder:
+    """Frames of those worlds whose jobs ask for a history.
+
+    Args:
+        jobs: that are simulated together; job i has row i.
+        sim: the run's options.
+
+    Attributes:
+        every: (job,) steps between two frames of a world; 0: it is not recorded.
+    """
+
+    def __init__(self, jobs: Sequence[Job], sim: Simulation) -> None:
+        self._jobs, self._sim = jobs, sim
+        timestep_s = sim.physics.timestep_s
+        intervals = [None if job.record is None else job.record.interval_s for job in jobs]
+        steps = [0 if interval is None else max(seconds_to_steps(interval, timestep_s), 1) for interval in intervals]
+        self.every = np.array(steps, np.int32)
+        self._found: dict[int, list[Frames]] = {row: [] for row in np.flatnonzero(self.every).tolist()}
+
+    @property
+    def idle(self) -> bool:
+        """Whether no world is recorded."""
+        return not self._found
+
+    def add(self, row: int, frames: Frames) -> None:
+        """Frames of a world, later than those before; with room for more boxes than it has."""
+        n = self._jobs[row].scene.n_boxes
+        self._found[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
+
+    def add_trail(self, trail: Trail) -> None:
+        """The frames among the steps of a chunk."""
+        rows = list(self._found)
+        columns: list[Any] = [np.asarray(values)[:, rows] for values in trail]
+        some = Trail(*columns)
+        regular = (some.number >= 0) & (some.number % self.every[rows] == 0) & (some.placed > 0)
+        due = np.asarray(some.ran & (regular | some.fresh | (some.status != Status.RUNNING)))
+        for column, row in enumerate(rows):
+            (at,) = np.nonzero(due[:, column])
+            if len(at):
+                passed: list[Any] = [values[at, column] for values in some]
+                self.add(row, self._frames(Trail(*passed)))
+
+    @staticmethod
+    def _frames(steps: Any) -> Frames:
+        """Frames from some steps of one world, a ``Trail`` on the host without the axis of worlds. Nothing has acted
+        yet on a box that was just placed."""
+        (fresh,) = np.nonzero(steps.fresh)
+        steps.top_force[fresh, steps.placed[fresh] - 1] = 0.0
+        return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
+
+    def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
+        """The history of a world that has ended, whose frames are forgotten; None if it was not recorded.
+
+        Args:
+            world: its last state: one row, on the host.
+            time_s: the time after a step.
+        """
+        frames = self._found.pop(row, None)
+        if frames is None:
+            return None
+        job = self._jobs[row]
+        if isinstance(job.start, State):
+            frames.insert(0, _of_state(job, job.start))
+        last = _of_state(job, world)
+        if not frames or frames[-1].step[-1] != last.step[0]:
+            frames.append(last)  # given up by the host
+        parts: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
+        }
+        driven_from = None if world.driven_from == NEVER else int(world.driven_from)
+        pose = parts["pose"].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # boxes that are not placed
+            pose[..., :3] = job.scene.middles(pose[..., :3], pose[..., 3:])
+        return history_of(
+            job,
+            parts["step"],
+            parts["placed"],
+            pose,
+            parts["top_force"],
+            parts["carrier_pose"],
+            lambda step: time_s(max(step, 0)),
+            driven_from,
+        )
+
+
+def _of_state(job: Job, state: State) -> Frames:
+    """A frame of a state; what acted is not known."""
+    n = job.scene.n_boxes
+    pose = np.array(state.qpos, np.float32)[None, :n]
+    return Frames(
+        np.array([state.step], np.int32),
+        np.array([state.placed], np.int32),
+        pose,
+        np.full((1, n), np.nan, np.float32),
+        np.array(state.carrier_qpos, np.float32)[None],
+    )

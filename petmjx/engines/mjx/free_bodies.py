@@ -1,0 +1,82 @@
+"""Boxes that are let go, on mjx-jax: the steps of ``BatchRollout``, with rules that only count them."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, get_type_hints
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.free_body_states import let_go
+from petmjx.engines.mjx.jax_setup import compiler_options
+from petmjx.engines.mjx.padded_model import PaddedModel
+from petmjx.engines.mjx.rollout import BatchRollout
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import State
+from petmjx.options.simulation import Simulation
+from petmjx.world.free_bodies import FreeBodies
+
+
+def paths(bodies: FreeBodies, sim: Simulation, most: int) -> FloatArray:
+    """As ``petmjx.engines.protocol.Engine.paths``, for so many worlds at a time."""
+    begins = range(0, len(bodies.scenes), most)
+    return np.concatenate([_paths_of_batch(bodies.part(slice(begin, begin + most)), sim) for begin in begins])
+
+
+def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
+    n, k, steps = len(bodies.scenes), bodies.n_boxes, bodies.steps
+    poses = np.full((n, len(steps), k, 7), np.nan)
+    rows, boards = 1 << (n - 1).bit_length(), len(bodies.scenes[0].carrier.half_size)
+    worlds, state = let_go(bodies, sim, rows, k)
+    if bodies.on_plane:
+        worlds, boards = _without_carrier(worlds, boards), 0
+    program = _program(sim, k, boards)
+    forces = program.model.no_forces(rows)
+    done = 0
+    if steps[0] == 0:
+        poses[:, 0] = bodies.pose
+    while done < steps[-1]:
+        state, forces, trail = program.chunk(state, forces, worlds, jnp.zeros((1, 1, 3)))
+        chunk = np.asarray(trail.pose, np.float64)[:, :n]
+        (column,) = np.nonzero((steps > done) & (steps <= done + len(chunk)))
+        poses[:, column] = chunk[steps[column] - done - 1].swapaxes(0, 1)
+        done += len(chunk)
+    return poses
+
+
+def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
+    """Worlds whose carrier has no shapes: MJX would look at each of them in each step, near or not."""
+    axes = {name: getattr(kind, "dim_str", "").split() for name, kind in get_type_hints(Worlds).items()}
+    of_shapes = [name for name, axes_of in axes.items() if axes_of[1:2] == ["shape"]]
+    return worlds._replace(**{name: getattr(worlds, name)[:, boards:] for name in of_shapes})
+
+
+class _NoRules(Rules):
+    """What ``BatchRollout`` asks of rules, where boxes move and nothing follows from it."""
+
+    def park(self, state: State) -> State:
+        """No box waits in the air."""
+        return state
+
+    def after_step(self, state: State, *args: Any, **named: Any) -> State:
+        """Nothing."""
+        return state
+
+
+class _Program:
+    """``BatchRollout.chunk``, jitted, with the model that it steps."""
+
+    def __init__(self, sim: Simulation, k: int, boards: int) -> None:
+        self.model = PaddedModel(k, boards, sim, held=True)
+        rules = _NoRules(sim, build_timetable(sim, k), k, driven=False)
+        self.chunk = jax.jit(BatchRollout(rules, self.model).chunk, compiler_options=compiler_options())
+
+
+@functools.lru_cache(4)
+def _program(sim: Simulation, k: int, boards: int) -> _Program:
+    return _Program(sim, k, boards)

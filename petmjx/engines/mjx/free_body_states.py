@@ -1,0 +1,44 @@
+"""Boxes that are let go, as tables on the device: for mjx-jax and mjx-warp."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import jax.numpy as jnp
+import numpy as np
+
+from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worlds
+from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
+from petmjx.options.simulation import Simulation
+from petmjx.world.free_bodies import FreeBodies
+from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
+
+_HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
+"""A drive that does nothing: while a world has one of this kind its carrier is held."""
+
+
+def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:
+    """Worlds in which all boxes have been let go, and their states: driven by nothing, with their end after the last
+    step that is looked at.
+
+    Args:
+        rows: at least one a world; those behind them have ended.
+        width: box columns.
+    """
+    n, k = bodies.velocity.shape[:2]
+    jobs = [Job(scene, _HELD) for scene in bodies.scenes]
+    boards = len(bodies.scenes[0].carrier.half_size)
+    worlds = upload_worlds(jobs, rows, width, {id(_HELD.excitation): 0}, sim, boards)
+    ends = jnp.full(rows, int(bodies.steps[-1]), jnp.int32)
+    fresh = fresh_state(worlds, all_placed=True, ends=ends, rest_steps=0)
+    qpos, qvel = np.array(fresh.qpos), np.zeros((rows, width, 6), np.float32)
+    qpos[:n, :k], qvel[:n, :k] = bodies.pose, bodies.velocity
+    status = np.where(np.arange(rows) < n, Status.RUNNING, Status.FINISHED).astype(np.int32)
+    return worlds, fresh._replace(
+        qpos=device_array(qpos),
+        qvel=device_array(qvel),
+        step=jnp.zeros(rows, jnp.int32),
+        driven_from=jnp.zeros(rows, jnp.int32),
+        rest_from=jnp.full(rows, NEVER, jnp.int32),
+        status=device_array(status),
+    )

@@ -1,0 +1,110 @@
+"""From jobs to tables on the device: worlds that are simulated together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.engines.mjx.frame_recorder import Recorder
+from petmjx.engines.mjx.outcomes import started_states
+from petmjx.engines.mjx.scene_rows import Rows
+from petmjx.engines.mjx.timetable import Timetable
+from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worlds
+from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
+from petmjx.engines.verdict import Flag
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.world.job import Job
+
+GRANULE = 4
+"""Tables have room for a multiple of so many boxes, so that runs with different plans use the same programs."""
+
+
+@dataclass
+class Batch:
+    """Worlds that are simulated together; job i has row i. Rows beyond the jobs' are padding.
+
+    Attributes:
+        table: their states, which go on.
+        profiles: (profile, step, 3) the samples of all excitations.
+        profile_rows: ``id`` of an excitation → its row in ``profiles``.
+    """
+
+    jobs: list[Job]
+    worlds: Worlds
+    table: State
+    profiles: jax.Array
+    profile_rows: dict[int, int]
+    recorder: Recorder
+
+    @property
+    def boards(self) -> int:
+        """Most shapes of a carrier for which tables have room."""
+        return int(self.worlds.shape_half.shape[1] - self.worlds.half.shape[1])
+
+    def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
+        """End worlds that cannot be simulated on this device."""
+        flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
+        self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
+
+
+def load(
+    jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Timetable, ready: Rows | None = None
+) -> Batch:
+    """The tables of some jobs.
+
+    Args:
+        rows: at least one a job.
+        width: box columns, at least as many as the largest plan has boxes.
+        ready: what has been made before, as for ``scene_rows.rows_of``.
+    """
+    excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
+    steps = max([len(e.samples) for e in excitations.values()], default=1)
+    profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
+    for row, excitation in enumerate(excitations.values()):
+        profiles[row, : len(excitation.samples)] = excitation.samples
+    profile_rows = {key: row for row, key in enumerate(excitations)}
+    worlds, table = tables(jobs, rows, width, profile_rows, sim, timetable, ready=ready)
+    return Batch(jobs, worlds, table, device_array(profiles), profile_rows, Recorder(jobs, sim))
+
+
+def tables(
+    jobs: Sequence[Job],
+    rows: int,
+    width: int,
+    profile_rows: dict[int, int],
+    sim: Simulation,
+    timetable: Timetable,
+    boards: int = 1,
+    ready: Rows | None = None,
+) -> tuple[Worlds, State]:
+    """Constants and first states of jobs; ``boards`` and ``ready`` as in ``upload_worlds``."""
+    worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards, ready)
+    static = sim.check is Check.STATIC
+    ends = np.full(rows, NEVER, np.int32)
+    if sim.schedule is Schedule.FIXED:
+        for row, job in enumerate(jobs):
+            if not job.settles:
+                ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
+    fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
+    if all(isinstance(job.start, State) for job in jobs):
+        # no job needs a fresh state, whose program would have to be made first
+        return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
+    return worlds, started_states(jobs, fresh(worlds, ends=device_array(ends)))
+
+
+def round_up(n: int, granule: int = GRANULE) -> int:
+    """The least multiple of ``granule`` that holds n boxes."""
+    return -(-n // granule) * granule
+
+
+def is_out_of_memory(error: Exception) -> bool:
+    """Whether an error of JAX, XLA or Warp says that device memory ran out, or one of Python that the host's did."""
+    text = str(error).lower()
+    return isinstance(error, MemoryError) or any(
+        words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")
+    )

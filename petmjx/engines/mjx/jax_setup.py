@@ -1,0 +1,48 @@
+"""Sets up JAX for petmjx: device memory shared with Warp, compiled programs kept between runs in JAX's own cache.
+
+Its folder is a setting of the process. The first engine makes it; it stays, and also applies to the caller's own JAX
+programs. If the caller has set it before, it is not changed. Warp: petmjx/common/warp_setup.py.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+from typing import Any
+
+import jax
+
+from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_written
+from petmjx.common.machine import jax_devices
+
+MIN_COMPILE_S = 0.0
+"""Programs that compile faster than this are not kept. A run has about a hundred small ones, together some seconds."""
+
+CPU_COMPILER_OPTIONS = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
+"""With XLA's CPU scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool (jaxlib
+0.10.2, two cores: 7 runs of 7; without it 0 of 4)."""
+
+
+def set_up_jax() -> None:
+    """Start JAX's devices and turn on its persistent compilation cache, unless the user has set one."""
+    jax_devices()
+    config: Any = jax.config
+    if config.jax_compilation_cache_dir is None or (VARIABLES["jax"] in os.environ and why_not_written("jax")):
+        config.update("jax_compilation_cache_dir", str(cache_folder("jax")))
+        config.update("jax_persistent_cache_min_compile_time_secs", MIN_COMPILE_S)
+
+
+@functools.cache
+def compiler_options() -> dict[str, bool]:
+    """The ``compiler_options`` of ``jax.jit`` for large programs on this backend.
+
+    They are given with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx is
+    imported, and ends the process if it does not know one of them.
+    """
+    if jax.default_backend() != "cpu":
+        return {}
+    try:
+        jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options=dict(CPU_COMPILER_OPTIONS))
+    except jax.errors.JaxRuntimeError:
+        return {}  # this jaxlib has no such option, so there is nothing to switch off
+    return dict(CPU_COMPILER_OPTIONS)

@@ -1,0 +1,39 @@
+"""Which boxes tremble (docs/rules.md, section 5), for all worlds of a batch. Twin: petmjx/engines/mujoco/jitter.py."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import State
+from petmjx.options.simulation import Simulation
+
+
+def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
+    """Which boxes tremble. Once another one has been placed, that is not known."""
+    return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
+
+
+def after_look(
+    state: State, worlds: Worlds, looks: Bool[Array, " world"], speed: Float[Array, "world box"], sim: Simulation
+) -> State:
+    """States of worlds some of which are looked at. ``speed``: of boxes' fastest points, m/s."""
+    rule = sim.quiet
+    period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
+    look = state.tremble_looks
+    measures = (looks & (look > period))[:, None]
+    path = jnp.where(measures, state.tremble_path + speed * look_s, state.tremble_path)
+    away = jnp.maximum(state.tremble_away, motion.moved(state.tremble_qpos, state.qpos, worlds.half))
+    away = jnp.where(measures, away, state.tremble_away)
+    begins = (looks & (look >= period) & (look % period == 0))[:, None]
+    least = rule.slow_m_s * period * look_s
+    trembles = (path >= least) & (away < jnp.minimum(rule.tremble_share * path, least))
+    return state._replace(
+        tremble_looks=look + looks,
+        trembles=jnp.where(begins & measures, trembles.astype(jnp.int32), state.trembles),
+        tremble_path=jnp.where(begins, 0.0, path),
+        tremble_away=jnp.where(begins, 0.0, away),
+        tremble_qpos=jnp.where(begins[..., None], state.qpos, state.tremble_qpos),
+    )

@@ -1,0 +1,78 @@
+"""Landings, for all worlds of a batch. Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, which
+explain the law; without shared arithmetic."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import State
+from petmjx.options.simulation import Simulation
+from petmjx.world.contact_laws import AT_REST, FAST_M_S, lasts_steps
+from petmjx.world.friction_pairs import USUAL
+
+
+class Landing(NamedTuple):
+    """Which boxes land, as ``State`` has it, on what surfaces, and how."""
+
+    left: Int[Array, "*world box"]
+    before: Float[Array, "*world box 6"]
+    surface: Int[Array, "*world geom"]
+    pair: Float[Array, "*world surface surface 2"]
+
+    @classmethod
+    def of(cls, state: State, worlds: Worlds) -> Landing:
+        """Geom 0 is the floor, which has surface 0."""
+        surface = jnp.pad(worlds.shape_surface, ((0, 0), (1, 0)))
+        return cls(state.landing_left, state.landing_qvel, surface, worlds.pair_landing)
+
+
+def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, sim: Simulation) -> tuple[Any, Landing]:
+    """One world's MJX data between collision and solver, with other contacts while a box lands; and which do.
+
+    Args:
+        boxes: of the contacts' geoms; negative: no box.
+    """
+    physics = sim.physics
+    rows, contact = data._impl, data._impl.contact
+    row = jnp.asarray(contact.efc_address)
+    n = len(landing.left)
+    place = jnp.where(boxes < 0, n, boxes)
+    jacobian, speeds = rows.efc_J[row], data.qvel[-6 * n :].reshape(n, 6)
+    closing = -jacobian @ data.qvel
+    fast = jnp.broadcast_to((closing > FAST_M_S)[:, None], boxes.shape)
+    hit = jnp.zeros(n, bool).at[place].max(fast, mode="drop")
+    left = jnp.maximum(landing.left - 1, 0)
+    begins = hit & (left == 0)
+    left = jnp.where(begins, lasts_steps(sim), left)
+    before = jnp.where(begins[:, None], speeds, landing.before)
+    lands = jnp.pad(left > 0, (0, 1))[place].any(-1)
+
+    depth = rows.efc_margin[row] - rows.efc_pos[row]
+    low, high, width = (contact.solimp[:, i] for i in range(3))
+    x = jnp.clip(jnp.abs(depth) / width, 0.0, 1.0)
+    impedance = low + (high - low) * jnp.where(x <= 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
+    stiffer = jnp.where((left > 0).any(), (1 - impedance) / impedance / ((1 - high) / high), 1.0)
+    three = row[:, None] + jnp.arange(3)
+    rows_d = rows.efc_D.at[three].multiply(stiffer[:, None])
+
+    old = data.qvel.at[-6 * n :].set(jnp.where((left > 0)[:, None], before, speeds).reshape(-1))
+    approach = -jacobian @ old
+    usual, step_s = jnp.array([physics.restitution, physics.landing_s]), physics.timestep_s
+    surface = landing.surface[contact.geom]
+    of_pair = landing.pair[surface[:, 0], surface[:, 1]]
+    share, landing_s = jnp.where(of_pair == USUAL, usual[None], of_pair).T
+    fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
+    energy = jnp.maximum((share * approach) ** 2 + 2 * fall * (depth - AT_REST * physics.solimp[2]), 0.0)
+    opening = jnp.where(share > 0, jnp.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2, 0.0)
+    enough = (closing + opening) / step_s
+    most = (1 + share) * approach / landing_s
+    rigid = contact.solimp[:, 1] >= physics.solimp[1] * (1 - 1e-6)
+    acts = lands & rigid & (approach > FAST_M_S) & (enough > 0)
+    pulls = rows.efc_aref.at[row].set(jnp.where(acts, jnp.minimum(enough, most), rows.efc_aref[row]))
+    return data.tree_replace({"_impl.efc_aref": pulls, "_impl.efc_D": rows_d}), landing._replace(
+        left=left, before=before
+    )

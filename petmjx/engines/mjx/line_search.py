@@ -1,0 +1,57 @@
+"""MJX's solver for elliptic cones, with a line search that rounding does not stop."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from petmjx.engines.mjx.mjx_import import mjx
+
+_ROUNDED: Final = 8 * float(np.finfo(np.float32).eps)
+"""A square is known to so much of its terms in float32."""
+
+
+def solve(model: Any, data: Any) -> Any:
+    """As ``mjx.solve``.
+
+    Along a search direction v from u the square of a contact's tangential force is u² + α·(2·u·v + α·v²). MJX (3.17:
+    mujoco/mjx/_src/solver.py, ``_LSPoint``) takes its root. Where friction is to vanish, as under a box that lands
+    flat, a Newton step has v = −u, and in float32 the square is slightly negative at its end. Then cost and slope are
+    not numbers, the search finds nothing better, and the solver ends where it is, with whatever force that means. So
+    u² is here as large as the square needs to be not negative. That is less than float32 rounds.
+
+    Args:
+        model: MJX's, of one world.
+        data: its data, ready for the solver.
+    """
+    with _real_roots():
+        return mjx.solve(model, data)
+
+
+@contextmanager
+def _real_roots() -> Iterator[None]:
+    """While a program is traced, points of the line search have real roots."""
+    point = _point_class()
+    original, found = point.create, vars(point)["create"]
+
+    def create(model: Any, data: Any, context: Any, alpha: jax.Array, *terms: Any) -> Any:
+        *others, uu, v0, uv, vv = terms
+        uu = jnp.maximum(uu, -(1 + _ROUNDED) * alpha * (2 * uv + alpha * vv))
+        return original(model, data, context, alpha, *others, uu, v0, uv, vv)
+
+    point.create = staticmethod(create)
+    try:
+        yield
+    finally:
+        point.create = found
+
+
+def _point_class() -> Any:
+    from mujoco.mjx._src import solver
+
+    return solver._LSPoint

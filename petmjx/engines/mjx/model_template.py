@@ -1,0 +1,164 @@
+"""The padded model of a capacity: one compiled MuJoCo model for every plan of up to that many boxes.
+
+What differs from world to world (sizes, masses, frictions, gravity) is not in the template but in per-world
+overrides of model fields, which ``override_fields`` alone computes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+from jaxtyping import Array, Float
+
+from petmjx.engines.mjx.compliance import laws
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.options.physics import Physics
+from petmjx.options.simulation import Solver
+from petmjx.world.body_shapes import Body
+from petmjx.world.friction_pairs import LARGER
+from petmjx.world.mujoco_model import HeldCarrier, build_spec
+from petmjx.world.scene import IDENTITY_QUAT, Scene
+
+FLOOR_GEOM = 0
+CARRIER_BODY, FIRST_BOX_BODY = 1, 2
+
+FLOAT32_TOLERANCE = 1e-6
+"""Smallest relative solver tolerance: float32 does not resolve MuJoCo's 1e-8, which would only cost iterations."""
+
+MAX_ITERATIONS = 100
+"""MuJoCo's default limit of solver iterations."""
+
+LINE_SEARCH_ITERATIONS = 50
+"""MuJoCo's default limit of a line search."""
+
+PARKING_HEIGHT_M = 50.0
+PARKING_PITCH_M = 8.0
+"""Boxes that are not placed yet hang in a row this high and this far apart: no two bounding spheres meet
+(the largest BED-BPP item is under 1 m), and float32 still resolves their positions to 0.05 mm."""
+
+
+def padded_template(
+    capacity: int,
+    boards: int,
+    physics: Physics,
+    *,
+    held: bool,
+    solver: Solver,
+    tolerance: float,
+    iterations: int,
+    line_search_iterations: int,
+) -> mujoco.MjModel:
+    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes; nominal sizes that overrides
+    replace.
+
+    Args:
+        boards: 0: nothing touches the carrier.
+        held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one; it stands where its
+            world's data say.
+    """
+    scene = _nominal_scene(capacity, boards, physics)
+    at = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT), mocap=True) if held else None
+    spec = build_spec(scene, physics, at)
+    option = spec.option
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON if solver is Solver.NEWTON else mujoco.mjtSolver.mjSOL_CG
+    option.tolerance = tolerance
+    option.iterations = iterations
+    option.ls_iterations = line_search_iterations
+    return spec.compile()
+
+
+def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
+    """Boxes that wait in the air. Its inertia is explicit: MuJoCo would else sort the principal axes, and worlds could
+    not write theirs in the order of a box's axes."""
+    half, place = np.tile([0.15, 0.15, 0.1], (capacity, 1)), np.array(parked_positions(capacity), np.float64)
+    solid = np.array([0.4, 0.3, physics.carrier_half_height_m])
+    board = np.tile(solid, (boards, 1))
+    aloft = np.array([0.0, 0.0, PARKING_HEIGHT_M])
+    friction = np.tile(physics.carrier_friction, (boards, 1))
+    return Scene(
+        half_size=half,
+        mass=np.full(capacity, 5.0),
+        target=place,
+        start_pos=place,
+        start_quat=np.tile(IDENTITY_QUAT, (capacity, 1)),
+        friction=np.tile(physics.box_friction, (capacity, 1)),
+        carrier=Body(aloft, physics.carrier_mass_kg, board, np.zeros((boards, 3)), friction, solid),
+        floor_friction=physics.floor_friction,
+        floor_z=physics.floor_z_m,
+        inertia_box=half,
+    )
+
+
+def parked_positions(capacity: int) -> Float[Array, "box 3"]:
+    """Where boxes of a world wait for their turn, m."""
+    x = PARKING_PITCH_M * jnp.arange(1, capacity + 1)
+    return jnp.stack([x, jnp.zeros(capacity), jnp.full(capacity, PARKING_HEIGHT_M)], axis=-1)
+
+
+def _box_inertia(half: Float[Array, "world body 3"], mass: Float[Array, "world body"]) -> Float[Array, "world body 3"]:
+    """Principal moments of solid boxes in box order: m/3 · (b² + c²) for half extents a, b, c."""
+    squares = half**2
+    return mass[..., None] / 3 * (squares.sum(-1, keepdims=True) - squares)
+
+
+def override_fields(
+    worlds: Worlds, model: Any, *, held: bool, physics: Physics, gives: bool = False
+) -> dict[str, Float[Array, "world ..."]]:
+    """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
+
+    ``physics`` says by how much geoms are larger than boxes. ``model`` is the template's MJX model, whose values stand
+    for what no world changes (the world body, the floor). With ``gives`` contacts have laws of their own.
+
+    Derived fields follow MuJoCo's compiler: ``body_invweight0``
+    and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I; ``geom_rbound`` is the half diagonal; all are
+    checked against it in tests.
+    """
+    n_worlds, shapes = worlds.shape_half.shape[:2]
+    boards = shapes - worlds.half.shape[1]
+    skin = jnp.array([physics.carrier_skin_m] * boards + [physics.skin_m] * (shapes - boards))
+    geom_half = worlds.shape_half + skin[None, :, None]
+    inertia = _box_inertia(worlds.inertia_box, worlds.mass)
+    inv_translation = 1 / worlds.mass
+    inv_rotation = (1 / inertia).mean(-1)
+    if held:
+        inv_translation = inv_translation.at[:, 0].set(0.0)
+        inv_rotation = inv_rotation.at[:, 0].set(0.0)
+
+    def with_world_body(values: Float[Array, "world body *k"]) -> Float[Array, "world body+1 *k"]:
+        return jnp.concatenate([jnp.zeros((n_worlds, 1, *values.shape[2:])), values], axis=1)
+
+    def with_floor(values: Float[Array, "world shape *k"], name: str) -> Float[Array, "world shape+1 *k"]:
+        floor = jnp.broadcast_to(getattr(model, name)[FLOOR_GEOM], (n_worlds, 1, *values.shape[2:]))
+        return jnp.concatenate([floor, values], axis=1)
+
+    floor = jnp.zeros((n_worlds, 3)).at[:, 2].set(worlds.floor_z)
+    free = slice(1, None) if held else slice(None)
+    dof = jnp.stack([inv_translation, inv_rotation], axis=-1)[:, free]
+    fields = {
+        "body_mass": with_world_body(worlds.mass),
+        "body_inertia": with_world_body(inertia),
+        "body_subtreemass": jnp.concatenate([worlds.mass.sum(1, keepdims=True), worlds.mass], axis=1),
+        "body_invweight0": with_world_body(jnp.stack([inv_translation, inv_rotation], axis=-1)),
+        "dof_invweight0": jnp.repeat(dof, 3, axis=-1).reshape(n_worlds, -1),
+        "geom_size": with_floor(geom_half, "geom_size"),
+        "geom_pos": jnp.concatenate([floor[:, None], worlds.shape_pos], axis=1),
+        "geom_rbound": with_floor(jnp.sqrt((geom_half**2).sum(-1)), "geom_rbound"),
+        "geom_aabb": with_floor(jnp.concatenate([jnp.zeros_like(geom_half), geom_half], axis=-1), "geom_aabb"),
+        "geom_friction": jnp.concatenate([worlds.floor_friction[:, None], worlds.friction], axis=1),
+    }
+    if getattr(model, "npair", 0):
+        partners = jnp.maximum(
+            fields["geom_friction"][:, model.pair_geom1], fields["geom_friction"][:, model.pair_geom2]
+        )
+        surface = jnp.concatenate([jnp.zeros((n_worlds, 1), jnp.int32), worlds.shape_surface], axis=1)
+        pair_friction = worlds.pair_friction[
+            jnp.arange(n_worlds)[:, None], surface[:, model.pair_geom1], surface[:, model.pair_geom2]
+        ]
+        sliding = jnp.where(pair_friction == LARGER, partners[..., 0], pair_friction)
+        fields["pair_friction"] = partners[..., jnp.array([0, 0, 1, 2, 2])].at[..., :2].set(sliding[..., None])
+        if gives:
+            fields |= laws(worlds, model, inv_translation, physics)
+    return fields

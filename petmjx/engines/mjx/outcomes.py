@@ -1,0 +1,114 @@
+"""Outcomes of finished worlds, judged and read out on the host; and where worlds start that others have settled."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.mjx.frame_recorder import Recorder
+from petmjx.engines.mjx.readback import Readback
+from petmjx.engines.mjx.repeated_rows import gather_rows
+from petmjx.engines.mjx.running_metrics import RunMetrics, of_boxes
+from petmjx.engines.mjx.world_constants import device_arrays
+from petmjx.engines.mjx.world_state import State, narrow
+from petmjx.engines.step_clock import Clock
+from petmjx.engines.verdict import Flag, Outcome, Verdict, judge
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
+
+
+def outcomes(picked: Sequence[Readback], jobs: Sequence[Job], sim: Simulation, recorder: Recorder) -> Iterator[Outcome]:
+    """Outcomes of rows of a table that ``pick`` has picked, with their histories; job i has row i."""
+    clock = Clock(sim.physics.timestep_s)
+    for batch in picked:
+        state, measured = batch.on_host()
+        yield from _outcomes(batch.rows, state, measured, jobs, clock, sim, recorder)
+
+
+def _outcomes(
+    rows: NDArray[np.int64],
+    host: State,
+    measured: RunMetrics,
+    jobs: Sequence[Job],
+    clock: Clock,
+    sim: Simulation,
+    recorder: Recorder,
+) -> Iterator[Outcome]:
+    m, seconds = host.metrics, clock.time_s
+    for i, row in enumerate(rows):
+        job = jobs[row]
+        n = job.scene.n_boxes
+        driven = job.drive is not None and bool(host.driven_from[i] <= host.step[i])
+        drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)
+        boxes = BoxMetrics.measured(
+            n,
+            **of_boxes(m, measured, i, n, driven),
+            dropped=np.asarray(drops >= 0),
+            drop_s=np.array([seconds(step) if step >= 0 else np.nan for step in drops.tolist()]),
+            pos=job.scene.middles(pose[:, :3], pose[:, 3:]),
+            quat=pose[:, 3:],
+        )
+        flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.start is not None else 0))
+        verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
+        known = verdict is not Verdict.STABLE and m.culprit[i] >= 0
+        yield Outcome(
+            job=int(row),
+            verdict=verdict,
+            reason=reason,
+            culprit=int(m.culprit[i]) if known else -1,
+            first_sign_s=seconds(int(m.sign_step[i])) if known else float("nan"),
+            n_boxes=n,
+            n_placed=int(host.placed[i]),
+            sim_time_s=seconds(max(int(host.step[i]), 0)),
+            n_steps=int(host.steps_done[i]),
+            flags=flags,
+            boxes=boxes,
+            n_at_sign=int(m.sign_placed[i]) if known else 0,
+            solver=sim.solver.value,
+            # without other worlds' columns: what starts from it may be in a narrower table
+            state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
+            history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
+            if job.record
+            else None,
+        )
+
+
+def started_states(jobs: Sequence[Job], fresh: State) -> State:
+    """First states of jobs: fresh ones, and for jobs that start from a kept state that one.
+
+    Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device
+    only if a job needs them: rows behind the jobs', which never run, may have any state.
+
+    Args:
+        fresh: shapes and types are enough if all jobs start from kept states.
+    """
+    starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
+    if not starts:
+        return fresh
+    row_of = {id(start): row for row, start in enumerate(starts)}
+    spare = len(fresh.step) - len(jobs)
+    source = np.array([row_of.get(id(job.start), 0) for job in jobs] + [0] * spare)
+    forked = np.array([isinstance(job.start, State) for job in jobs] + [True] * spare)
+
+    def stack(new: jax.Array | jax.ShapeDtypeStruct, *kept: Any) -> NDArray[Any]:
+        stacked = np.zeros((len(kept), *new.shape[1:]), new.dtype)
+        for row, values in enumerate(kept):
+            if stacked.ndim > 1 and np.ndim(values):
+                stacked[row][tuple(slice(0, n) for n in np.shape(values))] = values
+            else:
+                stacked[row] = values
+        return stacked
+
+    stacked = jax.tree.map(stack, fresh, *starts)._replace(steps_done=np.zeros(len(starts), np.int32))
+    leaves, structure = jax.tree.flatten(stacked)
+    rows = gather_rows(leaves, source)
+    if not forked.all():
+        for mine, new in zip(rows, jax.tree.leaves(fresh), strict=True):
+            mine[~forked] = np.asarray(new)[~forked]
+    forks: State = jax.tree.unflatten(structure, device_arrays(rows))
+    return forks

@@ -1,0 +1,88 @@
+"""Worlds that have ended, on their way from a device to the host."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int
+from numpy.typing import NDArray
+
+from petmjx.engines.mjx.running_metrics import RunMetrics, run_metrics
+from petmjx.engines.mjx.world_constants import Worlds, device_array
+from petmjx.engines.mjx.world_state import State, take_rows
+from petmjx.options.simulation import Simulation
+
+PICKED: Final = 256
+"""Rows that are picked at a time, or as many as a smaller table has: XLA compiles a program for each number."""
+
+
+class Readback(NamedTuple):
+    """States and metrics of rows of a table, the bits of all in one array: a host waits for each array that it fetches
+    from a GPU.
+
+    Attributes:
+        rows: which these are; in ``bits`` more may follow, which fill it up.
+        kinds: a ``State`` and ``RunMetrics``, with shape and type instead of each array.
+    """
+
+    rows: NDArray[np.int64]
+    bits: Int[Array, "row word"]
+    kinds: Any
+
+    def on_host(self) -> tuple[State, RunMetrics]:
+        """The arrays, once the device has picked them."""
+        bits, first = np.asarray(self.bits), 0
+
+        def next_of(kind: Any) -> NDArray[Any]:
+            nonlocal first
+            words = bits[:, first : first + math.prod(kind.shape[1:])]
+            first += words.shape[1]
+            array: NDArray[Any] = words.view(kind.dtype).reshape(kind.shape)
+            return array
+
+        arrays: tuple[State, RunMetrics] = jax.tree.map(next_of, self.kinds)
+        return arrays
+
+
+@partial(jax.jit, static_argnames="sim")
+def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> RunMetrics:
+    """Metrics that need the whole run, for every world of a table, on the device."""
+    placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
+    return run_metrics(state.metrics, state.qpos, worlds, placed, state.step >= state.end, sim.thresholds)
+
+
+@partial(jax.jit, static_argnames="sim")
+def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> Int[Array, "row word"]:
+    some = take_rows(table, rows)
+    arrays = jax.tree.leaves((some, reduce_metrics(some, take_rows(worlds, rows), sim)))
+    words = [jax.lax.bitcast_convert_type(array, jnp.int32).reshape(len(rows), -1) for array in arrays]
+    return jnp.concatenate(words, axis=1)
+
+
+def prepare_readback(table: State, worlds: Worlds, sim: Simulation) -> None:
+    """Compile what ``read_back`` needs: while the device is at work nobody waits for it."""
+    read_back(np.zeros(1, np.int64), table, worlds, sim)
+
+
+def read_back(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Readback]:
+    """Some rows of a table, still on the device, in batches of the same size; the last one is filled up."""
+    size = min(PICKED, len(table.status))
+
+    def kind(of_row: tuple[int, ...], dtype: Any) -> Any:
+        return jax.ShapeDtypeStruct((size, *of_row), dtype)  # type: ignore[no-untyped-call]  # JAX has no types for it
+
+    state = jax.tree.map(lambda array: kind(array.shape[1:], array.dtype), table)
+    number = state.metrics.max_tilt
+    of_axes = kind((*number.shape[1:], 3), number.dtype)
+    kinds = state, RunMetrics(shift=of_axes, max_tilt=number, max_top_force=number, rest_force=number)
+    batches = []
+    for first in range(0, len(rows), size):
+        some = rows[first : first + size]
+        padded = device_array(np.resize(some, size).astype(np.int32))
+        batches.append(Readback(some, _readback_words(table, worlds, padded, sim), kinds))
+    return batches

@@ -1,0 +1,197 @@
+"""Worlds side by side: each takes a step, then the rules say what follows from it; many such steps are one program."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
+from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx import film, hand
+from petmjx.engines.mjx.bed import Faces
+from petmjx.engines.mjx.frame_recorder import Trail
+from petmjx.engines.mjx.jax_setup import compiler_options
+from petmjx.engines.mjx.landing import Landing
+from petmjx.engines.mjx.model_template import FIRST_BOX_BODY, override_fields
+from petmjx.engines.mjx.padded_model import PaddedModel
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import State
+from petmjx.options.simulation import SOFT_START_STEPS
+
+CHUNK_STEPS = 25
+"""Steps of one call of a program. Between two calls the host looks whether any world still runs."""
+
+
+class BatchRollout:
+    """A chunk of steps of a batch: of placements, or of drives (``rules.driven``). Worlds that have ended stay as they
+    are until all have. ``gives``: there are boxes that do; ``wraps``: film holds boxes in drives."""
+
+    def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
+        self.rules, self.model, self.gives, self.wraps = rules, model, gives, wraps
+        if gives:
+            model.lay_beds()
+
+    def compiled(
+        self,
+        state: State,
+        forces: Float[Array, "world constraint"],
+        worlds: Worlds,
+        profiles: Float[Array, "profile step 3"],
+    ) -> Any:
+        """The program ``chunk`` for arguments of these shapes."""
+        program = jax.jit(self.chunk, compiler_options=compiler_options())
+        return program.lower(state, forces, worlds, profiles).compile()
+
+    def chunk(
+        self,
+        state: State,
+        forces: Float[Array, "world constraint"],
+        worlds: Worlds,
+        profiles: Float[Array, "profile step 3"],
+    ) -> tuple[State, Float[Array, "world constraint"], Trail]:
+        """States and constraint forces after a chunk, and what worlds went through. That is always kept: with and
+        without a recorder it must be the same program, since another one might round differently."""
+        held, physics = self.model.held, self.rules.sim.physics
+        fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
+        faces = Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]) if self.gives else None
+        if self.rules.driven:
+            state = self.rules.begin_drives(state, worlds)
+
+        def body(
+            carry: tuple[State, Float[Array, "world constraint"]], _: None
+        ) -> tuple[tuple[State, Float[Array, "world constraint"]], Trail]:
+            before, forces = carry
+            after, forces, top_force = self._advance(before, forces, worlds, fields, profiles, faces)
+            passed = Trail(
+                ran=before.running,
+                fresh=(after.last_placed_at == after.step) & (after.placed > before.placed),
+                number=after.step,
+                placed=after.placed,
+                status=after.status,
+                pose=after.qpos,
+                top_force=top_force,
+                carrier_pose=after.carrier_qpos,
+            )
+            return (after, forces), passed
+
+        (state, forces), trail = jax.lax.scan(body, (state, forces), None, length=CHUNK_STEPS)
+        return state, forces, trail
+
+    def _advance(
+        self,
+        state: State,
+        forces: Float[Array, "world constraint"],
+        worlds: Worlds,
+        fields: dict[str, Float[Array, "world ..."]],
+        profiles: Float[Array, "profile step 3"],
+        faces: Faces | None,
+    ) -> tuple[State, Float[Array, "world constraint"], Float[Array, "world box"]]:
+        """One step of every world and all that follows from it; constraint forces, and forces on tops during it."""
+        rules, held = self.rules, self.model.held
+        gravity, push = self._excitation(state, worlds, profiles)
+        shown = rules.park(state)
+        # Boxes in the air fall freely during the step. With that as its start, the solver has nothing to find for
+        # them. From zero, each would add ½·m·g² to the cost, and float32 would lose the contacts in that sum.
+        standing = rules.standing(state)[..., None]
+        start = shown.qacc.at[..., :3].set(jnp.where(standing, shown.qacc[..., :3], gravity[:, None]))
+        inputs = {
+            "qpos": self._join(shown.carrier_qpos, shown.qpos),
+            "qvel": self._join(shown.carrier_qvel, shown.qvel),
+            "qacc_warmstart": self._join(shown.carrier_qacc, start),
+            "xfrc_applied": jnp.zeros((len(push), self.model.bodies, 6)).at[:, self.model.carrier, :3].set(push),
+        }
+        if rules.carries and not rules.driven:
+            inputs["xfrc_applied"] = (
+                inputs["xfrc_applied"].at[:, FIRST_BOX_BODY:].set(hand.wrenches(state, worlds, rules.sim))
+            )
+        if self.wraps and rules.driven:
+            forces_n, state = film.hold(state, worlds, rules.sim.physics.timestep_s)
+            inputs["xfrc_applied"] = (
+                inputs["xfrc_applied"]
+                .at[:, FIRST_BOX_BODY:, :3]
+                .set(forces_n)
+                .at[:, self.model.carrier, :3]
+                .add(-forces_n.sum(1))
+            )
+        if held:
+            inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
+            inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
+        landing = Landing.of(state, worlds) if rules.sim.physics.has_landings else None
+        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
+        if done.landing is not None:
+            state = state._replace(landing_left=done.landing.left, landing_qvel=done.landing.before)
+        running = state.running[:, None]
+
+        def moved(
+            row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
+        ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
+            """The changes of a step, for running worlds and boxes in play; everything else stays as it was."""
+            new_carrier, new_boxes = self._split(row, carrier)
+            return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
+
+        seen_qpos, before = state.qpos, state
+        carrier_qpos, qpos = moved(done.qpos, state.carrier_qpos, state.qpos)
+        carrier_qvel, qvel = moved(done.qvel, state.carrier_qvel, state.qvel)
+        carrier_qacc, qacc = moved(done.qacc_warmstart, state.carrier_qacc, state.qacc)
+        _, seen_qacc = self._split(done.qacc, state.carrier_qvel)
+        state = state._replace(
+            qpos=qpos,
+            qvel=qvel,
+            qacc=qacc,
+            qacc_warmstart=qacc,
+            carrier_qpos=carrier_qpos,
+            carrier_qvel=carrier_qvel,
+            carrier_qacc=carrier_qacc,
+            carrier_qacc_warmstart=carrier_qacc,
+            step=state.step + state.running,
+        )
+        presses = self._presses(before, worlds, jnp.maximum(seen_qacc[..., 2].max(-1), carrier_qacc[:, 2]))
+        after = rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force, presses)
+        return after, done.forces, done.top_force
+
+    def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
+        """Whether the forces of the step after ``before`` count between samples: a box is fast, and one rises or it is
+        time to look for quiet; while a drive acts always. ``rising``: the largest acceleration upwards, m/s²."""
+        rules, step = self.rules, before.step + 1
+        if not rules.sim.waits_for_rest:
+            return jnp.zeros_like(before.running)
+        fast = (rules.standing(before) & (motion.speed(before.qvel, worlds.half) > RESTLESS_M_S)).any(-1)
+        polled = step % rules.sim.quiet.poll_steps == 0
+        acts = step - before.driven_from <= worlds.profile_steps
+        return (fast & (polled | (rising > RISING_M_S2))) | (acts & rules.driven)
+
+    def _excitation(
+        self, state: State, worlds: Worlds, profiles: Float[Array, "profile step 3"]
+    ) -> tuple[Float[Array, "world 3"], Float[Array, "world 3"]]:
+        """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
+        ramp = jnp.clip((state.step + SOFT_START_STEPS) / SOFT_START_STEPS, 0.0, 1.0)
+        gravity = ramp[:, None] * jnp.array([[0.0, 0.0, -self.rules.sim.physics.gravity_m_s2]])
+        if not self.rules.driven:
+            return gravity, jnp.zeros_like(gravity)
+        at = state.step - state.driven_from
+        inside = (at >= 0) & (at < profiles.shape[1])
+        sample = profiles[worlds.profile, jnp.clip(at, 0, profiles.shape[1] - 1)]
+        x, y, z = (jnp.where(inside[:, None], sample, 0.0) * worlds.drive_scale[:, None]).T
+        cos, sin = worlds.drive_yaw[:, 0], worlds.drive_yaw[:, 1]
+        turned = jnp.stack([cos * x - sin * y, sin * x + cos * y, z], axis=-1)
+        return (gravity - turned, jnp.zeros_like(gravity)) if self.model.held else (gravity, turned)
+
+    def _join(
+        self, carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
+    ) -> Float[Array, "world coordinate"]:
+        """Generalized coordinates: the carrier's, unless it is held, then the boxes'."""
+        flat = boxes.reshape(len(boxes), -1)
+        return flat if self.model.held else jnp.concatenate([carrier, flat], axis=-1)
+
+    def _split(
+        self, row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"]
+    ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
+        """The reverse of ``_join``; a held carrier keeps what it has."""
+        width = carrier.shape[-1]
+        if not self.model.held:
+            carrier, row = row[:, :width], row[:, width:]
+        return carrier, row.reshape(len(row), self.rules.capacity, width)

@@ -1,0 +1,409 @@
+"""The rules of a run, one step of all worlds at a time: sampling, placing, resting, ending (docs/rules.md).
+
+Pure functions of states; nothing here knows how a step is taken. The C engine follows the same rules in its own
+words.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx import hand, jitter
+from petmjx.engines.mjx.model_template import PARKING_HEIGHT_M, parked_positions
+from petmjx.engines.mjx.running_metrics import Sample
+from petmjx.engines.mjx.timetable import Timetable
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import NEVER, State, Status
+from petmjx.engines.verdict import Flag
+from petmjx.options.simulation import Schedule, Simulation
+from petmjx.world.history import CARRIER
+from petmjx.world.release_places import NOTHING
+from petmjx.world.scene import IDENTITY_QUAT
+
+UNBELIEVABLE = 1e10
+"""MuJoCo calls positions and velocities beyond this bad (mjMAXVAL)."""
+
+
+class _SampleInputs(NamedTuple):
+    """What samples see: values at the beginning of a step. Shapes and units as in ``Rules.after_step``."""
+
+    qpos: Float[Array, "world box 7"]
+    qacc: Float[Array, "world box 6"]
+    top_force: Float[Array, "world box"]
+    presses: Bool[Array, " world"]
+
+
+def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
+    """The last step of each drive, if its world does not rest before."""
+    return state.driven_from + worlds.drive_steps
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """The rules with their numbers, for worlds with room for ``capacity`` boxes. ``driven``: settled worlds are shaken
+    instead of boxes placed. ``carries``: there are worlds in which boxes do not appear at their places."""
+
+    sim: Simulation
+    timetable: Timetable
+    capacity: int
+    driven: bool
+    carries: bool = False
+
+    def parked_pose(self) -> Float[Array, "box 7"]:
+        """Poses of boxes that are not in play."""
+        quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
+        return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
+
+    def standing(self, state: State) -> Bool[Array, "world box"]:
+        """Boxes in play: placed, in a world that runs."""
+        return self._placed(state) & state.running[:, None]
+
+    def _placed(self, state: State) -> Bool[Array, "world box"]:
+        return jnp.arange(self.capacity)[None] < state.placed[:, None]
+
+    def judged(self, state: State) -> Bool[Array, "world box"]:
+        """Boxes in play that no hand has."""
+        standing = self.standing(state)
+        if not self.carries:
+            return standing
+        in_hand = hand.carried_worlds(state)[:, None] & (jnp.arange(self.capacity)[None] == state.placed[:, None] - 1)
+        return standing & ~in_hand
+
+    def park(self, state: State) -> State:
+        """Put boxes that are not in play to the places where they wait, at rest. Carriers of worlds that have ended go
+        into the air, too: where nothing touches the solver has nothing to find."""
+        standing, ended = self.standing(state)[..., None], ~state.running[:, None]
+        aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, *IDENTITY_QUAT]])
+        return state._replace(
+            qpos=jnp.where(standing, state.qpos, self.parked_pose()[None]),
+            qvel=jnp.where(standing, state.qvel, 0.0),
+            qacc=jnp.where(standing, state.qacc, 0.0),
+            carrier_qpos=jnp.where(ended, aloft, state.carrier_qpos),
+            carrier_qvel=jnp.where(ended, 0.0, state.carrier_qvel),
+            carrier_qacc=jnp.where(ended, 0.0, state.carrier_qacc),
+        )
+
+    def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
+        """Release the next box: at its release pose, at rest; or where it begins to fall, or is carried from."""
+        chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
+        release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
+        placed = state._replace(
+            qpos=jnp.where(chosen, release, state.qpos),
+            still_qpos=jnp.where(chosen, release, state.still_qpos),
+            qvel=jnp.where(chosen, 0.0, state.qvel),
+            qacc=jnp.where(chosen, 0.0, state.qacc),
+            qacc_warmstart=jnp.where(chosen, 0.0, state.qacc_warmstart),
+            placed=state.placed + where,
+            last_placed_at=jnp.where(where, state.step, state.last_placed_at),
+            waits_since=jnp.where(where, state.step, state.waits_since),
+            quiet_steps=jnp.where(where, 0, state.quiet_steps),
+            tremble_looks=jnp.where(where, 0, state.tremble_looks),
+        )
+        if not self.carries:
+            return placed
+        timestep_s = self.sim.physics.timestep_s
+        next_state: State = jax.lax.cond(
+            where.any(), lambda: hand.take_up(placed, worlds, where, timestep_s), lambda: placed
+        )
+        return next_state
+
+    def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
+        """How far the support of each box is from its planned height, m; 0 where it has none."""
+        boxes = motion.middles(state.qpos, worlds.middle)[..., 2] - worlds.target[..., 2]
+        carrier = state.carrier_qpos[:, 2] - worlds.carrier_pos[:, 2]
+        moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
+        moved = jnp.where(worlds.support == CARRIER, carrier[:, None], moved)
+        most = worlds.most_followed[:, None]
+        return jnp.where(worlds.support == NOTHING, 0.0, jnp.clip(moved, -most, most))
+
+    def begin_drives(self, state: State, worlds: Worlds) -> State:
+        """Begin the drives of worlds whose placement has settled."""
+        begins = (state.status == Status.SETTLED) & worlds.driven
+        end = _drive_end(state, worlds)
+        # signs from the placement (a hard landing) are forgotten where no box is over a threshold now
+        metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
+        middles = motion.middles(state.qpos, worlds.middle)
+        anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
+        return state._replace(
+            status=jnp.where(begins, Status.RUNNING, state.status),
+            end=jnp.where(begins, end, state.end),
+            rest_from=jnp.where(begins, end - self.timetable.rest_steps, state.rest_from),
+            still_qpos=jnp.where(begins[:, None, None], state.qpos, state.still_qpos),
+            waits_since=jnp.where(begins, state.driven_from + worlds.profile_steps, state.waits_since),
+            quiet_steps=jnp.where(begins, 0, state.quiet_steps),
+            tremble_looks=jnp.where(begins, 0, state.tremble_looks),
+            metrics=metrics._replace(sway_anchor=anchor),
+        )
+
+    def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
+        """Whether a box is over a threshold now, or has dropped."""
+        limits = self.sim.thresholds
+        middles = motion.middles(state.qpos, worlds.middle)
+        shift = motion.shift(middles, worlds.target, limits.shift_floor_m, worlds.sinks)
+        tilt = motion.tilt_deg(state.qpos[..., 3:])
+        excess = motion.excess(shift, tilt, state.metrics.drop_step >= 0, limits)
+        return (self._placed(state) & (excess > 1)).any(-1)
+
+    def _is_lost(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
+        """Whether a box has dropped, or is tilted too far now and, in a drive, away by what it allows."""
+        tilted = motion.tilt_deg(state.qpos[..., 3:]) > self.sim.thresholds.tilt_deg
+        if self.driven:
+            tilted &= state.metrics.sway(motion.middles(state.qpos, worlds.middle)) >= worlds.allowed_sway[:, None]
+        return (self._placed(state) & (tilted | (state.metrics.drop_step >= 0))).any(-1)
+
+    def after_step(
+        self,
+        state: State,
+        worlds: Worlds,
+        seen_qpos: Float[Array, "world box 7"],
+        qacc: Float[Array, "world box 6"],
+        top_force: Float[Array, "world box"],
+        presses: Bool[Array, " world"],
+    ) -> State:
+        """Everything that happens between two steps.
+
+        Args:
+            state: poses, velocities and step counters as the step left them.
+            seen_qpos: poses at the beginning of the step, to which contacts and accelerations belong.
+            qacc: linear (m/s²) and angular (rad/s²) of each box in that step.
+            top_force: N. ``presses``: it counts, also in a step without a sample.
+        """
+        before, in_hand = state.running, hand.carried_worlds(state)
+        moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
+        values = jnp.concatenate([part.reshape(len(before), -1) for part in moving], -1)
+        nonfinite = before & ~(jnp.abs(values) < UNBELIEVABLE).all(-1)
+        state = self._sample(state, worlds, _SampleInputs(seen_qpos, qacc, top_force, presses), nonfinite)
+        state = state._replace(
+            steps_done=state.steps_done + (before & (state.step > 0)),
+            flags=state.flags | jnp.where(nonfinite, int(Flag.NONFINITE), 0),
+            status=jnp.where(nonfinite, Status.FINISHED, state.status),
+        )
+        state = self._look_at_the_end(self._proceed(state, worlds), worlds)
+        if self.carries:
+            state = hand.carry_on(state, worlds, state.running & in_hand, self.sim)
+            state = state._replace(placed=state.placed - (before & in_hand & ~state.running))
+        still_from = state.end - self.timetable.still_steps
+        still_from = jnp.maximum(still_from, state.driven_from if self.driven else 0)
+        here = state.running & (state.step == still_from)
+        return state._replace(still_qpos=jnp.where(here[:, None, None], state.qpos, state.still_qpos))
+
+    def _sample(self, state: State, worlds: Worlds, seen: _SampleInputs, nonfinite: Bool[Array, " world"]) -> State:
+        limits, m = self.sim.thresholds, state.metrics
+        counted = state.running & (state.step > 0) & ~nonfinite
+        sample = counted & (state.step % self.timetable.sample_every == 0)
+        last = counted & (state.step >= state.end)
+        resting = counted & (state.step > state.rest_from)
+        looks = self.driven and self.sim.waits_for_rest
+        look = counted & looks & (state.step % self.sim.quiet.poll_steps == 0) & ~sample
+        standing = self.judged(state)
+        sampled = standing & sample[:, None]
+        looked = standing & (sample | look | last)[:, None]
+        qpos = jnp.where(sample[:, None, None], seen.qpos, state.qpos)
+        pos, quat = motion.middles(qpos, worlds.middle), qpos[..., 3:]
+        tilt = motion.tilt_deg(quat)
+        dropped = looked & motion.has_dropped(pos, quat, worlds.half, limits)
+        shift = motion.shift(pos, worlds.target, limits.shift_floor_m, worlds.sinks)
+        excess = motion.excess(shift, tilt, dropped, limits)
+        excess = jnp.where(looked, excess, 0.0)
+        signs = (m.culprit < 0) & (excess.max(-1) > 1)
+        culprit = jnp.where(signs, excess.argmax(-1).astype(jnp.int32), m.culprit)
+        lin = jnp.sqrt((seen.qacc[..., :3] ** 2).sum(-1))
+        ang = jnp.sqrt((seen.qacc[..., 3:] ** 2).sum(-1))
+        violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
+        # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
+        # placement do not count, and a violent one is an explosion only if those that follow say the same.
+        landing = self.sim.quiet.landing_steps
+        counts = sample & (state.step - state.last_placed_at >= landing)
+        if self.carries:
+            counts &= ~hand.carried_worlds(state)
+        since = jnp.where(violent, jnp.minimum(state.violent_since, state.step), NEVER)
+        violent_since = jnp.where(counts, since, state.violent_since)
+        exploded = counts & violent & (state.step - since >= landing) & (not self.driven)
+
+        new_sample = Sample(
+            step=state.step,
+            pos=pos,
+            tilt=tilt,
+            lin_acc=lin,
+            ang_acc=ang,
+            top_force=seen.top_force,
+            dropped=dropped,
+            sampled=sampled,
+            presses=standing & (sample | (counted & seen.presses))[:, None],
+            tilts=standing & (sample | look)[:, None],
+            looked=looked,
+            rested=standing & resting[:, None],
+            rests=resting,
+        )
+        metrics = m.with_sample(new_sample, worlds, driven=self.driven)._replace(
+            culprit=culprit,
+            sign_step=jnp.where(signs, state.step, m.sign_step),
+            sign_placed=jnp.where(signs & (sample | look), state.placed, m.sign_placed),
+        )
+        tilted = looked & (tilt > limits.tilt_deg)
+        lost = dropped | (tilted & worlds.ends_when_lost[:, None])
+        if looks:
+            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # as found at an earlier look
+            lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
+        stopped = lost.any(-1) & self.sim.early_stop & ~last
+        flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
+        return state._replace(
+            metrics=metrics,
+            violent_since=violent_since,
+            flags=state.flags | flags,
+            status=jnp.where(stopped | exploded, Status.FINISHED, state.status),
+        )
+
+    def count_quiet(
+        self, state: State, worlds: Worlds, poll: Bool[Array, " world"], adapts: Bool[Array, " world"]
+    ) -> tuple[State, Bool[Array, " world"]]:
+        """In worlds with ``poll``, count the steps for which all boxes were quiet. If one creeps, start again.
+
+        A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps, and boxes that tremble
+        do not count; with such ones the count is 0 then. Which do is looked at where waits adapt.
+        """
+        quiet = self.sim.quiet
+        speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
+        if self.sim.waits_for_rest:
+            state = jitter.after_look(state, worlds, poll & adapts, speed, self.sim)
+        trembles = self.standing(state) & jitter.jitter_mask(state, self.sim)
+        speed = jnp.where(trembles, 0.0, speed)
+        count = jnp.where((speed < quiet.quiet_m_s).all(-1), state.quiet_steps + quiet.poll_steps, 0)
+        enough = poll & (count >= quiet.steps)
+        if not self.sim.waits_for_rest:
+            return state._replace(quiet_steps=jnp.where(poll, count, state.quiet_steps)), enough
+
+        at_begin = jnp.where((count <= quiet.poll_steps)[:, None], speed, state.quiet_speed)
+        creeps = (speed >= jnp.maximum(quiet.slow_m_s, quiet.slowing * at_begin)).any(-1)
+        faster = (speed > jnp.maximum(quiet.still_m_s, at_begin)).any(-1)
+        anew = enough & (creeps | faster) & ~state.metrics.has_failed(self.sim.thresholds)
+        count = jnp.where(anew, quiet.poll_steps, count)
+        at_begin = jnp.where(anew[:, None], speed, at_begin)
+        count = jnp.where(enough & ~anew & trembles.any(-1), 0, count)
+        counted = state._replace(
+            quiet_steps=jnp.where(poll, count, state.quiet_steps),
+            quiet_speed=jnp.where(poll[:, None], at_begin, state.quiet_speed),
+        )
+        return counted, enough & ~anew
+
+    def _proceed(self, state: State, worlds: Worlds) -> State:
+        """Place the next box, let the world settle, or let it come to rest."""
+        quiet, table = self.sim.quiet, self.timetable
+        more = (state.placed < worlds.n_boxes) & (not self.driven)
+        in_drive = self._rests_in_drive(state)
+        waits = state.running & (state.step > 0) & (more | (state.end == NEVER) | in_drive)
+        if self.carries:
+            waits &= ~hand.carried_worlds(state)
+        poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
+        adapts = self._adaptive | (state.waits_since > state.last_placed_at)
+        state, still = self.count_quiet(state, worlds, poll, adapts)
+        failed = state.metrics.has_failed(self.sim.thresholds)
+        enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
+        late = ~in_drive & (state.step >= self._deadline(state, worlds, more, adapts))
+        go = waits & (late | (still & adapts & enough))
+        # with a drive to come, and no look whether the pallet rests
+        settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
+        rests = go & ~more & ~settles
+        moves = (settles | (go & more)) & ~failed & (state.quiet_steps < quiet.steps)
+        rest_from = self.rest_from(state)
+        state = state._replace(
+            rest_from=jnp.where(rests, rest_from, state.rest_from),
+            end=jnp.where(rests, rest_from + table.rest_steps, state.end),
+            driven_from=jnp.where(settles, state.step, state.driven_from),
+            flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0),
+            status=jnp.where(settles, Status.SETTLED, state.status),
+        )
+        return self.place_next(state, worlds, go & more)
+
+    def rest_from(self, state: State) -> Int[Array, " world"]:
+        """The step after which the rest window of a world begins that is quiet now: its last box has landed by then, as
+        it has when a drive begins."""
+        if self.driven:
+            return state.step
+        return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
+
+    @property
+    def _adaptive(self) -> bool:
+        return self.sim.schedule is not Schedule.FIXED
+
+    @property
+    def _rests_first(self) -> bool:
+        """Whether a rest window, and a look at its end, come before a drive."""
+        return self._adaptive and self.sim.waits_for_rest
+
+    def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
+        """Whether quiet brings the end of a drive forward: if a rest window from here on is over when the last one
+        begins."""
+        early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
+        return early & (self.driven and self._rests_first)
+
+    def _deadline(
+        self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
+    ) -> Int[Array, " world"]:
+        """The latest step for the event that is waited for. A box that has failed ends patience, counted from the first
+        sign; so does a wait before a box that was in vain."""
+        sim, table = self.sim, self.timetable
+        hopeful = ~state.metrics.has_failed(sim.thresholds)
+        plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
+        patient = adapts & ~plain_static & sim.waits_for_rest
+        since = jnp.maximum(state.waits_since, jnp.where(patient, state.metrics.sign_step, -1))
+        if self.driven:
+            return jnp.where(patient & hopeful, self._longest_wait(state, worlds), since + table.due_steps)
+        due = jnp.asarray(table.due)[since]
+        due = jnp.where(plain_static, table.static_end, due)
+        settled = jnp.asarray(table.settled)[since]
+        if not self._adaptive:
+            settled = jnp.asarray(table.settled_nominally)[worlds.n_boxes]
+        due = jnp.where(~more & worlds.settles, settled, due)
+        restless = more & ((state.flags & int(Flag.MOVING)) != 0)
+        return jnp.where(patient & hopeful & ~restless, self._longest_wait(state, worlds), due)
+
+    def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
+        """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+        if self.driven:
+            return _drive_end(state, worlds) + self.timetable.longest_steps
+        return jnp.asarray(self.timetable.longest)[state.last_placed_at]
+
+    def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
+        """At the last step: a world that moves is waited for, if no box is lost or its drive may go on. One that rests
+        may begin its drive."""
+        sim, table = self.sim, self.timetable
+        ends = state.running & (state.step > 0) & (state.step >= state.end)
+        moved = motion.moved(state.still_qpos, state.qpos, worlds.half)
+        still_from = jnp.maximum(state.end - table.still_steps, state.driven_from if self.driven else 0)
+        seconds = (state.step - still_from) * sim.physics.timestep_s
+        trembles = jitter.jitter_mask(state, sim)
+        most = jnp.where(trembles, sim.quiet.slow_m_s, sim.quiet.still_m_s) * seconds[:, None]
+        standing = self.standing(state)
+        turns = sim.waits_for_rest & ~trembles & (motion.speed(state.qvel, worlds.half) > sim.quiet.still_m_s)
+        moves = (standing & (turns | (moved > sim.quiet.still_m_s * seconds[:, None]))).any(-1)
+        waits = (standing & (turns | (moved > most))).any(-1)
+        last_end = jnp.full_like(state.end, NEVER)
+        if self.driven:
+            drive_end = _drive_end(state, worlds)
+            last_end = jnp.where(state.step < drive_end, drive_end, NEVER)
+        moves, lost = ends & moves, self._is_lost(state, worlds)
+        limit = self._longest_wait(state, worlds)
+        if sim.check == "static" and not self.driven:
+            limit = jnp.where(worlds.settles, limit, table.static_end)
+        may_wait = sim.waits_for_rest and sim.total_time_factor is None
+        again = moves & waits & ((last_end != NEVER) | ~lost) & (state.step < limit) & may_wait
+        settles = ends & ~again & worlds.settles & (not self.driven)
+        finished = ends & ~again & ~settles
+        last_window = jnp.where(last_end == NEVER, NEVER, last_end - table.rest_steps)
+        return state._replace(
+            end=jnp.where(again, last_end, state.end),
+            rest_from=jnp.where(again, last_window, state.rest_from),
+            waits_since=jnp.where(again, state.step, state.waits_since),
+            quiet_steps=jnp.where(again, 0, state.quiet_steps),
+            driven_from=jnp.where(settles, state.step, state.driven_from),
+            flags=state.flags | jnp.where(moves & ~lost & ~again, int(Flag.MOVING), 0),
+            status=jnp.where(settles, Status.SETTLED, jnp.where(finished, Status.FINISHED, state.status)),
+            metrics=state.metrics.without_rest(again),
+        )

@@ -1,0 +1,173 @@
+"""Running metrics of boxes, of all worlds at a time: what is kept of samples, and what comes of it at the end.
+
+The twin of petmjx/engines/mujoco/running_metrics.py, and of petmjx/engines/warp/kernels/samples.py, which works on the
+same fields.
+Definitions: docs/metrics.md. Which boxes and steps count is the rules' matter (petmjx/engines/mjx/rules.py).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx import box_motion as motion
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.options.simulation import Thresholds
+
+
+class Sample(NamedTuple):
+    """What a look at boxes sees: middles, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on tops, N.
+
+    ``sampled`` are the boxes of which it is a sample, ``presses`` those whose forces count, ``tilts`` also those of a
+    look in a drive, ``looked`` also those of worlds that are at their end, ``rested`` those in a rest window, whose
+    steps ``rests`` counts.
+    """
+
+    step: Int[Array, " world"]
+    pos: Float[Array, "world box 3"]
+    tilt: Float[Array, "world box"]
+    lin_acc: Float[Array, "world box"]
+    ang_acc: Float[Array, "world box"]
+    top_force: Float[Array, "world box"]
+    dropped: Bool[Array, "world box"]
+    sampled: Bool[Array, "world box"]
+    presses: Bool[Array, "world box"]
+    tilts: Bool[Array, "world box"]
+    looked: Bool[Array, "world box"]
+    rested: Bool[Array, "world box"]
+    rests: Bool[Array, " world"]
+
+
+class Metrics(NamedTuple):
+    """Running statistics of boxes; over the samples since a box was placed, tilt and sway also over looks
+    in a drive. And the first sign."""
+
+    max_tilt: Float[Array, "world box"]
+    max_lin_acc: Float[Array, "world box"]
+    max_ang_acc: Float[Array, "world box"]
+    max_top_force: Float[Array, "world box"]
+    rest_force_sum: Float[Array, "world box"]
+    rest_samples: Int[Array, " world"]
+    drop_step: Int[Array, "world box"]
+    max_sway: Float[Array, "world box"]
+    sway_anchor: Float[Array, "world box 2"]
+    culprit: Int[Array, " world"]
+    sign_step: Int[Array, " world"]
+    sign_placed: Int[Array, " world"]
+
+    def with_sample(self, sample: Sample, worlds: Worlds, *, driven: bool) -> Metrics:
+        """With what was seen in a step; ``driven``: worlds are shaken. The first sign stays as it is."""
+
+        def largest(old: Array, new: Array, where: Array) -> Array:
+            return jnp.where(where, jnp.maximum(old, new), old)
+
+        max_sway = self.max_sway
+        if driven:
+            max_sway = largest(max_sway, self.sway(sample.pos), sample.looked)
+        return self._replace(
+            max_tilt=largest(self.max_tilt, sample.tilt, sample.tilts),
+            max_lin_acc=largest(self.max_lin_acc, sample.lin_acc, sample.sampled),
+            max_ang_acc=largest(self.max_ang_acc, sample.ang_acc, sample.sampled),
+            max_top_force=largest(self.max_top_force, sample.top_force, sample.presses),
+            rest_force_sum=self.rest_force_sum + jnp.where(sample.rested, sample.top_force, 0.0),
+            rest_samples=self.rest_samples + sample.rests,
+            drop_step=jnp.where(sample.dropped & (self.drop_step < 0), sample.step[:, None], self.drop_step),
+            max_sway=max_sway,
+        )
+
+    def sway(self, pos: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
+        """Horizontal distance of boxes from where they were when their drive began, m."""
+        return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
+
+    def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
+        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+        judged at rest, and may go back until then."""
+        failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
+        return (self.culprit >= 0) & failed.any(-1)
+
+    def without_rest(self, where: Bool[Array, " world"]) -> Metrics:
+        """Begin with another rest window."""
+        return self._replace(
+            rest_force_sum=jnp.where(where[:, None], 0.0, self.rest_force_sum),
+            rest_samples=jnp.where(where, 0, self.rest_samples),
+        )
+
+    def without_sign(self, where: Bool[Array, " world"]) -> Metrics:
+        """Forget the first sign."""
+        return self._replace(
+            culprit=jnp.where(where, -1, self.culprit),
+            sign_step=jnp.where(where, -1, self.sign_step),
+        )
+
+
+def no_metrics(n_worlds: int, n_boxes: int) -> Metrics:
+    """Of worlds in which nothing was measured."""
+    zeros, ints = jnp.zeros((n_worlds, n_boxes)), jnp.zeros(n_worlds, jnp.int32)
+    return Metrics(
+        max_tilt=zeros,
+        max_lin_acc=zeros,
+        max_ang_acc=zeros,
+        max_top_force=zeros,
+        rest_force_sum=zeros,
+        rest_samples=ints,
+        drop_step=jnp.full((n_worlds, n_boxes), -1, jnp.int32),
+        max_sway=zeros,
+        sway_anchor=jnp.zeros((n_worlds, n_boxes, 2)),
+        culprit=jnp.full(n_worlds, -1, jnp.int32),
+        sign_step=jnp.full(n_worlds, -1, jnp.int32),
+        sign_placed=ints,
+    )
+
+
+class RunMetrics(NamedTuple):
+    """Metrics of worlds that need the whole run."""
+
+    shift: Float[Array, "world box 3"]
+    max_tilt: Float[Array, "world box"]
+    max_top_force: Float[Array, "world box"]
+    rest_force: Float[Array, "world box"]
+
+
+def run_metrics(
+    metrics: Metrics,
+    qpos: Float[Array, "world box 7"],
+    worlds: Worlds,
+    placed: Bool[Array, "world box"],
+    ended: Bool[Array, " world"],
+    thresholds: Thresholds,
+) -> RunMetrics:
+    """Metrics that need the whole run, of the boxes that are placed, with their last poses. Only worlds that came to
+    their end have forces at rest."""
+    m = metrics
+    shift = motion.shift(motion.middles(qpos, worlds.middle), worlds.target, thresholds.shift_floor_m, worlds.sinks)
+    rested = (m.rest_samples > 0) & ended
+    mean = m.rest_force_sum / jnp.maximum(m.rest_samples, 1)[:, None]
+    tilt = jnp.where(placed, motion.tilt_deg(qpos[..., 3:]), 0.0)
+    return RunMetrics(
+        shift=jnp.where(placed[..., None], shift, 0.0),
+        max_tilt=jnp.fmax(m.max_tilt, tilt),
+        max_top_force=jnp.where(rested[:, None], jnp.maximum(m.max_top_force, mean), m.max_top_force),
+        rest_force=jnp.where(rested[:, None], mean, jnp.nan),
+    )
+
+
+def of_boxes(metrics: Metrics, measured: RunMetrics, row: int, n: int, driven: bool) -> dict[str, FloatArray]:
+    """Fields of ``petmjx.engines.metrics.BoxMetrics``: of the n boxes of the world in this row, from records on the
+    host. Poses and times, which need the scene and the clock, are not among them."""
+
+    def doubles(values: Any) -> FloatArray:
+        return np.asarray(values[row, :n], np.float64)
+
+    return {
+        "shift_m": doubles(measured.shift),
+        "max_tilt_deg": doubles(measured.max_tilt),
+        "max_lin_acc": doubles(metrics.max_lin_acc),
+        "max_ang_acc": doubles(metrics.max_ang_acc),
+        "max_top_force_n": doubles(measured.max_top_force),
+        "rest_top_force_n": doubles(measured.rest_force),
+        "max_sway_m": doubles(metrics.max_sway) if driven else np.full(n, np.nan),
+    }

@@ -1,0 +1,193 @@
+"""From scenes to rows of tables. Scenes that are alike are filled in together: one by one that took longer than a GPU's
+simulation of small worlds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.processes import on_threads
+from petmjx.engines.mjx.repeated_rows import MANY, MOST_THREADS, gather_rows
+from petmjx.options.simulation import Simulation
+from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, most_aside_m
+from petmjx.world.compliance import compliances, sinks_m
+from petmjx.world.film import film_of
+from petmjx.world.friction_pairs import filled_up, filled_up_landings
+from petmjx.world.history import CARRIER
+from petmjx.world.release_places import NOTHING, Release, release_of, releases_of
+from petmjx.world.scene import IDENTITY_QUAT, Scene
+from petmjx.world.stackable_scenes import stackable_groups, stacked_values
+
+Rows = dict[str, NDArray[Any]]
+"""Name of a field of ``batch.worlds.Worlds`` → a row for each scene."""
+
+
+def rows_of(
+    scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, spare: int = 0, ready: Rows | None = None
+) -> Rows:
+    """What the tables have of some scenes: the fields of ``batch.worlds.Worlds`` that do not belong to a job.
+
+    Args:
+        scenes: those that are there several times are filled in once.
+        width: box columns.
+        boards: shapes for which carriers have room; more where a scene's has more.
+        spare: rows more, which repeat the first scene's.
+        ready: the rows of the first of these scenes, made before with as many columns and no spare ones.
+    """
+    if ready is not None:
+        room = ready["shape_half"].shape[1] - width
+        rest = scenes[len(ready["n_boxes"]) :]
+        parts = [ready, rows_of(rest, width, sim, room)] if rest else [ready]
+        if boards <= room and all(part["shape_half"].shape[1] == room + width for part in parts):
+            return {name: joined_rows([part[name] for part in parts], spare) for name in ready}
+    distinct = list({id(scene): scene for scene in scenes}.values())
+    if len(distinct) == len(scenes):
+        return _rows_of_distinct(scenes, width, sim, boards, spare)
+    row_of = {id(scene): row for row, scene in enumerate(distinct)}
+    fan_out = np.array([row_of[id(scene)] for scene in scenes] + [0] * spare)
+    rows = _rows_of_distinct(distinct, width, sim, boards)
+    return dict(zip(rows, gather_rows(rows.values(), fan_out), strict=True))
+
+
+def joined_rows(parts: Sequence[NDArray[Any]], spare: int) -> NDArray[Any]:
+    """Rows one behind the other, and spare ones, which repeat the first."""
+    return np.concatenate([*parts, np.repeat(parts[0][:1], spare, axis=0)])
+
+
+def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
+    """``rows_of`` scenes that are all different."""
+    boards = max(boards, *(_n_shapes(scene) - scene.n_boxes for scene in scenes))
+    n = len(scenes)
+    rows = _empty(n + spare, width, boards)
+    for name, values in _scene_values(scenes).items():
+        rows[name] = np.empty((n + spare, *values.shape[1:]), values.dtype)
+        rows[name][:n] = values
+
+    def put(group: tuple[list[int], bool]) -> None:
+        numbers, plain = group
+        some = [scenes[number] for number in numbers]
+        if plain:
+            release, course = releases_of(some, sim), approach_paths_of(some, sim)
+            _put_plain(rows, np.array(numbers), some, release, course)
+        else:
+            _put(rows, numbers[0], some[0], sim)
+
+    on_threads(put, [*stackable_groups(scenes)], MOST_THREADS if n >= MANY else 1)
+    for values in rows.values():
+        values[n:] = values[0]
+    return rows
+
+
+def _n_shapes(scene: Scene) -> int:
+    return len(scene.shapes.body) if scene.pieces else scene.n_boxes + len(scene.carrier.half_size)
+
+
+def _empty(n: int, width: int, boards: int) -> Rows:
+    """Rows without boxes."""
+    start = np.zeros((n, width, 7), np.float32)
+    start[:, :, 3:] = IDENTITY_QUAT
+    shapes = boards + width
+    return {
+        "half": np.full((n, width, 3), 0.1, np.float32),
+        "middle": np.zeros((n, width, 3), np.float32),
+        "target": np.zeros((n, width, 3), np.float32),
+        "start": start,
+        "support": np.full((n, width), NOTHING, np.int32),
+        "sinks": np.zeros((n, width), np.float32),
+        "most_followed": np.zeros(n, np.float32),
+        "mass": np.ones((n, width + 1), np.float32),
+        "inertia_box": np.full((n, width + 1, 3), 0.1, np.float32),
+        "first_shape": np.tile(np.arange(width + 2, dtype=np.int32), (n, 1)),
+        "shape_body": np.zeros((n, shapes), np.int32),
+        "shape_half": np.full((n, shapes, 3), 0.1, np.float32),
+        "shape_pos": np.zeros((n, shapes, 3), np.float32),
+        "friction": np.ones((n, shapes, 3), np.float32),
+        "shape_surface": np.zeros((n, shapes), np.int32),
+        "shape_give": np.zeros((n, shapes), np.float32),
+        "appears": np.ones(n, np.bool_),
+        "way_offset": np.zeros((n, width, 3), np.float32),
+        "way_steps": np.zeros((n, width), np.int32),
+        "falls": np.zeros((n, width), np.bool_),
+        "wrap_press": np.zeros((n, width, 3), np.float32),
+        "wrap_hold": np.zeros((n, width), np.float32),
+    }
+
+
+def _scene_values(scenes: Sequence[Scene]) -> Rows:
+    """What has one value a scene."""
+    of_placing = {id(scene.placing): scene.placing for scene in scenes}
+    aside = {key: most_aside_m(placing) for key, placing in of_placing.items()}
+    return {
+        "n_boxes": stacked_values(scenes, "n_boxes").astype(np.int32),
+        "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),
+        "floor_friction": stacked_values(scenes, "floor_friction").astype(np.float32),
+        "pair_friction": np.array([filled_up(scene.pair_friction) for scene in scenes]).astype(np.float32),
+        "pair_landing": np.array([filled_up_landings(scene.pair_landing) for scene in scenes]).astype(np.float32),
+        "floor_z": stacked_values(scenes, "floor_z").astype(np.float32),
+        "hand_force": stacked_values(scenes, "placing.force_n").astype(np.float32),
+        "hand_speed": stacked_values(scenes, "placing.speed_m_s").astype(np.float32),
+        "hand_aside": np.array([aside[id(scene.placing)] for scene in scenes]).astype(np.float32),
+    }
+
+
+def _put_plain(
+    rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, course: ApproachPath | None
+) -> None:
+    """Fill in plain scenes that are alike."""
+    k, s = scenes[0].n_boxes, len(scenes[0].carrier.half_size)
+    half = stacked_values(scenes, "half_size")
+    quat, place = stacked_values(scenes, "start_quat"), release.pos
+    rows["half"][at, :k], rows["target"][at, :k] = half, stacked_values(scenes, "target")
+    if course is not None:
+        place, quat, rows["appears"][at] = place + course.lift, course.quat, False
+        rows["way_offset"][at, :k], rows["way_steps"][at, :k] = course.offset, course.steps
+        rows["falls"][at, :k] = course.falls
+    rows["start"][at, :k, :3], rows["start"][at, :k, 3:] = place, quat
+    if scenes[0].wrap.holds:
+        for row, scene in zip(at.tolist(), scenes, strict=True):
+            rows["wrap_press"][row, :k], rows["wrap_hold"][row, :k] = film_of(scene)
+    rows["support"][at, :k], rows["most_followed"][at] = release.support, release.most_followed_m
+    rows["mass"][at, 0] = stacked_values(scenes, "carrier.mass")
+    rows["mass"][at, 1 : k + 1] = stacked_values(scenes, "mass")
+    rows["inertia_box"][at, 0] = stacked_values(scenes, "carrier.inertia_box")
+    rows["inertia_box"][at, 1 : k + 1] = half
+    rows["first_shape"][at, 1:] += s - 1
+    rows["shape_body"][at, s : s + k] = np.arange(1, k + 1)
+    for name, of_carrier, of_boxes in (
+        ("shape_half", "half_size", half),
+        ("shape_pos", "shape_pos", 0.0),
+        ("friction", "friction", stacked_values(scenes, "friction")),
+    ):
+        rows[name][at, :s] = stacked_values(scenes, f"carrier.{of_carrier}")
+        rows[name][at, s : s + k] = of_boxes
+
+
+def _put(rows: Rows, row: int, scene: Scene, sim: Simulation) -> None:
+    """Fill in any scene."""
+    k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
+    rows["half"][row, :k], rows["middle"][row, :k] = scene.half_size, scene.middle
+    rows["target"][row, :k] = scene.target
+    place, quat, course = release.pos, scene.start_quat, approach_path_of(scene, sim)
+    if course is not None:
+        place, quat, rows["appears"][row] = place + course.lift, course.quat, False
+        rows["way_offset"][row, :k], rows["way_steps"][row, :k] = course.offset, course.steps
+        rows["falls"][row, :k] = course.falls
+    rows["start"][row, :k, :3], rows["start"][row, :k, 3:] = scene.frames(place, quat), quat
+    if scene.wrap.holds:
+        rows["wrap_press"][row, :k], rows["wrap_hold"][row, :k] = film_of(scene)
+    rows["support"][row, :k], rows["most_followed"][row] = release.support, release.most_followed_m
+    rows["mass"][row, : k + 1] = np.append(scene.carrier.mass, scene.mass)
+    rows["inertia_box"][row, : k + 1] = scene.inertia_boxes
+    s, width = len(shapes.body), rows["half"].shape[1]
+    more_shapes = np.bincount(shapes.body - CARRIER, minlength=width + 1) - 1
+    rows["first_shape"][row, 1 : k + 2] += np.cumsum(more_shapes[: k + 1])
+    rows["first_shape"][row, k + 2 :] += more_shapes[: k + 1].sum()
+    rows["shape_body"][row, :s], rows["shape_half"][row, :s] = shapes.body - CARRIER, shapes.half_size
+    rows["shape_pos"][row, :s], rows["friction"][row, :s] = shapes.pos, shapes.friction
+    rows["shape_surface"][row, :s] = shapes.surface
+    if scene.stiffness is not None:
+        rows["sinks"][row, :k] = sinks_m(scene, sim.physics.gravity_m_s2)
+        rows["shape_give"][row, :s] = np.append(compliances(scene.stiffness, scene.half_size), 0.0)[shapes.body]

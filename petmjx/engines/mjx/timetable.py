@@ -1,0 +1,99 @@
+"""Times of a run as whole steps, the same steps as in the reference implementation.
+
+MuJoCo's clock is a float64 running sum of the timestep, and events happen after the first step at which
+``time − earlier time ≥ interval``. The batched engines count steps in integers; these tables carry the
+float64 comparisons over.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float64, Int32
+
+from petmjx.common.units import seconds_to_steps
+from petmjx.options.simulation import Check, Simulation
+from petmjx.world.approach_paths import MOST_STUCK_S, MOST_WAY_S
+
+KEPT: Final = 8
+"""Timetables that are kept: each has up to 20 bytes a step, 25 MB for 250 boxes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timetable:
+    """Step numbers of a run; ``clock[s]`` is the time after step s, s (seconds).
+
+    Attributes:
+        clock: time after each step, s.
+        due: after a wait of ``interval_s`` that began after step s it is step ``due[s]``.
+        longest: the same of ``longest_wait_s``.
+        settled: the same of ``settle_s``, from the beginning of time on.
+        settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule: the
+            reference counts from the nominal moment of the last placement, which rounding to steps puts a little later.
+        sample_every, rest_steps: steps between two samples, and in the rest window.
+        still_steps: steps before a world's end for which boxes must be still.
+        due_steps, longest_steps: as ``due`` and ``longest``, after a drive, where waits are counted in steps.
+        one_by_one_end: last step of the fixed one-by-one check by number of boxes; static_end: of the static one.
+    """
+
+    clock: Float64[np.ndarray, " step"]
+    due: Int32[np.ndarray, " step"]
+    longest: Int32[np.ndarray, " step"]
+    settled: Int32[np.ndarray, " step"]
+    settled_nominally: Int32[np.ndarray, " n_boxes"]
+    sample_every: int
+    rest_steps: int
+    still_steps: int
+    due_steps: int
+    longest_steps: int
+    one_by_one_end: Int32[np.ndarray, " n_boxes"]
+    static_end: int
+
+
+@functools.lru_cache(KEPT)
+def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
+    """Tables long enough for the placement of ``max_boxes`` boxes, settling included. Kept: do not change them."""
+    dt = sim.physics.timestep_s
+    wait_s = max(sim.interval_s, sim.longest_wait_s)
+    # a wait takes whole steps, and the clock's rounding may make it one more
+    waits = 2 if sim.check is Check.STATIC else max_boxes + 2
+    if sim.may_carry:
+        wait_s += MOST_WAY_S + 2 * MOST_STUCK_S
+    n = waits * (seconds_to_steps(wait_s, dt) + 2) + seconds_to_steps(sim.settle_s, dt) + 4
+    n += seconds_to_steps(sim.duration_s, dt) if sim.check is Check.STATIC else 0
+    clock = np.concatenate([[0.0], np.cumsum(np.full(n, dt))])
+    placing_s = 0.0 if sim.check is Check.STATIC else sim.interval_s
+    nominal = [seconds_to_steps(k * placing_s + sim.settle_s, dt) for k in range(max_boxes + 1)]
+    ends = [seconds_to_steps((k + 1) * sim.interval_s, dt) for k in range(max_boxes + 1)]
+    rest_steps = max(1, seconds_to_steps(sim.rest_window_s, dt))
+    return Timetable(
+        clock=clock,
+        due=_after(clock, sim.interval_s, dt),
+        longest=_after(clock, sim.longest_wait_s, dt),
+        settled=((clock + sim.settle_s) / dt).astype(np.int32),
+        settled_nominally=np.array(nominal, np.int32),
+        sample_every=max(1, seconds_to_steps(sim.sample_interval_s, dt)),
+        rest_steps=rest_steps,
+        still_steps=min(rest_steps, sim.quiet.still_steps),
+        due_steps=seconds_to_steps(sim.interval_s, dt),
+        longest_steps=seconds_to_steps(sim.longest_wait_s, dt),
+        one_by_one_end=np.array(ends, np.int32),
+        static_end=seconds_to_steps(sim.duration_s, dt),
+    )
+
+
+def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
+    """For each step, the first step that is at least ``wait_s`` later; beyond the end of the tables, one more."""
+    n = len(clock) - 1
+    # searchsorted compares a time with (earlier time + wait), which rounds differently from the difference of times in
+    # the rule. So its answer is corrected with the comparison of the rule.
+    after = np.searchsorted(clock, clock + wait_s - timestep_s / 2).astype(np.int64)
+    for _ in range(2):
+        inside = np.minimum(after, n)
+        after = np.where((clock[np.maximum(inside - 1, 0)] - clock >= wait_s) & (inside > 0), inside - 1, after)
+        inside = np.minimum(after, n)
+        after = np.where((clock[inside] - clock < wait_s) & (after <= n), after + 1, after)
+    return after.astype(np.int32)

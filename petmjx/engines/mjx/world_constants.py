@@ -1,0 +1,151 @@
+"""What is constant about worlds, on the device: tables with a row a world, made of jobs.
+
+Box columns are padded to the same number. Axes are named in ``petmjx.engines.mjx``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.common.units import seconds_to_steps
+from petmjx.engines.mjx.scene_rows import Rows, joined_rows, rows_of
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
+
+
+class Worlds(NamedTuple):
+    """Constants of worlds.
+
+    Body 0 is the carrier, and box k is body k + 1. The shapes of body b are from ``first_shape[b]`` on, in the order of
+    bodies, and ``shape_body`` says whose each is. ``half`` and ``middle`` are the boxes' half extents and their middles
+    in their frames; ``inertia_box`` is as in ``petmjx.world.body_shapes.Body``. ``floor_friction`` and ``friction``:
+    sliding, torsional and rolling coefficients; ``shape_surface``, ``pair_friction`` and ``pair_landing``:
+    petmjx/world/friction_pairs.py; ``shape_give``, m³/N, and ``sinks``, how far boxes are meant to come down:
+    petmjx/world/compliance.py. ``drive_yaw`` is (cos, sin); ``profile_steps`` counts the drive's samples, and
+    ``drive_steps`` goes on to the world's end, if it does not rest before. ``driven``: a drive follows; ``held``: it
+    holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
+    ``ends_when_lost``: ``has_errors`` of ``petmjx.world.job.Job``. ``allowed_sway``, m: that of its drive. ``pauses``:
+    when its boxes rest the world waits for more (petmjx/engines/open_worlds.py). ``start`` is where a box is released
+    if its ``support``, which it follows by ``most_followed``, m, is where the plan has it
+    (petmjx/world/release_places.py). ``appears``: all boxes begin there. Else they begin by ``way_offset`` from there,
+    for a way of ``way_steps``, or 0 if they fall; at its end those that are not let go to fall are set down
+    (petmjx/world/approach_paths.py). ``hand_force``, N, ``hand_speed``, m/s, and ``hand_aside``, m, are what a hand may
+    do; ``wrap_press`` and ``wrap_hold``, N, what film does (petmjx/world/film.py).
+    """
+
+    n_boxes: Int[Array, " world"]
+    half: Float[Array, "world box 3"]
+    middle: Float[Array, "world box 3"]
+    target: Float[Array, "world box 3"]
+    start: Float[Array, "world box 7"]
+    support: Int[Array, "world box"]
+    sinks: Float[Array, "world box"]
+    most_followed: Float[Array, " world"]
+    carrier_pos: Float[Array, "world 3"]
+    mass: Float[Array, "world body"]
+    inertia_box: Float[Array, "world body 3"]
+    first_shape: Int[Array, "world body_end"]
+    shape_body: Int[Array, "world shape"]
+    shape_half: Float[Array, "world shape 3"]
+    shape_pos: Float[Array, "world shape 3"]
+    friction: Float[Array, "world shape 3"]
+    floor_friction: Float[Array, "world 3"]
+    shape_surface: Int[Array, "world shape"]
+    shape_give: Float[Array, "world shape"]
+    pair_friction: Float[Array, "world surface surface"]
+    pair_landing: Float[Array, "world surface surface 2"]
+    floor_z: Float[Array, " world"]
+    profile: Int[Array, " world"]
+    drive_scale: Float[Array, " world"]
+    drive_yaw: Float[Array, "world 2"]
+    profile_steps: Int[Array, " world"]
+    drive_steps: Int[Array, " world"]
+    driven: Bool[Array, " world"]
+    held: Bool[Array, " world"]
+    settles: Bool[Array, " world"]
+    ends_when_lost: Bool[Array, " world"]
+    allowed_sway: Float[Array, " world"]
+    pauses: Bool[Array, " world"]
+    appears: Bool[Array, " world"]
+    way_offset: Float[Array, "world box 3"]
+    way_steps: Int[Array, "world box"]
+    falls: Bool[Array, "world box"]
+    hand_force: Float[Array, " world"]
+    hand_speed: Float[Array, " world"]
+    hand_aside: Float[Array, " world"]
+    wrap_press: Float[Array, "world box 3"]
+    wrap_hold: Float[Array, "world box"]
+
+
+def device_array(values: NDArray[Any]) -> jax.Array:
+    """An array on the device. On a CPU it may share the memory of ``values``, which must not change any more.
+
+    ``jnp.asarray`` would compile a program for each shape.
+    """
+    array: jax.Array = jax.device_put(values)
+    return array
+
+
+def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
+    """As ``device_array``: many arrays in one call, which takes half of the time."""
+    uploads: list[jax.Array] = jax.device_put([*arrays])
+    return uploads
+
+
+def upload_worlds(
+    jobs: Sequence[Job],
+    rows: int,
+    width: int,
+    profiles: dict[int, int],
+    sim: Simulation,
+    boards: int = 1,
+    ready: Rows | None = None,
+) -> Worlds:
+    """Constants of a group of jobs as device arrays. Everything is made on the host: on a device each operation of each
+    shape would first have to be compiled.
+
+    Args:
+        rows: at least one a job; those beyond repeat the first job's scene and are never run.
+        width: box columns.
+        profiles: ``id`` of an excitation → its row in the profile table.
+        boards: shapes for which carriers have room; more where a scene's has more.
+        ready: what has been made before, as for ``rows_of``.
+    """
+    spare = rows - len(jobs)
+    of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare, ready)
+    of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
+    of_jobs = {name: joined_rows([values], spare) for name, values in of_jobs.items()}
+    made = of_scenes | of_jobs | {"pauses": np.zeros(rows, np.bool_)}
+    return Worlds(**dict(zip(made, device_arrays(made.values()), strict=True)))
+
+
+_NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
+
+
+def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
+    """What the tables have of some jobs beside their scenes, without ``pauses``."""
+    drives = [job.drive or _NO_DRIVE for job in jobs]
+    profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
+    profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)
+    rest_steps = np.array([seconds_to_steps(drive.rest_s, timestep_s) for drive in drives], np.int32)
+    scales = [drive.scale * drive.unit(job.scene.total_mass) for drive, job in zip(drives, jobs, strict=True)]
+    yaws = [drive.yaw_rad for drive in drives]
+    return {
+        "profile": np.array([profiles[id(drive.excitation)] for drive in drives], np.int32),
+        "drive_scale": np.array(scales, np.float32),
+        "drive_yaw": np.array([(math.cos(yaw), math.sin(yaw)) for yaw in yaws], np.float32),
+        "profile_steps": profile_steps,
+        "drive_steps": profile_steps + rest_steps,
+        "driven": np.array([job.drive is not None for job in jobs]),
+        "held": np.array([drive.excitation.kind == ACCELERATION for drive in drives]),
+        "settles": np.array([job.settles for job in jobs]),
+        "ends_when_lost": np.array([job.has_errors for job in jobs]),
+        "allowed_sway": np.array([drive.allowed_sway_m for drive in drives], np.float32),
+    }

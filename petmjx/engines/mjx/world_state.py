@@ -1,0 +1,222 @@
+"""The states of worlds on the device, from step to step: tables with the rows and columns of ``worlds.Worlds``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, NamedTuple, TypeVar, get_type_hints
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.engines.mjx.running_metrics import Metrics, no_metrics
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.options.simulation import SOFT_START_STEPS
+from petmjx.world.scene import IDENTITY_QUAT
+
+NEVER = np.iinfo(np.int32).max
+"""A step that is never reached: an end that is not known yet."""
+
+SOFT_START_BEGIN = -2 * SOFT_START_STEPS
+"""Step counter of a fresh world: the soft start's steps come before step 0."""
+
+
+class Status:
+    """Where a world is. Plain integers, because they live in device arrays."""
+
+    RUNNING = 0
+    SETTLED = 2
+    """Placement is over, and the pallet has come to rest. A drive may follow."""
+    FINISHED = 3
+    OVERFLOWED = 4
+    """On mjx-warp: a buffer is too small for the next step."""
+    PAUSED = 5
+    """All boxes of an open world are placed and rest, and more may come."""
+
+
+class State(NamedTuple):
+    """The state of worlds between two steps. Steps are counted from the end of the soft start."""
+
+    # As MuJoCo's arrays of free bodies, boxes and carrier apart: positions, velocities, the accelerations of the last
+    # step, and those from which mjx-warp's solver starts in the next one. Other solvers start from the last step's.
+    qpos: Float[Array, "world box 7"]
+    qvel: Float[Array, "world box 6"]
+    qacc: Float[Array, "world box 6"]
+    qacc_warmstart: Float[Array, "world box 6"]
+    carrier_qpos: Float[Array, "world 7"]
+    carrier_qvel: Float[Array, "world 6"]
+    carrier_qacc: Float[Array, "world 6"]
+    carrier_qacc_warmstart: Float[Array, "world 6"]
+
+    # Where bodies stand in the system of equations, for a solver that orders them (mjx-warp): a permutation of those
+    # that are placed, in which a box that is placed comes last.
+    position: Int[Array, "world box"]
+    carrier_position: Int[Array, " world"]
+
+    # Placing: the last step taken, how many boxes are placed, and the step after which the last one was.
+    step: Int[Array, " world"]
+    placed: Int[Array, " world"]
+    last_placed_at: Int[Array, " world"]
+
+    # Carrying: the steps after which a hand took up the last of these boxes, and began to set it down, or NEVER; the
+    # steps and the ends of its way, where the origin of the box's frame is.
+    carried_from: Int[Array, " world"]
+    lowered_from: Int[Array, " world"]
+    carried_steps: Int[Array, " world"]
+    way_begin: Float[Array, "world 3"]
+    way_end: Float[Array, "world 3"]
+
+    # Landing: steps for which a box counts as landing, and its velocity before it touched.
+    landing_left: Int[Array, "world box"]
+    landing_qvel: Float[Array, "world box 6"]
+
+    # Film: where boxes were when it was put around them, and from where it holds them, less the carrier's place.
+    film_home: Float[Array, "world box 3"]
+    film_anchor: Float[Array, "world box 3"]
+
+    # For the rules: the step after which the wait for the next event began, steps for which all boxes have been quiet,
+    # their speed at the first of these, and the first of consecutive violent samples.
+    waits_since: Int[Array, " world"]
+    quiet_steps: Int[Array, " world"]
+    quiet_speed: Float[Array, "world box"]
+    violent_since: Int[Array, " world"]
+
+    # Looks for trembling since the last placement, which boxes tremble (1), and since this was last found out: the way
+    # that each has gone, how far it has been from where it was, m, and where that was.
+    tremble_looks: Int[Array, " world"]
+    trembles: Int[Array, "world box"]
+    tremble_path: Float[Array, "world box"]
+    tremble_away: Float[Array, "world box"]
+    tremble_qpos: Float[Array, "world box 7"]
+
+    # What follows, as steps or NEVER: when the drive starts, the rest window starts, and the world ends. And the poses
+    # shortly before the end, from which on boxes must be still.
+    driven_from: Int[Array, " world"]
+    rest_from: Int[Array, " world"]
+    end: Int[Array, " world"]
+    still_qpos: Float[Array, "world box 7"]
+    status: Int[Array, " world"]
+
+    # For the outcome: bits of Flag, steps simulated in this run of jobs, and what was measured.
+    flags: Int[Array, " world"]
+    steps_done: Int[Array, " world"]
+    metrics: Metrics
+
+    # Force on each box's top in the step after which the world paused, N.
+    top_force: Float[Array, "world box"]
+
+    @property
+    def running(self) -> Bool[Array, " world"]:
+        return self.status == Status.RUNNING
+
+    def flat(self) -> dict[str, Array]:
+        """All arrays by name, those of the metrics among them: what mjx-warp's kernels take."""
+        arrays: dict[str, Array] = self._asdict() | self.metrics._asdict()
+        del arrays["metrics"]
+        return arrays
+
+
+def of_flat(arrays: Mapping[str, Array]) -> State:
+    """States whose arrays ``State.flat`` has given."""
+    metrics = Metrics(**{name: arrays[name] for name in Metrics._fields})
+    return State(**{name: arrays[name] for name in State._fields if name != "metrics"}, metrics=metrics)
+
+
+Record = TypeVar("Record", bound=tuple[Any, ...])
+
+
+def per_box(record: type[Any]) -> tuple[str, ...]:
+    """Names of a record's fields whose second axis is ``box``, from their annotations."""
+    shapes = {name: getattr(kind, "dim_str", "") for name, kind in get_type_hints(record).items()}
+    return tuple(name for name, shape in shapes.items() if shape.split()[1:2] == ["box"])
+
+
+def narrow(state: State, capacity: int) -> State:
+    """States with columns for the first ``capacity`` boxes."""
+
+    def cut(record: State | Metrics) -> dict[str, Any]:
+        return {name: getattr(record, name)[:, :capacity] for name in per_box(type(record))}
+
+    return state._replace(**cut(state), metrics=state.metrics._replace(**cut(state.metrics)))
+
+
+def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
+    """Write records into rows of a table. Rows beyond its end are dropped."""
+    written: Record = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), table, values)
+    return written
+
+
+def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
+    """As ``put_rows``, with states that have columns for more boxes than the table, which are dropped, or for fewer:
+    then the others stay as they are in the table."""
+
+    def write(old: Array, new: Array) -> Array:
+        columns = tuple(slice(min(sizes)) for sizes in zip(old.shape[1:], new.shape[1:], strict=True))
+        return old.at[(rows, *columns)].set(new[(slice(None), *columns)], mode="drop")
+
+    written: State = jax.tree.map(write, table, values)
+    return written
+
+
+def take_rows(record: Record, rows: Int[Array, " row"]) -> Record:
+    """Rows of a record, in order; out-of-range rows give some valid row."""
+    selected: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
+    return selected
+
+
+@partial(jax.jit, static_argnames=("all_placed", "rest_steps"))
+def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"], rest_steps: int) -> State:
+    """States before the soft start.
+
+    Args:
+        all_placed: static check; every box stands at its release pose from the start.
+        ends: the last step, where it is known in advance (fixed schedule); else NEVER.
+    """
+    n, width = worlds.n_boxes.shape[0], worlds.half.shape[1]
+    zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)
+    never = jnp.full(n, NEVER, jnp.int32)
+    upright = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (n, 4))
+    return State(
+        qpos=worlds.start,
+        qvel=jnp.zeros((n, width, 6)),
+        qacc=jnp.zeros((n, width, 6)),
+        qacc_warmstart=jnp.zeros((n, width, 6)),
+        carrier_qpos=jnp.concatenate([worlds.carrier_pos, upright], axis=-1),
+        carrier_qvel=jnp.zeros((n, 6)),
+        carrier_qacc=jnp.zeros((n, 6)),
+        carrier_qacc_warmstart=jnp.zeros((n, 6)),
+        position=jnp.broadcast_to(jnp.arange(1, width + 1, dtype=jnp.int32), (n, width)),
+        carrier_position=ints,
+        step=jnp.full(n, SOFT_START_BEGIN, jnp.int32),
+        placed=worlds.n_boxes if all_placed else ints,
+        last_placed_at=ints,
+        carried_from=never,
+        lowered_from=never,
+        carried_steps=ints,
+        way_begin=jnp.zeros((n, 3)),
+        way_end=jnp.zeros((n, 3)),
+        landing_left=jnp.zeros((n, width), jnp.int32),
+        landing_qvel=jnp.zeros((n, width, 6)),
+        film_home=jnp.zeros_like(worlds.half),
+        film_anchor=jnp.zeros_like(worlds.half),
+        waits_since=ints,
+        quiet_steps=ints,
+        quiet_speed=zeros,
+        violent_since=never,
+        tremble_looks=ints,
+        trembles=jnp.zeros((n, width), jnp.int32),
+        tremble_path=zeros,
+        tremble_away=zeros,
+        tremble_qpos=worlds.start,
+        driven_from=never,
+        rest_from=jnp.where(ends == NEVER, NEVER, ends - rest_steps),
+        end=ends,
+        still_qpos=worlds.start,
+        status=ints,
+        flags=ints,
+        steps_done=ints,
+        metrics=no_metrics(n, width),
+        top_force=zeros,
+    )

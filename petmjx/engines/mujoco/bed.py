@@ -1,0 +1,302 @@
+"""Faces of boxes that give, pressed on one another, in MuJoCo's data. The law: petmjx/world/compliance.py."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.options.physics import Physics
+from petmjx.world.compliance import (
+    EDGE_SHARE,
+    FACE_COSINE,
+    LEAST_SHARE,
+    OUTWARD,
+    POINTS_PER_BED,
+    compliances,
+    spring_laws,
+)
+from petmjx.world.scene import Scene
+
+PARALLEL: Final = 1e-6
+"""Sine below which two edges are parallel; their distance is then that at their middles."""
+
+_LEVEL: Final = 1e-12
+"""Slope below which depth is the same everywhere."""
+
+_FAR_M: Final = 1e3
+"""How far off the line of depth 0 then is."""
+
+_LEAST_MOMENT_M2: Final = 1e-18
+"""Second moment below which an area is a line."""
+
+_TRUE: Final = np.ones(1, bool)
+_Y: Final = np.array([0.0, 1.0, 0.0])
+_Z: Final = np.array([0.0, 0.0, 1.0])
+_EAST: Final = np.array([1.0, 0.0, 0.0])
+_NEXT: Final = [1, 2, 0]
+_LAST: Final = [2, 0, 1]
+_FACES: Final = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
+"""The axis of a face, and those of its edges."""
+_SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
+_ASIDE: Final = np.array([1.0, -1.0])
+_WAYS: Final = np.array([-1.0, 1.0])
+_LATER: Final = np.tri(9, k=-1, dtype=bool)
+_FIELDS: Final = (
+    "dist",
+    "pos",
+    "frame",
+    "includemargin",
+    "friction",
+    "solref",
+    "solreffriction",
+    "solimp",
+    "mu",
+    "H",
+    "dim",
+    "geom1",
+    "geom2",
+    "geom",
+    "flex",
+    "elem",
+    "vert",
+    "exclude",
+    "efc_address",
+)
+"""Of a contact in MuJoCo's data."""
+
+
+class Beds:
+    """Puts contacts of faces of boxes that give in the places where they have the forces and moments of a bed.
+
+    Args:
+        bodies: (ngeom,) of the geoms, as ``petmjx.world.mujoco_model.geom_bodies`` gives them.
+    """
+
+    def __init__(self, scene: Scene, physics: Physics, model: mujoco.MjModel, bodies: NDArray[np.intp]) -> None:
+        assert scene.stiffness is not None
+        self._physics = physics
+        self._give = np.append(compliances(scene.stiffness, scene.half_size), [0.0, 0.0])[bodies]  # FLOOR, CARRIER
+        self._inverse: FloatArray = model.body_invweight0[model.geom_bodyid, 0]
+        self._half: FloatArray = model.geom_size + model.geom_margin[:, None]  # without skin
+        self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
+
+    def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """As ``mj_step1``, to the last bit but for the beds."""
+        mujoco.mj_checkPos(model, data)
+        mujoco.mj_checkVel(model, data)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_factorM(model, data)
+        mujoco.mj_collision(model, data)
+        self.press(model, data)
+        mujoco.mj_makeConstraint(model, data)
+        mujoco.mj_island(model, data)
+        mujoco.mj_projectConstraint(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+
+    def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Replace the collider's contacts of faces, one of which gives, by those of a bed."""
+        count = data.ncon
+        if not count:
+            return
+        geom = data.contact.geom
+        # the collider gives a pair's contacts one after the other
+        begin = np.flatnonzero(np.concatenate([_TRUE, (geom[1:] != geom[:-1]).any(axis=1)]))
+        length = np.diff(begin, append=count)
+        one, two = geom[begin].T
+        give = self._give[one] + self._give[two]
+        concerned = (give > 0) & ~self._plane[one] & ~self._plane[two]
+        if not concerned.any():
+            return
+        begin, length, one, two, give = (values[concerned] for values in (begin, length, one, two, give))
+        flat, normal, points, depth, area, least = face_pressure(
+            data.geom_xpos, data.geom_xmat, self._half, one, two, data.contact.frame[begin, :3]
+        )
+        spring = np.maximum(area, least) / give / POINTS_PER_BED
+        solref, impedance = spring_laws(self._physics, spring, self._inverse[one] + self._inverse[two])
+        beds = np.arange(len(begin))
+        if not ((length == POINTS_PER_BED) & flat & (area > 0)).all():
+            beds = np.flatnonzero(flat & (area > 0))
+            repeats = np.ones(count, np.intp)
+            for first, contacts, is_bed, some in zip(begin, length, flat, area > 0, strict=True):
+                if is_bed:
+                    repeats[first : first + contacts] = 0
+                    repeats[first] = POINTS_PER_BED * some
+            if not _take(model, data, np.repeat(np.arange(count), repeats)):
+                return  # MuJoCo counts it as a warning, and the world overflows
+            begin = (np.cumsum(repeats) - repeats)[begin[beds]]
+        rows, contact = begin[:, None] + np.arange(POINTS_PER_BED), data.contact
+        contact.pos[rows] = points[beds]
+        contact.dist[rows] = contact.includemargin[rows] - depth[beds]
+        contact.frame[rows] = frames(normal)[beds, None]
+        contact.solref[rows] = solref[beds, None]
+        contact.solimp[rows, :2] = impedance[beds, None, None]
+
+
+def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) -> bool:
+    """Let contacts be those of these numbers; returns whether there is room for them."""
+    values = {name: np.array(getattr(data.contact, name))[source] for name in _FIELDS}
+    for _ in range(len(source) - data.ncon):
+        if mujoco.mj_addContact(model, data, mujoco.MjContact()):
+            return False
+    data.ncon = len(source)
+    for name, value in values.items():
+        getattr(data.contact, name)[:] = value
+    return True
+
+
+def frames(normal: FloatArray) -> FloatArray:
+    """(p, 9) frames of contacts with these unit normals (p, 3), as MuJoCo's ``mju_makeFrame`` has them."""
+    other = np.where(np.abs(normal[:, 1:2]) < 0.5, _Y, _Z)
+    one = _unit(other - (other * normal).sum(axis=1, keepdims=True) * normal)
+    return np.concatenate([normal, one, _cross(normal, one)], axis=1)
+
+
+def face_pressure(
+    pos: FloatArray,
+    turn: FloatArray,
+    half: FloatArray,
+    one: NDArray[np.integer],
+    two: NDArray[np.integer],
+    normal: FloatArray,
+) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Where faces of boxes press on one another, for p pairs.
+
+    Args:
+        pos: (n, 3) middles, m.
+        turn: (n, 9) rotations, row by row.
+        half: (n, 3) half sizes, m.
+        one, two: (p,) boxes.
+        normal: (p, 3) of the collider, from the first to the second.
+
+    Returns:
+        (p,) whether they are faces; (p, 3) unit normals; (p, 4, 3) points, m; (p, 4) depths, m; (p,) area that is
+        pressed, m²; (p,) area as on which the faces are stiff at least, m².
+    """
+    count = len(one)
+    boxes, toward = np.concatenate([one, two]), np.concatenate([normal, -normal])
+    columns = turn[boxes].reshape(-1, 3, 3).transpose(0, 2, 1)
+    along = (columns @ toward[:, :, None])[:, :, 0]
+    rows = np.arange(2 * count)[:, None]
+    order = _FACES[np.abs(along).argmax(axis=1)]
+    reach = half[boxes][rows, order]
+    # half axes of the face that looks most this way: out of the box, and along both edges
+    directions = columns[rows, order]
+    directions[:, 0] *= np.copysign(1.0, along[rows, order[:, :1]])
+    axes = directions * reach[:, :, None]
+    center = pos[boxes] + axes[:, 0]
+    out_a, out_b = directions[:count, 0], directions[count:, 0]
+    middle = _unit(out_a - out_b)
+    plane = np.empty((count, 3, 3))
+    edge = axes[:count, 1]
+    plane[:, 0] = _unit(edge - (edge * middle).sum(axis=1, keepdims=True) * middle)
+    plane[:, 1], plane[:, 2] = _cross(middle, plane[:, 0]), middle
+    vectors = np.empty((count, 7, 3))
+    # origin: the middle of the second box's face
+    vectors[:, 0] = center[:count] - center[count:]
+    vectors[:, 1:3], vectors[:, 3:5] = axes[:count, 1:], axes[count:, 1:]
+    vectors[:, 5], vectors[:, 6] = out_a, out_b
+    seen = vectors @ plane.transpose(0, 2, 1)
+    lines = np.empty((count, 9, 3))
+    _sides(seen[:, 1:5, :2].reshape(count, 2, 2, 2), seen[:, 0, :2], lines)
+    rise = -seen[:, 5:, :2] / seen[:, 5:, 2:]
+    depth = np.empty((count, 3))
+    depth[:, :2] = rise[:, 0] - rise[:, 1]
+    depth[:, 2] = seen[:, 0, 2] - (rise[:, 0] * seen[:, 0, :2]).sum(axis=1)
+    steep = np.sqrt((depth[:, :2] ** 2).sum(axis=1))
+    lines[:, 8] = depth / np.maximum(steep, _LEVEL)[:, None]
+    level = steep < _LEVEL
+    if level.any():
+        lines[level, 8] = _EAST
+        lines[level, 8, 2] = np.copysign(_FAR_M, depth[level, 2])
+    area, common, deepest, centroid, root = _moments(lines)
+    places = np.empty((count, POINTS_PER_BED, 3))
+    places[..., :2] = centroid[:, None] + _SIGNS @ root.transpose(0, 2, 1)
+    depths = (places[..., :2] @ depth[:, :2, None])[..., 0] + depth[:, 2:]
+    outward = np.clip(OUTWARD * (EDGE_SHARE * common / np.maximum(area, _LEAST_MOMENT_M2) - 1.0), 0.0, 1.0)
+    if outward.any():
+        away = lines[:, 8, :2, None]
+        short = deepest[:, None] - (places[..., :2] @ away)[..., 0] - lines[:, 8, 2:]
+        places[..., :2] += (outward[:, None] * short)[..., None] * away[:, None, :, 0]
+    places[..., 2] = (places[..., :2] @ rise[:, 1, :, None])[..., 0] + 0.5 * depths
+    points = center[count:, None] + places @ plane
+    of_face = 4.0 * reach[:, 1] * reach[:, 2]
+    flat = -(out_a * out_b).sum(axis=1) >= FACE_COSINE
+    least = np.maximum(EDGE_SHARE * common, LEAST_SHARE * np.minimum(of_face[:count], of_face[count:]))
+    return flat, middle, points, depths, area, least
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return np.asarray(vectors / np.sqrt((vectors * vectors).sum(axis=1, keepdims=True)))
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """As ``np.cross``, which takes ten times as long for a few vectors."""
+    return np.asarray(a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT])
+
+
+def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
+    """Fill in the sides of two parallelograms as lines: what x, y and 1 are multiplied by is the distance inside one.
+
+    Args:
+        edges: (p, 2, 2, 2) half edges: parallelogram, edge, coordinate.
+        at: (p, 2) middle of the first one; that of the second one is the origin.
+        lines: (p, 9, 3), of which eight are filled in.
+    """
+    cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
+    length = np.sqrt((edges * edges).sum(axis=3))
+    across = edges[..., ::-1] * _ASIDE * (np.copysign(1.0, cross) * _WAYS / length)[..., None]
+    reach = np.abs(cross) / length
+    offset = (across[:, 0] @ at[:, :, None])[..., 0]
+    lines[:, 0:2, :2], lines[:, 2:4, :2] = across[:, 0], -across[:, 0]
+    lines[:, 4:6, :2], lines[:, 6:8, :2] = across[:, 1], -across[:, 1]
+    lines[:, 0:2, 2], lines[:, 2:4, 2] = reach[:, 0] - offset, reach[:, 0] + offset
+    lines[:, 4:6, 2] = lines[:, 6:8, 2] = reach[:, 1]
+
+
+def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The common inside of lines: (p,) area, (p,) area without the last line, (p,) how far from the last line it
+    reaches, (p, 2) centroid and (p, 2, 2) root of the second moments for each area.
+
+    Each edge is a line cut off by all others; area and moments are sums over edges (Green's theorem).
+
+    Args:
+        lines: (p, k, 3) as ``_sides`` gives them.
+    """
+    across, offset = lines[:, :, :2], lines[:, :, 2]
+    along = across[:, :, ::-1] * _ASIDE
+    turned = across.transpose(0, 2, 1)
+    sine, cosine = along @ turned, across @ turned  # [line j, cut by k]
+    parallel = np.abs(sine) < PARALLEL
+    inside = offset[:, None, :] - offset[:, :, None] * np.where(parallel, np.rint(cosine), cosine)
+    cut = -inside / np.where(parallel, 1.0, sine)
+    # of two lines in the same place the first one is an edge
+    outside = parallel & ((inside < 0) | ((inside == 0) & _LATER))
+    low = np.where(sine >= PARALLEL, cut, -_FAR_M)
+    high = np.where(sine <= -PARALLEL, cut, np.where(outside, -np.inf, _FAR_M))
+    length = np.maximum(high[:, :-1, :-1].min(axis=2) - low[:, :-1, :-1].max(axis=2), 0.0)
+    common = 0.5 * np.where(length > 0, length * offset[:, :-1], 0.0).sum(axis=1)
+    low, high = low.max(axis=2), high.min(axis=2)
+    length = np.maximum(high - low, 0.0)
+    is_edge = length > 0
+    share = np.where(is_edge, length * offset, 0.0)  # twice the area of a triangle with the origin
+    area = 0.5 * share.sum(axis=1)
+    share /= np.where(area > 0, area, 1.0)[:, None]
+    half_way = np.where(is_edge, 0.5 * (low + high), 0.0)
+    middle = half_way[:, :, None] * along - offset[:, :, None] * across
+    reach = (middle @ across[:, -1, :, None])[..., 0] + offset[:, -1:] + 0.5 * length * np.abs(sine[:, :, -1])
+    reach = np.where(is_edge, reach, 0.0).max(axis=1)
+    centroid = (share[:, None] @ middle)[:, 0] / 3.0
+    second = (share[:, :, None] * middle).transpose(0, 2, 1) @ middle / 4.0
+    second += ((share * length**2)[:, :, None] * along).transpose(0, 2, 1) @ along / 48.0
+    second -= centroid[:, :, None] * centroid[:, None, :]
+    root = np.zeros_like(second)
+    root[:, 0, 0] = np.sqrt(np.maximum(second[:, 0, 0], _LEAST_MOMENT_M2))
+    root[:, 1, 0] = second[:, 0, 1] / root[:, 0, 0]
+    root[:, 1, 1] = np.sqrt(np.maximum(second[:, 1, 1] - root[:, 1, 0] ** 2, 0.0))
+    return np.maximum(area, 0.0), common, reach, centroid, root

@@ -1,0 +1,73 @@
+"""Shift, tilt, drop, excess and speed of boxes (NumPy). Twin of ``motion_jax``, without shared arithmetic."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Thresholds
+
+
+def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArray | None = None) -> FloatArray:
+    """(…, n, 3) displacement from the planned centre, m; components under ``floor_m`` count as 0.
+
+    Args:
+        sinks_m: (n,) how far boxes are meant to come down, which is no displacement; None: not at all.
+    """
+    delta = pos - target
+    if sinks_m is not None:
+        down = delta[..., 2]
+        delta[..., 2] = np.where(down < 0, np.minimum(down + sinks_m, 0.0), down)
+    return np.where(np.abs(delta) < floor_m, 0.0, delta)
+
+
+def tilt_deg(quat: FloatArray) -> FloatArray:
+    """(n,) angle between each box's z axis and the world's, degrees."""
+    x, y = quat[:, 1], quat[:, 2]
+    # The sine of the half angle is accurate near 0, where the cosine of the full angle is not.
+    half_sine = np.sqrt(np.minimum((x * x + y * y) / np.einsum("ij,ij->i", quat, quat), 1.0))
+    return np.asarray(np.degrees(2.0 * np.arcsin(half_sine)))
+
+
+def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:
+    """(n,) z of the lowest point of each turned box, m."""
+    w, x, y, z = quat.T
+    norm2 = w * w + x * x + y * y + z * z
+    row = np.abs(np.stack((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))) / norm2
+    return np.asarray(pos[:, 2] - row[0] * half_size[:, 0] - row[1] * half_size[:, 1] - row[2] * half_size[:, 2])
+
+
+def has_dropped(pos: FloatArray, quat: FloatArray, half_size: FloatArray, thresholds: Thresholds) -> NDArray[np.bool_]:
+    """(n,) centre below the carrier's top, or lowest point below ``drop_hull_z_m``."""
+    return np.asarray((pos[:, 2] < 0.0) | (lowest_z(pos, quat, half_size) < thresholds.drop_hull_z_m))
+
+
+def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds) -> FloatArray:
+    """(n,) excess of each box: the larger of shift / its threshold and tilt / its threshold; at least 1 if it dropped.
+
+    A value above 1 is a sign of failure, and so is a dropped box.
+    """
+    worst = np.maximum(np.abs(shift_m).max(axis=1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
+    return np.asarray(np.maximum(worst, dropped))
+
+
+def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
+    """(n,) speed of each box's fastest point, m/s: an upper bound, ‖v‖ + r·‖ω‖.
+
+    Args:
+        vel: (n, 6) velocities of the centres, m/s, and angular velocities, rad/s.
+        radius_m: (n,) half diagonals.
+    """
+    return np.asarray(np.linalg.norm(vel[:, :3], axis=1) + radius_m * np.linalg.norm(vel[:, 3:], axis=1))
+
+
+def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatArray:
+    """(n,) how far a point of each box has moved at most, m: ‖Δc‖ + r·2·‖Δq‖, for small turns.
+
+    Args:
+        before, after: (n, 7) centres, m, and unit quaternions.
+        radius_m: (n,) half diagonals.
+    """
+    change = after - before
+    return np.asarray(np.linalg.norm(change[:, :3], axis=1) + 2 * radius_m * np.linalg.norm(change[:, 3:], axis=1))

@@ -1,0 +1,78 @@
+"""How long a world on C MuJoCo may take: a step has no bound of its own where boxes are in one place, or collapse."""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+from petmjx.common.text import count_text, duration, time_left
+from petmjx.engines.cost_model import MEASURED
+from petmjx.options.simulation import Check, Simulation
+from petmjx.world.job import Job
+
+LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
+"""CPU time that any world may take, s. Static checks of third-party plans of up to 241 boxes take up to 6 s."""
+
+MOST_TIMES: Final = 20.0
+"""How many times as long as expected a world may take. Of plans that collapse the slowest take five times as long."""
+
+LONG_S: Final = 5.0
+"""Wall-clock time after which it is shown how far a world is, s."""
+
+SLOW_S: Final = 0.05
+"""Time between two looks from which on each step is looked at, s."""
+
+
+class Budget:
+    """The time of one attempt at a world. Made, and asked, in the thread that simulates it.
+
+    Args:
+        timeout_s: wall-clock time, s; None: the CPU time that ``LEAST_S`` and ``MOST_TIMES`` allow. Soft boxes have no
+            end then, since their time is not estimated.
+
+    Attributes:
+        slow: whether the time between the last two looks was ``SLOW_S`` or more.
+    """
+
+    def __init__(self, job: Job, sim: Simulation, timeout_s: float | None = None) -> None:
+        self._job, self._sim, self._timeout_s = job, sim, timeout_s
+        self._clock = time.monotonic if timeout_s is not None else time.thread_time
+        self._begin_s = self._last_s = self._clock()
+        self._most_s = LEAST_S[sim.check] if timeout_s is None else timeout_s
+        self._is_exact = timeout_s is not None
+        self._made_s = time.monotonic()
+        self._steps = self._placed = 0
+        self.slow = False
+
+    def is_spent(self, steps: int, placed: int) -> bool:
+        """Whether the time is up. steps: of the world so far; ``placed``: boxes that are there."""
+        self._steps, self._placed = steps, placed
+        now_s = self._clock()
+        self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
+        if now_s - self._begin_s <= self._most_s:
+            return False
+        if not self._is_exact:  # most worlds never get here
+            self._is_exact = True
+            soft = self._job.scene.soft is not None
+            expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])
+            self._most_s = float("inf") if soft else max(self._most_s, MOST_TIMES * expected_s)
+        return now_s - self._begin_s > self._most_s
+
+    @property
+    def so_far(self) -> str:
+        """How far a world is that takes long, for those who wait; empty before. Any thread may ask."""
+        seconds = time.monotonic() - self._made_s
+        if seconds < LONG_S:
+            return ""
+        return f"one world for {time_left(seconds)}: {self._reach}"
+
+    @property
+    def words(self) -> str:
+        """That it is spent, in one line."""
+        kind = "" if self._timeout_s is not None else " of CPU time"
+        return f"no verdict within {duration(self._most_s)}{kind}: {self._reach}; world_timeout_s allows more"
+
+    @property
+    def _reach(self) -> str:
+        boxes = count_text(self._job.scene.n_boxes, "box", "boxes")
+        return f"{self._placed} of {boxes} placed, {count_text(self._steps, 'step')}"

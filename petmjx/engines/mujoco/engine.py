@@ -1,0 +1,143 @@
+"""The ``mujoco`` engine: the exact model of each plan on C MuJoCo, one world per thread."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from typing import Final
+
+from petmjx.common.machine import cpu_threads, device_name
+from petmjx.common.text import one_line
+from petmjx.common.units import FloatArray
+from petmjx.engines.failed_world import failed_outcome
+from petmjx.engines.mujoco.cpu_budget import Budget
+from petmjx.engines.mujoco.free_bodies import paths
+from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
+from petmjx.engines.mujoco.open_worlds import MujocoWorlds
+from petmjx.engines.mujoco.world_run import WorldCancelled, WorldRun
+from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.free_bodies import FreeBodies
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+
+LOOK_S: Final = 0.25
+"""Longest wait for a world, s: a signal that comes in the moment before it is noticed after it."""
+
+
+class MujocoEngine(Engine):
+    """Simulates each world alone, on its exact model: the oracle, and the fastest engine without a GPU.
+
+    ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
+    does not depend on the number of threads.
+
+    A world whose simulation raises (a model that does not compile, no memory, an error of MuJoCo) is invalid; the
+    others go on.
+
+    Args:
+        threads: number of worlds simulated at once; None: as many CPU threads as this process may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: by what is expected of it
+            (petmjx/engines/mujoco/cpu_budget.py).
+    """
+
+    name = "mujoco"
+    takes_more = True
+
+    def __init__(self, threads: int | None = None, world_timeout_s: float | None = None) -> None:
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self.threads = threads if threads is not None else cpu_threads()
+        self.world_timeout_s = world_timeout_s
+
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
+        """As in the protocol, on this engine's threads, with room for any number of boxes."""
+        return MujocoWorlds(scenes, sim, self.threads)
+
+    def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
+        """As in the protocol, on this engine's threads."""
+        return paths(bodies, sim, self.threads)
+
+    @property
+    def device(self) -> str:
+        return device_name(self.name, self.threads)
+
+    @says_at_hand
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        """Simulate each job once; outcomes come as they finish.
+
+        If the generator is closed, or an exception such as KeyboardInterrupt comes, the threads stop within a few dozen
+        steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of jobs.
+        """
+        stop = threading.Event()
+        progress = progress if progress is not None else Progress()
+        begun, last_line = 0, ""
+        running: dict[int, Budget] = {}
+        pending: set[Future[tuple[Outcome, float]]] = set()
+        with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
+            try:
+                while pending or begun < len(jobs):  # jobs may have been appended meanwhile
+                    while begun < len(jobs) and len(pending) < 2 * self.threads:
+                        job = jobs[begun]
+                        timeout_s = self.world_timeout_s
+                        pending.add(pool.submit(_simulate, begun, job, sim, stop, timeout_s, running))
+                        begun += 1
+                    finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
+                    last_line = _say(progress, last_line, "" if finished else _oldest(running))
+                    if not finished and progress.pauses:
+                        yield None  # type: ignore[misc]  # who asked for pauses takes it
+                    outcomes = [future.result() for future in finished]
+                    for more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
+                        progress.at_hand = more
+                        progress.worlds_done += 1
+                        progress.thread_s += thread_s
+                        progress.world_steps += outcome.n_steps
+                        yield outcome
+            finally:
+                stop.set()
+                pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _oldest(running: Mapping[int, Budget]) -> str:
+    """How far the world is that began first, if it takes long; empty: none does."""
+    with suppress(ValueError, KeyError, RuntimeError):  # worlds begin and end meanwhile
+        return running[min(running)].so_far
+    return ""
+
+
+def _say(progress: Progress, last_line: str, words: str) -> str:
+    """Show how far a world is, unless something else is to be said. Returns what is shown.
+
+    Args:
+        said: what was shown before; ``words``: what there is to show now.
+    """
+    if progress.message != last_line:
+        return last_line
+    progress.message = words
+    return words
+
+
+def _simulate(
+    index: int,
+    job: Job,
+    sim: Simulation,
+    stop: threading.Event,
+    timeout_s: float | None,
+    running: dict[int, Budget],
+) -> tuple[Outcome, float]:
+    """A world's outcome, and the CPU time of this thread that it took, s. running: times of worlds that run, by job."""
+    begin_s = time.thread_time()
+    try:
+        running[index] = budget = Budget(job, sim, timeout_s)
+        outcome = WorldRun(index, job, sim, stop.is_set, budget).run()
+    except WorldCancelled:
+        raise
+    except Exception as error:
+        outcome = failed_outcome(index, job, sim, one_line(error))
+    finally:
+        running.pop(index, None)
+    return outcome, time.thread_time() - begin_s

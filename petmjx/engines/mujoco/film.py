@@ -1,0 +1,43 @@
+"""Film around a pallet on C MuJoCo (petmjx/world/film.py).
+
+Twins: ``petmjx/engines/warp/kernels/film.py``, ``petmjx/engines/mjx/film.py``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.world.film import SLACK_M, film_of, spring_rate_1_s
+from petmjx.world.scene import Scene
+
+
+class ActingFilm:
+    """Film that holds boxes where they are now.
+
+    Args:
+        pos: (n, 3) centres of mass of the boxes, less that of the carrier, m.
+    """
+
+    def __init__(self, scene: Scene, timestep_s: float, pos: FloatArray) -> None:
+        self._film, self._mass = film_of(scene), scene.mass[:, None]
+        self._rate_1_s = spring_rate_1_s(timestep_s)
+        self._home, self._anchor = pos.copy(), pos.copy()
+
+    def forces(self, pos: FloatArray, vel: FloatArray) -> FloatArray:
+        """(n, 3) forces on boxes during the step to come, N. Where the film slips it holds from another place on.
+
+        Args:
+            pos, vel: (n, 3) of centres of mass, less those of the carrier, m and m/s.
+        """
+        rate, hold = self._rate_1_s, self._film.hold[:, None]
+        spring = self._mass * rate**2 * (self._anchor - pos)
+        slips = np.linalg.norm(spring, axis=1, keepdims=True)
+        spring = np.where(slips > hold, spring * (hold / np.maximum(slips, 1e-30)), spring)
+        self._anchor = pos + spring / (self._mass * rate**2)
+        force = spring - 2.0 * rate * self._mass * vel
+        length = np.linalg.norm(force, axis=1, keepdims=True)
+        press = self._film.press.copy()
+        drawn_in = np.sign(press[:, :2]) * (pos - self._home)[:, :2]
+        press[:, :2] *= np.clip(1.0 - drawn_in / SLACK_M, 0.0, 1.0)
+        return np.asarray(np.where(length > hold, force * (hold / np.maximum(length, 1e-30)), force) + press)

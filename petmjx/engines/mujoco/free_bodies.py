@@ -1,0 +1,39 @@
+"""Boxes that are let go, on C MuJoCo: one world per thread, with the steps of ``LiveWorld``."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco.live_world import LiveWorld
+from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
+from petmjx.engines.verdict import Flag
+from petmjx.options.simulation import Simulation
+from petmjx.world.free_bodies import FreeBodies
+
+
+def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
+    """As ``petmjx.engines.protocol.Engine.paths``."""
+
+    def path(world: int) -> FloatArray:
+        return _path(bodies, world, sim)
+
+    with QUIET_MUJOCO, ThreadPoolExecutor(threads, thread_name_prefix="petmjx-world") as pool:
+        return np.array(list(pool.map(path, range(len(bodies.scenes)))))
+
+
+def _path(bodies: FreeBodies, world: int, sim: Simulation) -> FloatArray:
+    """(s, k, 7) poses of one world."""
+    poses = np.full((len(bodies.steps), bodies.n_boxes, 7), np.nan)
+    live = LiveWorld.let_go(bodies.scenes[world], sim, bodies.velocity[world])
+    done = 0
+    for row, step in enumerate(bodies.steps.tolist()):
+        if step > done:
+            live.step(step - done)
+            done = step
+        if live.trouble() is not Flag.NONE:
+            break
+        poses[row] = live.pose
+    return poses

@@ -1,0 +1,123 @@
+"""The hand that carries a box to its place, in a world on C MuJoCo (docs/rules.md, section 4).
+
+Twins: ``petmjx/engines/warp/kernels/hand.py``, ``petmjx/engines/mjx/hand.py``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco.timetable import NEVER
+from petmjx.world.approach_paths import (
+    AT_PLACE_M,
+    LOWERING_STEPS,
+    MISSED_M,
+    lowering_rate_1_s,
+    progress,
+    rate_1_s,
+    stuck_steps,
+)
+from petmjx.world.rotation import rotated_vectors
+from petmjx.world.scene import Scene
+
+
+@dataclass(eq=False)
+class Hand:
+    """One box on its way.
+
+    Attributes:
+        begin, end: (3,) origins of its frame at the way's ends, m.
+        quat: (4,) how it is held.
+        steps: of the way; ``taken``: steps since it began.
+        falls: whether it is let go at the way's end, to fall.
+        lowered_from: as ``taken``, from when on it is set down.
+        short_m: how far from the way's end the box was after the last step.
+    """
+
+    scene: Scene
+    box: int
+    begin: FloatArray
+    end: FloatArray
+    quat: FloatArray
+    steps: int
+    falls: bool
+    gravity_m_s2: float
+    timestep_s: float
+    taken: int = 0
+    lowered_from: int = NEVER
+    short_m: float = 0.0
+
+    @property
+    def missed(self) -> bool:
+        """Whether the box is so far from its place that it could not be placed, once the hand has let go."""
+        return self.short_m > MISSED_M
+
+    def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
+        """Whether it lets go after a step in which it has carried the box: when that has arrived and rests. Unless it
+        is to fall from there, the box is set down first.
+
+        Args:
+            pose: (7,) of its frame, m and quaternion.
+            slow: whether the box is as slow as those of a quiet pallet.
+        """
+        self.taken += 1
+        self.short_m = float(np.linalg.norm(self.end - pose[:3]))
+        patience = stuck_steps(self.timestep_s)
+        if self.lowered_from != NEVER:
+            since = self.taken - self.lowered_from
+            return since >= patience or (slow and since >= LOWERING_STEPS)
+        if self.taken < self.steps + (0 if slow else patience):
+            return False
+        if self.falls and self.short_m <= AT_PLACE_M:
+            return True
+        self.lowered_from = self.taken
+        return False
+
+    def wrench(self, pose: FloatArray, velocity: FloatArray) -> FloatArray:
+        """(6,) force, N, and moment, N·m, in world axes, that act during the step to come.
+
+        The spring and the damper are between the box and the point that it should follow. To them comes the force that
+        moves a free box along with that point to the last digit; together they are limited, and so is the moment. The
+        weight comes on top. A box that is being set down only has a damper, which may also bear its weight.
+
+        Args:
+            pose: (7,) of its frame, m and quaternion.
+            velocity: (6,) of its frame, m/s, and in the box's axes rad/s.
+        """
+        mass, half_size = float(self.scene.mass[self.box]), self.scene.half_size[self.box]
+        most_n, weight_n = self.scene.placing.force_n, mass * self.gravity_m_s2
+        squares = self.scene.inertia_boxes[self.box + 1] ** 2
+        inertia = mass / 3.0 * (squares.sum() - squares)
+        if self.lowered_from != NEVER:
+            damping = lowering_rate_1_s(self.timestep_s)
+            force = _limited(-mass * damping * velocity[:3], most_n + weight_n)
+            moment = -damping * inertia * velocity[3:]
+        else:
+            rate = rate_1_s(self.timestep_s)
+            before, now, next_ = (progress(self.taken + k, self.steps) for k in (-1, 0, 1))
+            way = self.end - self.begin
+            ahead = self.begin + now * way - pose[:3]
+            lag = (now - before) / self.timestep_s * way - velocity[:3]
+            along = (next_ - 2.0 * now + before) / self.timestep_s**2 * way
+            force = _limited(mass * (along + rate**2 * ahead + 2.0 * rate * lag), most_n)
+            force[2] += weight_n
+            moment = inertia * (rate**2 * _rotation_vector(pose[3:], self.quat) - 2.0 * rate * velocity[3:])
+        moment = _limited(moment, most_n * float(half_size.max()))
+        return np.concatenate((force, rotated_vectors(pose[3:], moment)))
+
+
+def _limited(vector: FloatArray, most: float) -> FloatArray:
+    """A vector, or one of the same direction that is not longer than this."""
+    length = float(np.linalg.norm(vector))
+    return vector if length <= most else vector * (most / length)
+
+
+def _rotation_vector(quat: FloatArray, target_quat: FloatArray) -> FloatArray:
+    """(3,) rotation from one orientation to another, in the axes of the first, rad; for small angles."""
+    w, u = quat[0], quat[1:]
+    real = w * target_quat[0] + u @ target_quat[1:]
+    imaginary = w * target_quat[1:] - target_quat[0] * u - np.cross(u, target_quat[1:])
+    return np.asarray(2.0 * (imaginary if real >= 0 else -imaginary))

@@ -1,0 +1,59 @@
+"""Which boxes tremble (docs/rules.md, section 5), for a world of the C engine. Twin: petmjx/engines/mjx/jitter.py."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco import box_motion
+from petmjx.options.simulation import Simulation
+
+
+def _no_boxes() -> NDArray[np.bool_]:
+    return np.zeros(0, bool)
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """What is known of the boxes that tremble after a look; each look makes another one.
+
+    Attributes:
+        boxes: (n,) which do, of those that have been looked at since the last one was placed.
+        looks: at as many boxes.
+        home: (n, 7) poses at the beginning of the period that is measured.
+        path_m, away_m: (n,) the way that each box has gone since, and how far it has been from its pose there, m.
+    """
+
+    boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
+    looks: int = 0
+    home: FloatArray | None = None
+    path_m: FloatArray | float = 0.0
+    away_m: FloatArray | float = 0.0
+
+    def which(self, n: int) -> NDArray[np.bool_]:
+        """(n,) which of the n placed boxes tremble. Once another one has been placed, that is not known."""
+        return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
+
+    def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:
+        """Another look at the boxes of a wait.
+
+        Args:
+            pose: (n, 7); speed_m_s, radius_m: (n,), of their fastest points, and half diagonals.
+        """
+        rule = sim.quiet
+        period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
+        if len(pose) != len(self.boxes):
+            return replace(self, boxes=np.zeros(len(pose), bool), looks=1, home=None)
+        boxes, home, path, away = self.boxes, self.home, self.path_m, self.away_m
+        if home is not None:
+            path, away = path + speed_m_s * look_s, np.maximum(away, box_motion.moved(home, pose, radius_m))
+        if self.looks % period == 0:
+            if home is not None:
+                least = rule.slow_m_s * period * look_s
+                boxes = (path >= least) & (away < np.minimum(rule.tremble_share * path, least))
+            home, path, away = pose.copy(), 0.0, 0.0
+        return replace(self, boxes=boxes, looks=self.looks + 1, home=home, path_m=path, away_m=away)

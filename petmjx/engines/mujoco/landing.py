@@ -1,0 +1,136 @@
+"""Landings on C MuJoCo: what stops boxes that arrive fast, and how they bounce. The law:
+petmjx/world/contact_laws.py."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Simulation
+from petmjx.world.contact_laws import FAST_M_S, lasts_steps, pull, stiffness_ratio
+from petmjx.world.friction_pairs import filled_up_landings
+from petmjx.world.history import CARRIER
+from petmjx.world.scene import Scene
+
+CALM_M_S2 = 0.5
+"""Root of the sum of squares of all accelerations, m/s² and rad/s², up to which steps are taken many at a time: in five
+steps a box becomes faster by at most 5 mm/s."""
+
+
+class MovingWorld(Protocol):
+    """What of a ``petmjx.engines.mujoco.live_world.LiveWorld`` landings need."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    n_placed: int
+
+    @property
+    def geom_bodies(self) -> NDArray[np.integer]: ...
+
+    @property
+    def velocity(self) -> FloatArray: ...
+
+    def with_velocities(self, boxes: NDArray[np.bool_], velocity: FloatArray) -> FloatArray: ...
+
+
+class Landings:
+    """Which boxes of a world land, and how fast all were before.
+
+    Attributes:
+        left: (n,) steps for which each box counts as landing; 0: it does not.
+        before: (n, 6) velocities of boxes that land, before they touched.
+    """
+
+    def __init__(self, scene: Scene, sim: Simulation) -> None:
+        n_boxes = scene.n_boxes
+        self._scene, self._sim = scene, sim
+        self._physics, self._lasts = sim.physics, lasts_steps(sim)
+        self._table = filled_up_landings(scene.pair_landing)
+        self.left: NDArray[np.intp] = np.zeros(n_boxes, np.intp)
+        self.before: FloatArray = np.zeros((n_boxes, 6))
+        self._placed = 0
+
+    def fork(self) -> Landings:
+        """The same for a twin of the world."""
+        twin = Landings(self._scene, self._sim)
+        twin.left[:], twin.before[:], twin._placed = self.left, self.before, self._placed
+        return twin
+
+    def extended(self, scene: Scene) -> Landings:
+        """The same for a world of more boxes."""
+        twin = Landings(scene, self._sim)
+        twin.left[: len(self.left)], twin.before[: len(self.left)] = self.left, self.before
+        return twin
+
+    def over(self, live: MovingWorld) -> bool:
+        """Whether nothing lands, and nothing will in the next few steps."""
+        data = live.data
+        placed, self._placed = self._placed, live.n_placed
+        # a box that has just been placed has no acceleration yet, and may begin to fall
+        if placed != live.n_placed or self.left.any():
+            return False
+        acceleration = data.qacc
+        return _is_slow(data.qvel) and bool(acceleration.dot(acceleration) < CALM_M_S2**2)
+
+    def act(self, live: MovingWorld) -> None:
+        """Between collision and solver: find boxes that begin to land, and change the contacts while any does."""
+        data, left = live.data, self.left
+        landing = bool(left.any())
+        if landing:
+            np.maximum(left - 1, 0, out=left)
+            landing = bool(left.any())
+        elif _is_slow(data.qvel):
+            return
+        contact = data.contact
+        address = np.asarray(contact.efc_address)
+        these = np.flatnonzero(address >= 0)
+        row = address[these]
+        closing = -data.efc_vel[row]
+        fast = closing > FAST_M_S
+        if not landing and not fast.any():
+            return
+        geoms = np.asarray(contact.geom)[these]
+        boxes = live.geom_bodies[geoms]
+        hit = boxes[fast].ravel()
+        hit = hit[hit >= 0]
+        fresh = hit[left[hit] == 0]
+        if len(fresh):
+            self.before[fresh] = live.velocity[fresh]
+            left[fresh] = self._lasts
+        if not left.any():
+            return
+        physics = self._physics
+        depth = data.efc_margin[row] - data.efc_pos[row]
+        impedances = np.asarray(contact.solimp)[these, :3]
+        stiffer = stiffness_ratio(depth, impedances)
+        for part in range(3):
+            data.efc_R[row + part] /= stiffer
+            data.efc_D[row + part] *= stiffer
+        lands = ((boxes >= 0) & (left[np.maximum(boxes, 0)] > 0)).any(axis=1) & (impedances[:, 1] >= physics.solimp[1])
+        speeds = np.zeros(data.nefc)
+        mujoco.mj_mulJacVec(live.model, data, speeds, live.with_velocities(left > 0, self.before))
+        normal_z = np.asarray(contact.frame)[these, 2]
+        surface = self._surfaces(live.geom_bodies)[geoms]
+        of_pair = self._table[surface[:, 0], surface[:, 1]]
+        acceleration = pull(closing, -speeds[row], depth, normal_z, of_pair, physics)
+        acts = lands & np.isfinite(acceleration)
+        data.efc_aref[row[acts]] = acceleration[acts]
+
+    def _surfaces(self, geom_bodies: NDArray[np.integer]) -> NDArray[np.intp]:
+        """(ngeom,) surfaces of geoms."""
+        surface = np.zeros(len(geom_bodies), np.intp)
+        if self._scene.surface is not None:
+            surface[geom_bodies >= 0] = self._scene.surface[geom_bodies[geom_bodies >= 0]]
+        boards = self._scene.carrier.surface
+        if boards is not None:
+            surface[geom_bodies == CARRIER] = boards
+        return surface
+
+
+def _is_slow(velocity: FloatArray) -> bool:
+    """Whether no contact closes fast enough to be a landing. ``velocity``: (nv,) of all bodies."""
+    return bool(velocity.dot(velocity) < (0.5 * FAST_M_S) ** 2)

@@ -1,0 +1,171 @@
+"""Models of worlds that stay open: compiled once for each number of boxes, then filled in with boxes.
+
+To compile a model of 30 boxes takes 2 ms, as long as ten steps, and a candidate is answered within a few dozen. A model
+that is filled in is the one that MuJoCo would compile, in every number that a step depends on.
+"""
+
+from __future__ import annotations
+
+import copy
+import threading
+from collections import OrderedDict, deque
+from typing import Final, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.options.physics import Cone, Physics
+from petmjx.options.simulation import Simulation, Solver
+from petmjx.world.friction_pairs import LARGER, filled_up
+from petmjx.world.mujoco_model import build_spec
+from petmjx.world.scene import Scene
+
+_SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
+
+MOST_KEPT: Final = 64
+"""Templates kept, the last ones used. One of 31 boxes takes 0.2 MB, and each of its spare worlds 0.7 MB in use."""
+
+MOST_SPARE: Final = 16
+"""Models with data that a template keeps for the next worlds: at least one for each thread of most machines."""
+
+
+class ModelInstance(NamedTuple):
+    """The model of a world, and its data."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+
+
+def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
+    """What a world's model has beside its physics."""
+    model.opt.solver = _SOLVER[sim.solver]
+    if sim.solver_iterations is not None:
+        model.opt.iterations = sim.solver_iterations
+    if sim.solver_tolerance is not None:
+        model.opt.tolerance = sim.solver_tolerance
+    # MuJoCo would silently reset a world that diverges; petmjx must see it.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    if sim.physics.cone is Cone.ELLIPTIC:
+        # A pallet is one island, and the search for islands costs 10 % of the time. With pyramidal cones the search
+        # stays on: the solver's tolerance is relative to the island, and the reference's creep depends on it.
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+
+class Templates:
+    """Models by their numbers of boxes and their carriers. Several threads may use them."""
+
+    def __init__(self, sim: Simulation) -> None:
+        self._sim = sim
+        self._lock = threading.Lock()
+        self._made: OrderedDict[tuple[object, ...], _Template] = OrderedDict()
+
+    @classmethod
+    def of(cls, sim: Simulation) -> Templates | None:
+        """For these options; None where models have to be compiled: MuJoCo works out the inertia of boxes without a
+        skin, and with pyramidal cones boxes that wait are in the model."""
+        physics = sim.physics
+        return cls(sim) if physics.has_own_friction and physics.skin_m > 0 else None
+
+    def fits(self, scene: Scene) -> bool:
+        """Whether a scene's boxes are of one shape each, and rigid: others have contacts of their own."""
+        return scene.stiffness is None and not scene.pieces
+
+    def filled(self, scene: Scene, order: NDArray[np.intp]) -> ModelInstance:
+        """A model of the first boxes of a scene, and data at its beginning.
+
+        Args:
+            order: these boxes in the order of their bodies.
+        """
+        key = _key(scene, len(order))
+        with self._lock:
+            template = self._made.get(key)
+            if template is not None:
+                self._made.move_to_end(key)
+        if template is None:
+            template = _Template(scene, self._sim, len(order))
+            with self._lock:
+                self._made[key] = template
+                if len(self._made) > MOST_KEPT:
+                    self._made.popitem(last=False)
+        return template.filled(scene, order)
+
+    def give_back(self, filled: ModelInstance, scene: Scene, count: int) -> None:
+        """Model and data that no world uses any more are lent to the next one."""
+        with self._lock:
+            template = self._made.get(_key(scene, count))
+        if template is not None:
+            template.give_back(filled)
+
+
+def _key(scene: Scene, count: int) -> tuple[object, ...]:
+    """What models with the same template share."""
+    carrier = scene.carrier
+    arrays = (carrier.pos, carrier.half_size, carrier.shape_pos, carrier.inertia_box)
+    return (count, carrier.mass, scene.floor_z, *(values.tobytes() for values in arrays))
+
+
+class _Template:
+    """A compiled model, and copies of it that are free."""
+
+    def __init__(self, scene: Scene, sim: Simulation, count: int) -> None:
+        self._physics: Physics = sim.physics
+        self._count = count
+        self._model = build_spec(scene, sim.physics, n_boxes=count).compile()
+        set_options(self._model, sim)
+        self._spare: deque[ModelInstance] = deque(maxlen=MOST_SPARE)
+        model = self._model
+        self._first_body = model.nbody - count
+        self._first_geom = model.ngeom - count
+        self._joints = model.jnt_qposadr[model.body_jntadr[self._first_body :]] if count else np.zeros(0, np.intp)
+
+    def filled(self, scene: Scene, order: NDArray[np.intp]) -> ModelInstance:
+        try:
+            model, data = self._spare.pop()
+        except IndexError:
+            model = copy.copy(self._model)
+            data = mujoco.MjData(model)
+        self._fill(model, scene, order)
+        mujoco.mj_setConst(model, data)
+        # one after the other, as MuJoCo's compiler adds them up: the solver's tolerance is relative to this
+        model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
+        mujoco.mj_resetData(model, data)
+        return ModelInstance(model, data)
+
+    def give_back(self, filled: ModelInstance) -> None:
+        self._spare.append(filled)
+
+    def _fill(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
+        """Write all that depends on boxes and on friction; what follows from it MuJoCo works out."""
+        physics, body, geom = self._physics, self._first_body, self._first_geom
+        model.opt.gravity[:] = (0.0, 0.0, -physics.gravity_m_s2)
+        half = scene.half_size[order] + physics.skin_m
+        frames = scene.frames(scene.start_pos, scene.start_quat)[order]
+        model.body_pos[body:], model.body_quat[body:] = frames, scene.start_quat[order]
+        rows = self._joints[:, None]
+        model.qpos0[rows + np.arange(3)] = frames
+        model.qpos0[rows + np.arange(3, 7)] = scene.start_quat[order]
+        mass = scene.mass[order]
+        squares = scene.inertia_boxes[1:][order] ** 2
+        model.body_mass[body:] = mass
+        model.body_inertia[body:] = mass[:, None] / 3 * (squares.sum(axis=1, keepdims=True) - squares)
+        model.geom_size[geom:] = half
+        model.geom_pos[geom:] = scene.middle[order]
+        model.geom_aabb[geom:, 3:] = half
+        model.geom_rbound[geom:] = np.sqrt((half**2).sum(axis=1))
+        self._fill_friction(model, scene, order)
+
+    def _fill_friction(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
+        """As ``petmjx.world.mujoco_model`` declares pairs: the larger friction of two geoms, or that of their
+        surfaces."""
+        boards = len(scene.carrier.half_size)
+        shapes = scene.shapes
+        geoms = np.concatenate([np.arange(boards), boards + order])
+        friction = np.vstack([scene.floor_friction, shapes.friction[geoms]])
+        surface = np.concatenate([[0], shapes.surface[geoms]])
+        model.geom_friction[:] = friction
+        one, two = model.pair_geom1, model.pair_geom2
+        larger = np.maximum(friction[one], friction[two])
+        pair_friction = filled_up(scene.pair_friction)[surface[one], surface[two]]
+        sliding = np.where(pair_friction == LARGER, larger[:, 0], pair_friction)
+        model.pair_friction[:] = np.column_stack([sliding, sliding, larger[:, 1], larger[:, 2], larger[:, 2]])

@@ -1,0 +1,218 @@
+"""One world on C MuJoCo that stays open: boxes are put into it one after the other, and it can be forked.
+
+Many open worlds on threads of C MuJoCo.
+"""
+
+from __future__ import annotations
+
+import copy
+import threading
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Self, TypeVar
+
+import numpy as np
+
+from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
+from petmjx.engines.mujoco.open_models import Templates
+from petmjx.engines.mujoco.world_run import WorldRun
+from petmjx.engines.open_worlds import OpenWorlds, Reading, Readings
+from petmjx.engines.verdict import Flag, Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.growing_scenes import NextBoxes
+from petmjx.world.job import Drive, Job
+from petmjx.world.scene import Scene
+
+
+class OpenWorld(WorldRun):
+    """A world that pauses when all its boxes are placed and have come to rest.
+
+    It begins after its soft start. No box is placed yet; in a static check all are.
+
+    Attributes:
+        paused: whether boxes can be put into it.
+        ended: whether it has failed, so that it does not go on.
+    """
+
+    def __init__(
+        self, scene: Scene, sim: Simulation, cancelled: Callable[[], bool], templates: Templates | None = None
+    ) -> None:
+        super().__init__(0, Job(scene), sim, cancelled)
+        self._templates = templates
+        self._pauses = True
+        self.ended = not self._start()
+
+    def go_on(self) -> None:
+        """Place the boxes that are not placed yet, and wait until they rest, by the rules of the placement.
+
+        Raises:
+            Cancelled: the run was interrupted.
+        """
+        if not self.ended and not self.paused:
+            self.ended = not self._loop()
+
+    def put(self, scene: Scene) -> None:
+        """Put boxes into a world that has not ended.
+
+        Args:
+            scene: the world's, with more boxes behind its own.
+        """
+        self._scene, self._job = scene, replace(self._job, scene=scene)
+        self._live.extend(scene)
+        self._metrics.extend(scene)
+        self._quiet.extend(scene)
+        self._still_pose = np.vstack((self._still_pose, np.zeros((scene.n_boxes - len(self._still_pose), 7))))
+        self._leave_pause()
+
+    def fork(self, *, grows: bool = False) -> Self:
+        """A twin in the same state, which goes on by itself.
+
+        Args:
+            grows: a box is put into it before anything else.
+        """
+        twin = copy.copy(self)
+        twin._live, twin._metrics = self._live.fork(grows=grows), self._metrics.fork()
+        twin._quiet = copy.copy(self._quiet)
+        twin._waits, twin._still_pose = copy.copy(self._waits), self._still_pose.copy()
+        twin._explosion, twin._stepper = copy.copy(self._explosion), copy.copy(self._stepper)
+        return twin
+
+    def tried(self, scene: Scene) -> Reading:
+        """How a twin is, once the boxes that this scene has more have been put into it and rest."""
+        twin = self.fork(grows=self.paused)
+        twin.put(scene)
+        twin.go_on()
+        reading = twin.read()
+        twin._live.give_back()
+        return reading
+
+    def finish(self, index: int, drive: Drive | None = None) -> Outcome:
+        """Go on to the end of a world that has boxes: the rest window and, if there is one, the drive.
+
+        The world is then no longer open.
+
+        Raises:
+            Cancelled: the run was interrupted.
+        """
+        self.go_on()
+        self._index, self._pauses = index, False
+        self._job = replace(self._job, drive=drive)
+        self._waits.settles = self._settles
+        if self.paused and self._lingers():
+            self.paused = False
+            self._waits.begin(self._waits.since, self._scene.n_boxes, all_placed=True, restless=False)
+        elif not self.ended:
+            self._leave_pause()
+        return self._outcome(came_to_end=not self.ended and self._loop())
+
+    def _lingers(self) -> bool:
+        """Whether a world has paused early, since a wait was in vain, and still moves: its last wait is a long one."""
+        return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
+
+    def _leave_pause(self) -> None:
+        if self.paused:
+            self.paused = False
+            self._proceed()
+            self._keep_still_pose()
+
+    def read(self) -> Reading:
+        """The world as it is now. One that has paused since its time was up, and not since it rests, moves."""
+        live, k = self._live, self._live.n_placed
+        pose = live.pose[:k]
+        moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
+        return Reading(
+            time_s=self._clock.time_s(self._step),
+            ended=self.ended,
+            flags=self._flags | (Flag.MOVING if moves else Flag.NONE),
+            pos=pose[:, :3],
+            quat=pose[:, 3:],
+            top_force_n=live.top_forces(),
+            culprit=self._metrics.culprit,
+            max_tilt_deg=self._metrics.max_tilt_deg[:k].copy(),
+            max_top_force_n=self._metrics.max_top_force_n[:k].copy(),
+            dropped=np.isfinite(self._metrics.drop_s[:k]),
+        )
+
+
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+
+
+class MujocoWorlds(OpenWorlds):
+    """Open worlds on CPU threads.
+
+    Args:
+        scenes: of the worlds, which begin at once.
+        threads: worlds simulated at the same time.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], sim: Simulation, threads: int) -> None:
+        super().__init__(scenes, sim)
+        self._sim, self._threads = sim, threads
+        self._stop, self._templates = threading.Event(), Templates.of(sim)
+        self._worlds = self._each(self._begin, scenes)
+
+    def go_on(self) -> None:
+        """As for all engines."""
+        self._each(OpenWorld.go_on, [world for world in self._worlds if not (world.paused or world.ended)])
+
+    def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        for world, begun in zip(worlds, self._each(self._begin, scenes), strict=True):
+            self._worlds[world] = begun
+
+    def _ended(self, worlds: Sequence[int]) -> list[bool]:
+        return [self._worlds[world].ended for world in worlds]
+
+    def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        for world, scene in zip(worlds, scenes, strict=True):
+            self._worlds[world].put(scene)
+
+    def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
+        twins = [self._worlds[world].fork() for world in sources]
+        for world, twin in zip(into, twins, strict=True):
+            self._worlds[world] = twin
+
+    def _read(self, worlds: Sequence[int]) -> list[Reading]:
+        return [self._worlds[world].read() for world in worlds]
+
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+        def tried(row: int, world: int) -> tuple[Reading, Scene]:
+            scene = self._blank.with_box(self._scenes[world], boxes, row)
+            return self._worlds[world].tried(scene), scene
+
+        trials = self._each(lambda pair: tried(*pair), enumerate(worlds))
+        return Readings.of([reading for reading, _ in trials], [scene for _, scene in trials])
+
+    def _try_scenes(
+        self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
+    ) -> list[Outcome]:
+        def end(number: int, world: int, scene: Scene, drive: Drive | None) -> Outcome:
+            twin = self._worlds[world].fork()
+            twin.put(scene)
+            return twin.finish(number, drive)
+
+        numbered = zip(range(len(worlds)), worlds, scenes, drives, strict=True)
+        return self._each(lambda pair: end(*pair), numbered)
+
+    def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
+        def end(number: int, world: int, drive: Drive | None) -> Outcome:
+            return self._worlds[world].fork().finish(number, drive)
+
+        numbered = zip(range(len(worlds)), worlds, drives, strict=True)
+        return self._each(lambda pair: end(*pair), numbered)
+
+    def _begin(self, scene: Scene) -> OpenWorld:
+        return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
+
+    def _each(self, work: Callable[[Given], Made], of: Iterable[Given]) -> list[Made]:
+        """The work on each, on threads. An interruption stops worlds within a few dozen steps; they can go on later."""
+        try:
+            with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-world") as pool:
+                try:
+                    return list(pool.map(work, of))
+                except BaseException:
+                    self._stop.set()
+                    raise
+        finally:
+            self._stop.clear()

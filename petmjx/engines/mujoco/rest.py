@@ -1,0 +1,123 @@
+"""The rules for quiet and for rest (docs/rules.md, section 5), for one world of the C engine. Twin: ``Rules``.
+
+The rule that finds simulations that cannot be right (docs/rules.md, section 7), for one world of the C engine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mujoco import box_motion
+from petmjx.engines.mujoco.jitter import Jitter
+from petmjx.engines.mujoco.timetable import NEVER
+from petmjx.options.simulation import Simulation
+from petmjx.world.scene import Scene
+
+
+class QuietRule:
+    """Counts the looks at a pallet and says whether it is quiet. Its numbers: ``petmjx.options.simulation.Quiet``.
+
+    The caller looks every ``poll_steps``.
+    """
+
+    def __init__(self, sim: Simulation, scene: Scene) -> None:
+        self._sim, self._rule = sim, sim.quiet
+        self._waits_for_creep = sim.waits_for_rest
+        self._steps = 0
+        self.trembling = Jitter()
+        self._first: FloatArray = np.zeros(0)
+        self.extend(scene)
+
+    def extend(self, scene: Scene) -> None:
+        """The world's scene has more boxes."""
+        self._radius_m = np.linalg.norm(scene.half_size, axis=1)
+
+    def restart(self) -> None:
+        """Another wait begins: the count starts again."""
+        self._steps = 0
+
+    @property
+    def holds(self) -> bool:
+        """Whether the last look found the pallet quiet."""
+        return self._steps >= self._rule.steps
+
+    def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
+        """One look; whether it finds the pallet quiet, but for boxes that tremble.
+
+        Args:
+            pose: (k, 7) of the placed boxes, in m and unit quaternions.
+            velocity: (k, 6), linear in m/s and angular in rad/s.
+            has_failed: whether a box has dropped or tilted too far; then creep is not waited for.
+            adapts: whether the wait depends on what is seen: then it is looked which boxes tremble.
+        """
+        rule, radius = self._rule, self._radius_m[: len(velocity)]
+        speed = box_motion.speed(velocity, radius)
+        if self._waits_for_creep and adapts:
+            self.trembling = self.trembling.after_look(self._sim, pose, speed, radius)
+        trembles = self.trembling.which(len(speed))
+        speed = np.where(trembles, 0.0, speed)
+        if not (speed < rule.quiet_m_s).all():
+            self._steps = 0
+            return False
+        if self._steps == 0:
+            self._first = speed
+        self._steps += rule.poll_steps
+        if self._steps < rule.steps:
+            return False
+        if self._waits_for_creep and not has_failed:
+            creeps = (speed >= np.maximum(rule.slow_m_s, rule.slowing * self._first)).any()
+            faster = (speed > np.maximum(rule.still_m_s, self._first)).any()
+            if creeps or faster:
+                self._steps, self._first = rule.poll_steps, speed
+                return False
+        if trembles.any():
+            self._steps = 0  # the wait is over, but the pallet is not quiet
+        return True
+
+    def is_slow(self, velocity: FloatArray, boxes: slice) -> bool:
+        """Whether these boxes are slower than a quiet pallet's."""
+        return bool((box_motion.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
+
+    def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
+        """Whether a point of a box moved faster than ``still_m_s``, or does now, and whether a world with such boxes
+        has to wait: not if they tremble, up to ``slow_m_s``.
+
+        Args:
+            before, after: (k, 7) poses, so many ``seconds`` apart: on the average a box that rocks has not moved while
+                it turns round.
+            velocity: (k, 6) now.
+        """
+        rule, radius = self._rule, self._radius_m[: len(after)]
+        moved = box_motion.moved(before, after, radius)
+        trembles = self.trembling.which(len(after))
+        turns = self._waits_for_creep & ~trembles & (box_motion.speed(velocity, radius) > rule.still_m_s)
+        most = np.where(trembles, rule.slow_m_s, rule.still_m_s)
+        return bool((turns | (moved > rule.still_m_s * seconds)).any()), bool((turns | (moved > most * seconds)).any())
+
+
+class Explosion:
+    """Looks for large accelerations that last, without a sign that explains them.
+
+    When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is not
+    an explosion. So samples right after a placement do not count. And one violent sample is not enough: the following
+    ones, over at least as many steps as a box needs to land, must be violent too.
+
+    Args:
+        landing: steps that a box needs to land.
+    """
+
+    def __init__(self, landing: int) -> None:
+        self._landing, self._fast_since = landing, NEVER
+
+    def seen(self, step: int, placed_at: int, too_fast: bool) -> bool:
+        """Whether the sample after a step says that the world explodes.
+
+        Args:
+            placed_at: the step after which the last box was placed; this one while a box is carried.
+            too_fast: whether an acceleration is beyond its threshold and no sign has been seen.
+        """
+        if step - placed_at < self._landing:
+            return False
+        self._fast_since = min(self._fast_since, step) if too_fast else NEVER
+        return too_fast and step - self._fast_since >= self._landing

@@ -1,0 +1,242 @@
+"""Running metrics of one world in NumPy, for the oracle. It shares no arithmetic with the JAX side.
+
+Definitions: docs/metrics.md. Arrays have one row per box, in packing order.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.mujoco.box_motion import excess, has_dropped, shift, tilt_deg
+from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
+from petmjx.options.simulation import Thresholds
+from petmjx.world.compliance import sinks_m
+from petmjx.world.job import Drive, Job
+from petmjx.world.scene import Scene
+
+_STEPS_TOGETHER = 64
+"""Steps whose forces are worked out together. With more there is nothing to gain."""
+
+
+class OracleMetrics:
+    """Running maxima, first sign and resting force of one world."""
+
+    def __init__(self, scene: Scene, thresholds: Thresholds, gravity_m_s2: float = STANDARD_GRAVITY) -> None:
+        n = scene.n_boxes
+        self._scene, self._gravity_m_s2 = scene, gravity_m_s2
+        self._sinks_m = sinks_m(scene, gravity_m_s2)
+        self._thresholds = thresholds
+        self.max_tilt_deg = np.zeros(n)
+        self.max_lin_acc = np.zeros(n)
+        self.max_ang_acc = np.zeros(n)
+        self._max_top_force_n = np.zeros(n)
+        self._pressed: list[TopForceInputs] = []
+        self.drop_s = np.full(n, np.nan)
+        self.max_sway_m = np.full(n, np.nan)
+        self.culprit = -1
+        self.first_sign_s = float("nan")
+        self._rest_sum_n = np.zeros(n)
+        self._rest_steps = 0
+        self._sway_origin: FloatArray | None = None
+
+    def fork(self) -> OracleMetrics:
+        """An independent copy, for a world that starts from this state."""
+        self._work_off()
+        twin = copy.copy(self)
+        for name, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                setattr(twin, name, value.copy())
+        twin._pressed = []
+        return twin
+
+    def extend(self, scene: Scene) -> None:
+        """The world's scene has more boxes, of which nothing is known yet."""
+        self._work_off()
+        larger = OracleMetrics(scene, self._thresholds, self._gravity_m_s2)
+        for name, value in vars(larger).items():
+            if isinstance(value, np.ndarray) and name != "_sinks_m":
+                value[: self._scene.n_boxes] = getattr(self, name)
+                setattr(self, name, value)
+        self._scene, self._sinks_m = scene, larger._sinks_m
+
+    @property
+    def max_top_force_n(self) -> FloatArray:
+        """(n,) so far, N."""
+        self._work_off()
+        return self._max_top_force_n
+
+    def _work_off(self) -> None:
+        """Work out the forces of the steps that wait for it."""
+        if self._pressed:
+            steps, self._pressed = self._pressed, []
+            self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))
+
+    def add_step(self, pressed: TopForceInputs) -> None:
+        """Take in a step's forces on tops. They are worked out later, those of many steps together."""
+        if self._pressed and (len(self._pressed) >= _STEPS_TOGETHER or self._pressed[0].bodies is not pressed.bodies):
+            self._work_off()
+        self._pressed.append(pressed)
+
+    def add_forces(self, top_force_n: FloatArray) -> None:
+        """Take in forces on the tops of the first k boxes, N. What is no number does not count."""
+        largest = self._max_top_force_n[: len(top_force_n)]
+        np.fmax(largest, np.where(np.isfinite(top_force_n), top_force_n, 0.0), out=largest)
+
+    @property
+    def any_dropped(self) -> bool:
+        return bool(np.any(np.isfinite(self.drop_s)))
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+        judged at rest, and may go back until then."""
+        tilted = self.max_tilt_deg > self._thresholds.tilt_deg
+        return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
+
+    def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
+        """Whether it is known that the pallet does not stand, so that its world need not go on: a box has dropped; with
+        errors, one of the k placed boxes is lost in these poses; in a drive, the culprit is.
+
+        Args:
+            culprit: as found at an earlier look; -1: none was, or it does not end a drive.
+        """
+        if self.any_dropped:
+            return True
+        lost = tilt_deg(quat) > self._thresholds.tilt_deg
+        if job.has_errors and lost.any():
+            return True
+        if self._sway_origin is None or job.drive is None or culprit < 0:
+            return False
+        sway = self._sway(pos, self._sway_origin)
+        return bool(lost[culprit] and sway[culprit] >= job.drive.allowed_sway_m)
+
+    def add_sample(
+        self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
+    ) -> bool:
+        """Take in one sample: the k placed boxes' poses, (k, 6) accelerations and forces on their tops.
+
+        All belong to the start of a step, where MuJoCo evaluates contacts and accelerations.
+
+        Returns:
+            Whether an acceleration is above its threshold and no sign has been seen yet.
+        """
+        k = len(pos)
+        lin = np.linalg.norm(acc[:, :3], axis=1)
+        ang = np.linalg.norm(acc[:, 3:], axis=1)
+        np.maximum(self.max_lin_acc[:k], lin, out=self.max_lin_acc[:k])
+        np.maximum(self.max_ang_acc[:k], ang, out=self.max_ang_acc[:k])
+        self.add_forces(top_force_n)
+        if k:
+            self.add_look(time_s, pos, quat)
+        limits = self._thresholds
+        too_fast = bool(np.any(lin > limits.lin_acc_m_s2) or np.any(ang > limits.ang_acc_rad_s2))
+        return too_fast and self.culprit < 0
+
+    def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
+        """Take in these poses, in a sample or during a drive: tilts, and what ``add_pose`` looks for."""
+        tilt, k = self.add_pose(time_s, pos, quat), len(pos)
+        np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
+
+    def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
+        """Look for drops, sway and the first sign in these poses: a look, or the final state. Returns (k,) tilts."""
+        k = len(pos)
+        tilt = tilt_deg(quat)
+        dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
+        newly = dropped & np.isnan(self.drop_s[:k])
+        self.drop_s[:k][newly] = time_s
+        if self._sway_origin is not None:
+            self.max_sway_m[:k] = np.fmax(self.max_sway_m[:k], self._sway(pos, self._sway_origin))
+        if self.culprit < 0:
+            over, crossed = self._excess(pos, tilt, dropped)
+            if crossed.any():
+                self.culprit = int(np.argmax(np.where(crossed, over, -np.inf)))
+                self.first_sign_s = time_s
+        return tilt
+
+    @staticmethod
+    def _sway(pos: FloatArray, origin: FloatArray) -> FloatArray:
+        """(k,) horizontal distance from where boxes were when the drive began, m."""
+        return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
+
+    def add_rest(self, top_force_n: FloatArray) -> None:
+        """One step of the rest window."""
+        self._rest_sum_n[: len(top_force_n)] += top_force_n
+        self._rest_steps += 1
+
+    def restart_rest(self) -> None:
+        """The rest window did not end the world: another one will."""
+        self._rest_sum_n[:] = 0.0
+        self._rest_steps = 0
+
+    def is_over(self, pos: FloatArray, quat: FloatArray) -> bool:
+        """Whether a box is over a threshold in these poses, or has dropped."""
+        _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
+        return bool(crossed.any())
+
+    def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
+        """Whether a box has dropped, or is tilted too far in these poses and, in a drive, away by what it allows."""
+        lost = tilt_deg(quat) > self._thresholds.tilt_deg
+        if drive is not None and self._sway_origin is not None:
+            lost &= self._sway(pos, self._sway_origin) >= drive.allowed_sway_m
+        return self.any_dropped or bool(lost.any())
+
+    def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
+        """A profile starts, with the k boxes in these poses. Sway is measured from here, and rest from its end.
+
+        If no box is over a threshold now, signs from the placement (a hard landing) are forgotten: the first sign is
+        then the first one during the profile.
+        """
+        k = len(pos)
+        self._sway_origin = pos.copy()
+        self.max_sway_m[:k] = 0.0
+        self.restart_rest()
+        if not self.is_over(pos, quat):
+            self.culprit = -1
+            self.first_sign_s = float("nan")
+
+    def finish(self, pos: FloatArray, quat: FloatArray, n_placed: int, came_to_end: bool) -> BoxMetrics:
+        """The metrics of all boxes, with the final (n, 3) centres and (n, 4) orientations.
+
+        The final pose of placed boxes counts for the largest tilt, and the mean force at rest for the largest force.
+        """
+        n = self._scene.n_boxes
+        placed = slice(n_placed)
+        with np.errstate(invalid="ignore"):  # the poses of a world with bad numbers
+            np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
+        rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
+        return BoxMetrics.measured(
+            n,
+            shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m, self._sinks_m),
+            max_tilt_deg=self.max_tilt_deg,
+            max_lin_acc=self.max_lin_acc,
+            max_ang_acc=self.max_ang_acc,
+            max_top_force_n=np.fmax(self.max_top_force_n, rest),
+            rest_top_force_n=rest,
+            dropped=np.isfinite(self.drop_s),
+            drop_s=self.drop_s,
+            max_sway_m=self.max_sway_m,
+            pos=pos,
+            quat=quat,
+        )
+
+    def largest_excess(self, pos: FloatArray, quat: FloatArray) -> int:
+        """The box with the largest excess in these poses."""
+        dropped = np.isfinite(self.drop_s[: len(pos)])
+        over, _ = self._excess(pos, tilt_deg(quat), dropped)
+        return int(np.argmax(over))
+
+    def _excess(
+        self, pos: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_]
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """(k,) excess of each box, and (k,) whether it is over a threshold or has dropped."""
+        limits = self._thresholds
+        k = len(pos)
+        sinks = None if self._sinks_m is None else self._sinks_m[:k]
+        shift_m = shift(pos, self._scene.target[:k], limits.shift_floor_m, sinks)
+        over = excess(shift_m, tilt, dropped, limits)
+        return over, (over > 1) | dropped

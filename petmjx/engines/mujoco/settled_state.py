@@ -1,0 +1,37 @@
+"""The state of a world whose placement has settled, and the worlds that start from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from petmjx.engines.mujoco.live_world import BodyState, LiveWorld
+from petmjx.engines.mujoco.running_metrics import OracleMetrics
+from petmjx.engines.mujoco.soft_boxes import SoftState, SoftWorld
+from petmjx.engines.verdict import Flag, Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class SettledState:
+    """A world at the end of its placement, when it has settled. Other worlds start from it."""
+
+    step: int
+    bodies: BodyState | SoftState | None
+    metrics: OracleMetrics
+    flags: Flag
+    ended: Outcome | None
+    """The outcome, if the world ended before it settled; its forks have the same outcome."""
+
+    def ended_as(self, job: int) -> Outcome | None:
+        """The outcome of a fork, if there is nothing left to simulate."""
+        if self.ended is None:
+            return None
+        return replace(self.ended, job=job, flags=self.ended.flags | Flag.FORKED, n_steps=0, state=None)
+
+    def resumed(self, scene: Scene, sim: Simulation, time_s: float) -> LiveWorld | SoftWorld:
+        """A world in this state, for a drive."""
+        assert self.bodies is not None
+        if isinstance(self.bodies, SoftState):
+            return SoftWorld.resume(scene, sim, self.bodies, time_s)
+        return LiveWorld.resume(scene, sim, self.bodies, time_s)

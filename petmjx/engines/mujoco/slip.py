@@ -1,0 +1,117 @@
+"""Contacts that slide, on C MuJoCo. The law: petmjx/world/contact_laws.py.
+
+MuJoCo takes a step in two halves. Between them contacts have their reference accelerations, and the solver has not
+begun.
+"""
+
+from __future__ import annotations
+
+import math
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.options.physics import Cone, Physics
+from petmjx.world.contact_laws import (
+    ENOUGH_M_S2,
+    FIRST_SHARE,
+    MOST_ROUNDS,
+    STICKS_M_S,
+    friction_share,
+    kinetic_share,
+    next_share,
+    slack_m_s2,
+)
+
+LOOK_STEPS = 5
+"""Steps from one look whether anything moves to the next. A pallet at rest takes them in one call of C, without the
+interpreter's lock. What begins to slip between two looks has at most 0.1 m/s at the second one, which lifts no contact
+out of its soft onset."""
+
+SLOW_M_S = STICKS_M_S / 4
+"""Of the norm of all velocities: a point of a body less than 1.7 m from its centre is then slower than half of
+``STICKS_M_S``, and no contact slides by its law."""
+
+
+class SlipLaw:
+    """The law of contacts that slide, for worlds with these physics."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._slack = slack_m_s2(physics)
+        self._share = kinetic_share(physics)
+        self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._share < 1)
+        """Whether it changes anything."""
+
+    def may_slide(self, velocity: FloatArray) -> bool:
+        """Whether a contact may slide. ``velocity``: (nv,) of all bodies."""
+        return self.acts and bool(velocity.dot(velocity) > SLOW_M_S**2)
+
+    def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Take one step."""
+        mujoco.mj_step1(model, data)
+        self.step2(model, data)
+
+    def step2(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """As ``mj_step2``, with Euler's integrator. All contacts have three rows (``condim`` 3), behind those of other
+        constraints."""
+        first = data.ne + data.nf + data.nl
+        if not self.acts or data.nefc == first:
+            mujoco.mj_step2(model, data)
+            return
+        if self._share < 1:
+            slip = data.efc_vel[first:].reshape(-1, 3)[:, 1:]
+            active, share = data.efc_id[first::3], friction_share(np.hypot(*slip.T), self._share)
+            data.contact.friction[active, :2] *= share[:, None]
+            data.contact.mu[active] *= share
+        aref = data.efc_aref[first:]
+        one, two = aref[1::3], aref[2::3]
+        reference = one * one + two * two
+        slides = (reference > self._slack**2).nonzero()[0]
+        if not len(slides):
+            mujoco.mj_step2(model, data)
+            return
+        mujoco.mj_fwdActuation(model, data)
+        mujoco.mj_fwdAcceleration(model, data)
+        self._solve(model, data, first + 3 * slides, np.sqrt(reference[slides]))
+        mujoco.mj_checkAcc(model, data)
+        mujoco.mj_Euler(model, data)
+
+    def _solve(
+        self, model: mujoco.MjModel, data: mujoco.MjData, normal: NDArray[np.integer], reference: FloatArray
+    ) -> None:
+        """Find accelerations and forces with the excess of contacts that slide.
+
+        Args:
+            normal: (k,) rows of their normals; the tangents' rows follow.
+            reference: (k,) their tangential reference accelerations, m/s².
+        """
+        one, two = normal + 1, normal + 2
+        aref, along = data.efc_aref, np.zeros(data.nefc)
+        friction = data.contact.friction[data.efc_id[normal], 0]
+        lag = 1.0 / data.efc_D[one]
+        before, aref_one, aref_two = aref[normal], aref[one], aref[two]
+
+        def excess_at(qacc: FloatArray, dragged: FloatArray | float) -> FloatArray:
+            """(k,) m/s² at these accelerations. ``dragged``: R_t · |f_t|, m/s²."""
+            mujoco.mj_mulJacVec(model, data, along, qacc)
+            beyond = np.hypot(along[one] - aref_one, along[two] - aref_two)
+            excess: FloatArray = np.maximum(beyond - dragged - self._slack, 0.0)
+            return excess
+
+        excess: FloatArray = np.minimum(excess_at(data.qacc_warmstart, 0.0), reference - self._slack)
+        force, share = data.efc_force, np.full(len(normal), FIRST_SHARE)
+        last = np.zeros(len(normal))
+        for rounds in range(MOST_ROUNDS + 1):
+            aref[normal] = before - friction * excess
+            mujoco.mj_fwdConstraint(model, data)
+            if rounds == MOST_ROUNDS:
+                break
+            change = excess_at(data.qacc, lag * np.hypot(force[one], force[two])) - excess
+            if (friction * np.abs(change)).max() <= ENOUGH_M_S2:
+                break
+            share = next_share(share, change, last)
+            excess += share * change
+            last = change
+            data.qacc_warmstart[:] = data.qacc

@@ -1,0 +1,87 @@
+"""How a world takes its steps on C MuJoCo: many at a time, or one by one where forces are looked at after each."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
+from petmjx.engines.mujoco.cpu_budget import Budget
+from petmjx.engines.mujoco.landing import CALM_M_S2
+from petmjx.engines.mujoco.live_world import LiveWorld
+from petmjx.engines.mujoco.running_metrics import OracleMetrics
+from petmjx.engines.mujoco.soft_boxes import SoftWorld
+from petmjx.engines.mujoco.top_forces import top_force_inputs
+from petmjx.options.simulation import Simulation
+
+_RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
+"""A pallet whose squares of speeds, m/s and rad/s, add up to no more has no point within 1 m of its box's centre that
+is faster than ``RESTLESS_M_S``."""
+
+
+class Stepper:
+    """Takes a world's steps, as many as its time allows.
+
+    Args:
+        sim: says which steps count between samples, beside those in which a box lands: looks for quiet.
+        budget: the world's time; None: as much as it needs.
+    """
+
+    def __init__(self, sim: Simulation, budget: Budget | None) -> None:
+        self._looks, self._poll_steps = sim.waits_for_rest, sim.quiet.poll_steps
+        self._budget = budget
+        self._placed, self._restless = 0, True
+
+    @property
+    def why_it_ended(self) -> str:
+        """Of a world whose time was up."""
+        return self._budget.words if self._budget is not None else ""
+
+    def take(
+        self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
+    ) -> int:
+        """Take steps; returns how many: fewer where the time is up before.
+
+        Args:
+            first: the number of the first of them.
+            metrics: take in forces of steps.
+            acts: a drive does, so that the forces of all steps may be larger than those before.
+        """
+        number, end, budget = first, first + count, self._budget
+        while number < end:
+            if budget is not None and budget.is_spent(number - 1, live.n_placed):
+                return number - first
+            placed, self._placed = self._placed, live.n_placed
+            if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
+                # whatever the steps of a call: a recorded world, which stops at frames, is the same
+                self._restless = placed != live.n_placed or not _is_calm(live)
+            last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
+            counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
+            if counts is None and (budget is None or not budget.slow):
+                live.step(last - number)
+                number = last
+                continue
+            rising = live.data.qacc[2::6]
+            while number < last:
+                if budget is not None and budget.slow and budget.is_spent(number - 1, live.n_placed):
+                    return number - first
+                live.step(1)
+                if counts is not None:
+                    self._look(live, number, rising, acts, counts)
+                number += 1
+        return count
+
+    def _look(
+        self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
+    ) -> None:
+        """Take in the forces of a step, if they count. ``rising``: accelerations upwards, m/s²."""
+        if isinstance(live, SoftWorld):
+            metrics.add_forces(live.top_forces()[: live.n_free])
+        elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:
+            metrics.add_step(top_force_inputs(live.data, live.geom_bodies, live.n_free))
+
+
+def _is_calm(live: LiveWorld | SoftWorld) -> bool:
+    """Whether no box is fast, nor becomes fast before the next look for quiet."""
+    speed, acceleration = live.data.qvel, live.data.qacc
+    return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= CALM_M_S2**2)

@@ -1,0 +1,132 @@
+"""How long a world on C MuJoCo waits for what comes next (docs/rules.md, sections 4 and 5). Twin: ``Timetable``."""
+
+from __future__ import annotations
+
+from petmjx.common.units import seconds_to_steps
+from petmjx.engines.step_clock import Clock
+from petmjx.options.simulation import Check, Schedule, Simulation
+
+NEVER = 2**62
+"""A step that never comes."""
+
+
+class Waits:
+    """The wait for the next placement, for the drive, or for the rest window.
+
+    Attributes:
+        settles: a drive follows the placement, or its settled state is kept.
+        since: the step after which the wait began, or will.
+        last_placement: the step after which the last box was placed.
+        drive_end: the last step of the drive, if the world does not rest before; None before it begins.
+    """
+
+    def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
+        self._sim, self._clock, self.settles = sim, clock, settles
+        self._dt = sim.physics.timestep_s
+        self._static = sim.check is Check.STATIC
+        self._adaptive = sim.schedule is not Schedule.FIXED
+        self.since = self.last_placement = 0
+        self.drive_end: int | None = None
+        self._boxes, self._all_placed = 0, False
+        self._patient, self._latest, self._latest_if_failed = False, NEVER, NEVER
+
+    @property
+    def adapts(self) -> bool:
+        """Whether what is waited for comes as soon as the pallet is quiet. With the fixed schedule only a world does so
+        that has moved at its end."""
+        return self._adaptive or self.since > self.last_placement
+
+    @property
+    def rests_first(self) -> bool:
+        """Whether a rest window, and a look at its end, come before a drive."""
+        return self._adaptive and self._sim.waits_for_rest
+
+    @property
+    def _is_plain_static(self) -> bool:
+        """Whether this is a static check without a drive, whose length is an option of its own."""
+        return self._static and not self.settles
+
+    def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
+        """Begin to wait.
+
+        Args:
+            n_boxes: of the plan; ``all_placed``: whether they are.
+            restless: an earlier wait was in vain, and this is not the last one, which is long.
+        """
+        self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
+        self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
+        self._latest_if_failed = NEVER
+        self._latest = self.longest if self._patient and not restless else self._latest_after(step)
+
+    def lasts_longer(self, step: int) -> bool:
+        """Whether a wait that is over after this step, as an earlier one was in vain, goes on if it is the last one."""
+        return self._patient and step < self.longest
+
+    def deadline(self, sign_step: int | None) -> int:
+        """The latest step for the event that is waited for. Once a box has failed nothing is gained by patience: it is
+        as long as without, counted from the first sign.
+
+        Args:
+            sign_step: of the first sign; None: no box has failed.
+        """
+        if self.in_drive:
+            return NEVER
+        if sign_step is None or not self._patient:
+            return self._latest
+        if self._latest_if_failed == NEVER:
+            self._latest_if_failed = self._latest_after(max(self.since, sign_step))
+        return self._latest_if_failed
+
+    def _latest_after(self, since: int) -> int:
+        """The latest step for the event that is waited for since a step, without patience.
+
+        With the fixed schedule a drive starts at the time of the reference implementation, counted from the nominal
+        time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
+        """
+        sim = self._sim
+        if self._all_placed and self.settles and self.drive_end is None:
+            fixed_s = 0.0 if self._static else self._boxes * sim.interval_s
+            placed_s = self._clock.time_s(since) if self._adaptive else fixed_s
+            return seconds_to_steps(placed_s + sim.settle_s, self._dt)
+        if self._is_plain_static:
+            return self.static_end
+        return self._later(since, sim.interval_s)
+
+    @property
+    def in_drive(self) -> bool:
+        """Whether it is the wait for quiet after a profile's last sample: the world then rests before ``drive_end``."""
+        return self.drive_end is not None and self.since < self.drive_end
+
+    def last_end(self, step: int) -> int:
+        """The last step of a world that does not rest after this step, if there is one: else ``NEVER``."""
+        return self.drive_end if self.drive_end is not None and step < self.drive_end else NEVER
+
+    @property
+    def longest(self) -> int:
+        """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+        return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
+
+    def may_go_on(self, step: int) -> bool:
+        """Whether a world that moves at its end, after this step, is waited for."""
+        if not self._sim.waits_for_rest or self._sim.total_time_factor is not None:
+            return False
+        return step < (self.static_end if self._is_plain_static else self.longest)
+
+    def _later(self, since: int, wait_s: float) -> int:
+        """The step at which a wait is over. After a drive waits are counted in steps, since its end is, too."""
+        if self.drive_end is not None:
+            return since + seconds_to_steps(wait_s, self._dt)
+        return self._clock.first_after(since, wait_s)
+
+    @property
+    def static_end(self) -> int:
+        """The last step of a static check without a drive."""
+        return seconds_to_steps(self._sim.duration_s, self._dt)
+
+    def end_of_fixed(self, n_boxes: int) -> int:
+        """The last step with the fixed schedule and without a drive; ``NEVER`` where it is not known in advance."""
+        if self._adaptive or self.settles:
+            return NEVER
+        if self._static:
+            return self.static_end
+        return seconds_to_steps((n_boxes + 1) * self._sim.interval_s, self._dt)

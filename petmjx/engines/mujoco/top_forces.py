@@ -1,0 +1,148 @@
+"""The force on top of each box, from C MuJoCo's contacts (NumPy). Twin of ``force_jax``.
+
+Forces on tops in many steps of a world on C MuJoCo: copied after each step, worked out together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+
+VERTICAL_COSINE = math.cos(math.radians(45.0))
+"""A contact is vertical if its normal is within 45° of z."""
+
+
+def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[NDArray[np.intp], FloatArray]:
+    """Forces of the contacts that have constraint rows.
+
+    Pyramidal rows are forces along the four edges of the cone: the normal part is their sum, each tangent is the
+    difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3. Source: as
+    in ``force_jax.contact_force_z``.
+
+    Returns:
+        (k,) indices of those contacts and (k, 3) forces in the contact frame (normal, tangents), N, as
+        geom 1 exerts them on geom 2.
+    """
+    address = np.asarray(data.contact.efc_address)
+    index = np.flatnonzero(address >= 0)
+    first_row = address[index]
+    if pyramidal:
+        edges = data.efc_force[first_row[:, None] + np.arange(4)]
+        friction = np.asarray(data.contact.friction)[index, :2]
+        tangents = (edges[:, 0::2] - edges[:, 1::2]) * friction
+        force = np.column_stack((edges.sum(axis=1), tangents))
+    else:
+        force = data.efc_force[first_row[:, None] + np.arange(3)]
+    return index, force
+
+
+def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
+    """(k,) world-z component of contact forces on their second geoms, N.
+
+    Args:
+        force: (k, 3) along normal and tangents, N.
+        frame_z: (k, 3) z components of normal and tangents.
+    """
+    return np.asarray(np.einsum("kr,kr->k", force, frame_z))
+
+
+def pressed_box(
+    body: NDArray[np.integer], geom_z: FloatArray, normal_z: FloatArray
+) -> tuple[NDArray[np.integer], FloatArray, NDArray[np.bool_]]:
+    """Which box a contact presses on: the partner whose centre is lower.
+
+    Args:
+        body: (k, 2) partners: boxes, or negative numbers.
+        geom_z: (k, 2) z of the centres of the shapes that touch, m.
+        normal_z: (k,) z component of the unit normal.
+
+    Returns:
+        (k,) box index (negative for carrier and floor), (k,) sign by which the force on the second geom becomes a force
+        that presses down on the lower one, (k,) whether the contact is vertical and its lower partner is a box.
+    """
+    first_is_lower = geom_z[:, 0] < geom_z[:, 1]
+    box = np.where(first_is_lower, body[:, 0], body[:, 1])
+    sign = np.where(first_is_lower, 1.0, -1.0)
+    return box, sign, (np.abs(normal_z) >= VERTICAL_COSINE) & (box >= 0)
+
+
+def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, pyramidal: bool) -> FloatArray:
+    """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
+
+    Sums the world-z part of contact forces whose normal is within 45° of z, for the partner whose centre is lower. The
+    floor is lower than everything; floor and carrier are no boxes.
+
+    Args:
+        bodies: (ngeom,) of the geoms, as ``petmjx.world.mujoco_model.geom_bodies`` gives them.
+    """
+    total = np.zeros(n_boxes)
+    if data.ncon == 0:
+        return total
+    index, force = contact_normal_and_tangents(data, pyramidal)
+    geom = np.asarray(data.contact.geom)[index]
+    frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
+    centre_z = data.geom_xpos[:, 2].copy()
+    centre_z[0] = -np.inf
+    box, sign, counts = pressed_box(bodies[geom], centre_z[geom], frame[:, 0, 2])
+    counts &= box < n_boxes
+    np.add.at(total, box[counts], (sign * contact_force_z(force, frame[:, :, 2]))[counts])
+    return total
+
+
+class TopForceInputs(NamedTuple):
+    """What a step's forces on tops are made of, copied from MuJoCo's data.
+
+    Attributes:
+        address: (ncon,) first constraint row of each contact; negative: it has none.
+        geom: (ncon, 2) partners.
+        frame: (ncon, 9) normal and tangents.
+        force: (nefc,) of all constraint rows, N.
+        place: (ngeom, 3) centres of the geoms, m.
+        bodies: (ngeom,) of the geoms, as ``petmjx.world.mujoco_model.geom_bodies`` gives them.
+        n_boxes: the boxes that count: the first ones.
+    """
+
+    address: NDArray[np.integer]
+    geom: NDArray[np.integer]
+    frame: FloatArray
+    force: FloatArray
+    place: FloatArray
+    bodies: NDArray[np.integer]
+    n_boxes: int
+
+
+def top_force_inputs(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int) -> TopForceInputs:
+    """Of the last step. It takes a fifth of the time that ``top_forces`` takes."""
+    contact = data.contact
+    address, geom, frame = contact.efc_address.copy(), contact.geom.copy(), contact.frame.copy()
+    return TopForceInputs(address, geom, frame, data.efc_force.copy(), data.geom_xpos.copy(), bodies, n_boxes)
+
+
+def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatArray:
+    """(n_boxes,) the largest of ``top_forces`` over steps of a model with elliptic cones, N. Many steps together take
+    a fraction of the time of each alone. All must have the same ``bodies``."""
+    address, geoms, frame, force, place = (np.concatenate(parts) for parts in list(zip(*steps, strict=True))[:5])
+    contacts = [len(step.address) for step in steps]
+    number = np.repeat(np.arange(len(steps)), contacts)
+    first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
+    normal_z = frame[:, 2]
+    # most contacts stand upright or are between neighbours, which do not count
+    kept = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
+    number, geom, frame_z = number.take(kept), geoms.take(kept, axis=0), frame.take(kept, axis=0)[:, 2::3]
+    row = address.take(kept) + first_row.take(number)
+    n_geoms = len(steps[0].place)
+    place_z = place[:, 2].copy()
+    place_z[::n_geoms] = -np.inf
+    geom_z = place_z.take(geom + (n_geoms * number)[:, None])
+    box, sign, counts = pressed_box(steps[0].bodies.take(geom), geom_z, frame_z[:, 0])
+    counts &= box < np.array([step.n_boxes for step in steps]).take(number)
+    pressure = sign * contact_force_z(force.take(row[:, None] + np.arange(3)), frame_z)
+    total = np.bincount((number * n_boxes + box)[counts], pressure[counts], minlength=len(steps) * n_boxes)
+    return np.asarray(total.reshape(len(steps), n_boxes).max(axis=0))

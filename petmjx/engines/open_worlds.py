@@ -1,0 +1,347 @@
+"""Worlds that stay open: what an engine offers to those who ask about one placement after the other."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence, Sized
+from dataclasses import dataclass, fields
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Flag, Outcome
+from petmjx.options.simulation import Schedule, Simulation
+from petmjx.world.friction_pairs import filled_up, filled_up_landings
+from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes, OpenScenes
+from petmjx.world.job import Drive
+from petmjx.world.scene import OF_BOXES, Scene
+
+MOST_BOXES: Final = 96
+"""Boxes for which an open world has room by default: those of the smaller worlds of mjx-warp."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """An open world as it is now, with its k placed boxes.
+
+    Attributes:
+        time_s: since its soft start.
+        ended: it has failed and does not go on: a box has dropped, or the simulation was given up.
+        flags: with ``MOVING`` also where it has paused since its time was up, and boxes still move.
+        pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
+        top_force_n: (k,) force on each box's top in the last step, N.
+        culprit: the first box that has crossed a threshold at a sample; -1: none has.
+        max_tilt_deg, max_top_force_n: (k,) largest ones at samples.
+        dropped: (k,) whether a box had dropped at a sample.
+    """
+
+    time_s: float
+    ended: bool
+    flags: Flag
+    pos: FloatArray
+    quat: FloatArray
+    top_force_n: FloatArray
+    culprit: int
+    max_tilt_deg: FloatArray
+    max_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """m open worlds as they are now: a ``Reading`` each, in arrays of k boxes, as many as the fullest world has.
+
+    Beyond a world's placed boxes numbers are NaN, and nothing has dropped.
+
+    Attributes:
+        placed: (m,) boxes.
+        target, half_size: (m, k, 3) planned middles and half extents, m.
+    """
+
+    placed: NDArray[np.int64]
+    time_s: FloatArray
+    ended: NDArray[np.bool_]
+    flags: NDArray[np.int64]
+    culprit: NDArray[np.int64]
+    pos: FloatArray
+    quat: FloatArray
+    target: FloatArray
+    half_size: FloatArray
+    top_force_n: FloatArray
+    max_tilt_deg: FloatArray
+    max_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Readings:
+        """From readings of worlds with these scenes."""
+        placed = np.array([len(reading.pos) for reading in readings], np.int64)
+        width = int(placed.max(initial=0))
+
+        def padded(
+            rows: Sequence[NDArray[Any]], fill: float | bool = np.nan, more: tuple[int, ...] = ()
+        ) -> NDArray[Any]:
+            shape = rows[0].shape[1:] if rows else more
+            table = np.full((len(rows), width, *shape), fill)
+            for row, values in enumerate(rows):
+                table[row, : placed[row]] = values[: placed[row]]
+            return table
+
+        return cls(
+            placed=placed,
+            time_s=np.array([reading.time_s for reading in readings]),
+            ended=np.array([reading.ended for reading in readings], bool),
+            flags=np.array([reading.flags for reading in readings], np.int64),
+            culprit=np.array([reading.culprit for reading in readings], np.int64),
+            pos=padded([reading.pos for reading in readings], more=(3,)),
+            quat=padded([reading.quat for reading in readings], more=(4,)),
+            target=padded([scene.target for scene in scenes], more=(3,)),
+            half_size=padded([scene.half_size for scene in scenes], more=(3,)),
+            top_force_n=padded([reading.top_force_n for reading in readings]),
+            max_tilt_deg=padded([reading.max_tilt_deg for reading in readings]),
+            max_top_force_n=padded([reading.max_top_force_n for reading in readings]),
+            dropped=padded([reading.dropped for reading in readings], False),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Readings]) -> Readings:
+        """The worlds of all parts, one part after the other."""
+        return cls(**joined_records(parts, max(part.pos.shape[1] for part in parts)))
+
+
+def joined_records(parts: Sequence[Any], width: int) -> dict[str, NDArray[Any]]:
+    """The fields of records of worlds, one record after the other, with room for so many boxes."""
+    names = [field.name for field in fields(parts[0])]
+    return {name: np.concatenate([widened_rows(getattr(part, name), width) for part in parts]) for name in names}
+
+
+def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
+    """An array of worlds' boxes with room for so many."""
+    if values.ndim == 1 or values.shape[1] == width:
+        return values
+    fill = False if values.dtype == bool else np.nan
+    more = np.full((len(values), width - values.shape[1], *values.shape[2:]), fill)
+    return np.concatenate([values, more], axis=1)
+
+
+def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -> None:
+    """Whether these are worlds that there are.
+
+    Raises:
+        ValueError: a world does not exist, or is named twice where each must be different.
+    """
+    numbers = np.asarray(worlds)  # thousands of worlds in each call: a loop only finds the one to name
+    if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
+        for world in worlds:
+            if not isinstance(world, int | np.integer) or not 0 <= world < count:
+                raise ValueError(f"there are worlds 0 to {count - 1}, and no {world!r}")
+    if distinct and len(np.unique(numbers)) < len(worlds):
+        raise ValueError(f"a world is named twice: {list(worlds)}")
+
+
+def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
+    """Raises ValueError unless there is one of these for each world."""
+    if len(worlds) != len(others):
+        raise ValueError(f"{len(worlds)} worlds need as many {noun}, and there are {len(others)}")
+
+
+def _check_grown(before: Scene, after: Scene) -> None:
+    """Whether a scene has the boxes of another one, on the same carrier, and more.
+
+    Raises:
+        ValueError: it has not.
+    """
+    n = before.n_boxes
+    if after.n_boxes <= n:
+        raise ValueError(f"the scene must have more than {n} boxes, and has {after.n_boxes}")
+    same = after.first(n)
+    if not all(np.array_equal(getattr(before, name), getattr(same, name)) for name in OF_BOXES):
+        raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
+    if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
+        raise ValueError("the scene must have the world's carrier")
+    if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
+        raise ValueError("the scene must have the world's friction of pairs")
+    if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
+        raise ValueError("the scene must have the world's landings of pairs")
+
+
+class OpenWorlds(ABC):
+    """Worlds that go on independently, and keep their states between calls. Called by one thread at a time.
+
+    Worlds are named by their numbers, from 0. What is refused (ValueError: a world that there is not, or is named
+    twice, a scene too few) changes nothing.
+
+    A world goes on by the rules of the placement (docs/rules.md): each of its boxes is placed when those before it
+    rest, and when the last one rests it pauses. Then more boxes can be put into it. What a world does depends on its
+    scene alone: neither on other worlds, nor on how many calls its boxes came in. So once a wait has been in vain a
+    world pauses when a short one is over, since more boxes may come; without more, ``finish`` waits on.
+
+    Here is what all engines refuse; each says how it does the rest.
+
+    Args:
+        scenes: of the worlds, which may have no boxes yet.
+
+    Raises:
+        ValueError: there are none, or the schedule is fixed: it sets a world's end before its first box is placed.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], sim: Simulation) -> None:
+        if sim.schedule is Schedule.FIXED:
+            raise ValueError("worlds with the fixed schedule do not stay open")
+        if not scenes:
+            raise ValueError("there must be at least one world")
+        self._blank = EmptyCarrier(sim)
+        self._scenes = OpenScenes(scenes, self._blank)
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        """Begin worlds anew with these scenes, which may have no boxes yet."""
+        _check_worlds(worlds, len(self))
+        _check_as_many(worlds, scenes, "scenes")
+        if len(worlds):
+            self._reset(worlds, scenes)
+            self._scenes.set(worlds, scenes)
+
+    def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        """Put boxes into worlds: their scenes, with more boxes behind those that they had.
+
+        Raises:
+            ValueError: a world has ended, or has no more boxes.
+        """
+        _check_worlds(worlds, len(self))
+        _check_as_many(worlds, scenes, "scenes")
+        self._check_open(worlds)
+        for world, scene in zip(worlds, scenes, strict=True):
+            _check_grown(self._scenes[world], scene)
+        if len(worlds):
+            self._put(worlds, scenes)
+            self._scenes.set(worlds, scenes)
+
+    def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
+        """Put one box into each of these worlds, of which only extents, place and mass are known.
+
+        Raises:
+            ValueError: a world has ended.
+        """
+        _check_worlds(worlds, len(self))
+        _check_as_many(worlds, boxes, "boxes")
+        self._check_open(worlds)
+        if len(worlds):
+            self._put_next(worlds, boxes)
+            self._scenes.add(worlds, boxes)
+
+    def try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+        """The state of worlds if one box were put into each and rested. This is tried on forks, which are discarded. A
+        world may be named more than once, and must have paused.
+
+        Raises:
+            ValueError: a world has ended.
+        """
+        _check_worlds(worlds, len(self), distinct=False)
+        _check_as_many(worlds, boxes, "boxes")
+        self._check_open(worlds)
+        return self._try_next(worlds, boxes)
+
+    def try_scenes(
+        self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
+    ) -> list[Outcome]:
+        """Fork worlds with these scenes and finish the forks as ``finish`` does; friction and the placing of new
+        boxes may differ.
+
+        Raises:
+            ValueError: a world has ended.
+        """
+        _check_worlds(worlds, len(self), distinct=False)
+        _check_as_many(worlds, scenes, "scenes")
+        self._check_open(worlds)
+        return self._try_scenes(worlds, scenes, drives or [None] * len(worlds)) if len(worlds) else []
+
+    def with_next(self, worlds: Sequence[int], boxes: NextBoxes) -> list[Scene]:
+        """The scenes of worlds with one box more each."""
+        return [self._blank.with_box(self._scenes[world], boxes, row) for row, world in enumerate(worlds)]
+
+    def scene(self, world: int) -> Scene:
+        """Of a world."""
+        return self._scenes[world]
+
+    def _check_open(self, worlds: Sequence[int]) -> None:
+        if any(self._ended(worlds)):
+            raise ValueError("the world has ended: nothing can be put into it")
+
+    @abstractmethod
+    def go_on(self) -> None:
+        """Let all worlds go on until they pause or end."""
+
+    def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
+        """Give worlds the states of others, of which some may be named more than once; they go on by themselves."""
+        _check_worlds(sources, len(self), distinct=False)
+        _check_worlds(into, len(self))
+        _check_as_many(sources, into, "worlds to fork into")
+        if len(sources):
+            self._fork(sources, into)
+            self._scenes.copy(sources, into)
+
+    def read(self, worlds: Sequence[int]) -> list[Reading]:
+        """How worlds are now."""
+        _check_worlds(worlds, len(self), distinct=False)
+        return self._read(worlds)
+
+    def readings(self, worlds: Sequence[int]) -> Readings:
+        """How worlds are now, in arrays."""
+        _check_worlds(worlds, len(self), distinct=False)
+        return self._readings(worlds) if len(worlds) else Readings.of([], [])
+
+    def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
+        """The outcomes of worlds without further boxes, by all the rules, with or without a drive. The
+        worlds themselves stay as they are. ``Outcome.job`` counts the worlds asked for.
+
+        It is one simulation, as in ``Engine.run``: no world is simulated again with other settings, as a score does
+        (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, is waited for
+        as without one, which may be some steps shorter than in a run.
+
+        Raises:
+            ValueError: a world has no boxes.
+        """
+        _check_worlds(worlds, len(self), distinct=False)
+        if drives is not None:
+            _check_as_many(worlds, drives, "drives")
+        if any(not self._scenes[world].n_boxes for world in worlds):
+            raise ValueError("a world without boxes has no verdict")
+        return self._finish(worlds, drives or [None] * len(worlds)) if len(worlds) else []
+
+    @abstractmethod
+    def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...
+
+    @abstractmethod
+    def _ended(self, worlds: Sequence[int]) -> list[bool]:
+        """Which of them have failed and do not go on."""
+
+    @abstractmethod
+    def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...
+
+    def _put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
+        self._put(worlds, self.with_next(worlds, boxes))
+
+    def _readings(self, worlds: Sequence[int]) -> Readings:
+        return Readings.of(self._read(worlds), [self._scenes[world] for world in worlds])
+
+    @abstractmethod
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings: ...
+
+    @abstractmethod
+    def _try_scenes(
+        self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None]
+    ) -> list[Outcome]: ...
+
+    @abstractmethod
+    def _fork(self, sources: Sequence[int], into: Sequence[int]) -> None: ...
+
+    @abstractmethod
+    def _read(self, worlds: Sequence[int]) -> list[Reading]: ...
+
+    @abstractmethod
+    def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]: ...

@@ -1,0 +1,141 @@
+"""What is looked at in the outcomes of an engine, whichever it is: soft contacts, the margin, boxes that came to rest
+otherwise than planned, and how near loads act to the edges of what bears them, which says whether a verdict stands on a
+knife's edge.
+
+Where an engine runs in workers they do it, each with its own outcomes: of small worlds it is almost half of what the
+process of the run would have to do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.contact_penetration import note_softness
+from petmjx.engines.mujoco.box_motion import tilt_deg
+from petmjx.engines.verdict import Flag, Outcome, Verdict, margin_of
+from petmjx.options.simulation import Check, Simulation
+from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, edges_of
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+from petmjx.world.supports import bearings_of, joined_bearing
+
+KNIFE_EDGE_M: Final = 0.0005
+"""Plans have whole millimetres, and boxes are smaller than planned by a tenth of one. All verdicts that other
+simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
+
+NEAR_M: Final = 0.001
+"""Nearer than this to an edge a load sets the flag, too, if the verdict is not what statics says of it: a world stands
+with the load beyond the edge, or falls with it inside. (Small ones that fall are tried in stiffer contacts as well:
+petmjx.engines.contact_tilt.)"""
+
+LEANS_DEG: Final = 2.0
+"""A box of a stable world that is tilted by more at rest leans. A box of half a metre is then 17 mm lower on one side;
+soft contacts alone let no box lean by a tenth of it that has no flag for it."""
+
+LOWER_M: Final = 0.005
+"""A box that lies lower than planned by more than this does so, too: as much as soft contacts may give way
+(``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
+
+MOST_TOGETHER: Final = 128
+"""At most so many outcomes are looked at together; one by one, this took longer than the simulation on a GPU. 128 take
+a tenth of a second."""
+
+_NOT_BUILT: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan)
+
+
+def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
+    """The outcomes with what follows from them and their jobs. It may change the verdict.
+
+    Args:
+        jobs: as the engine had them, one for each outcome.
+        sim: that the engine had.
+    """
+    noted = note_softness(outcomes, jobs, sim)
+    for outcome, job in zip(noted, jobs, strict=True):
+        outcome.flags &= ~Flag.RERUN_AFTER_OVERFLOW
+        outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, sim.thresholds)
+        if outcome.verdict is Verdict.STABLE and job.drive is None and contact_tilt_boxes(outcome).size:
+            outcome.flags |= Flag.LEANS
+    if sim.check is Check.STATIC:
+        note_edges(noted, jobs, in_order=False)
+    else:
+        note_edges(noted, jobs)
+    return noted
+
+
+def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """The boxes of a world at rest that lean by more than ``LEANS_DEG``, or lie more than ``LOWER_M`` lower than
+    planned. Where contacts gave way so far that the world has a flag for it, lower boxes do not count."""
+    placed = slice(outcome.n_placed)
+    leans = tilt_deg(outcome.boxes.quat[placed]) > LEANS_DEG
+    if not outcome.flags & Flag.SINKING:
+        leans |= outcome.boxes.shift_m[placed, 2] < -LOWER_M
+    return np.flatnonzero(leans)
+
+
+def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bool = True) -> None:
+    """Fill in the least distances, by the plan, at rest and while the plan is built, those of boxes, and the flag of a
+    knife's edge, which any box may set.
+
+    At rest: of worlds that stand and were not shaken, whose carrier is where it was. While it is built: of plans whose
+    boxes are placed ``in_order``, without errors.
+    """
+    scenes = [job.scene for job in jobs]
+    valid = [k for k, outcome in enumerate(outcomes) if outcome.verdict is not Verdict.INVALID]
+    # drives share a scene
+    planned = dict.fromkeys((scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid)
+    at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]
+    edges, built, resting = _all_edges(
+        list(planned), [scenes[k] for k in at_rest], [outcomes[k].boxes.pos for k in at_rest]
+    )
+    by_plan = dict(zip(planned, zip(edges, built, strict=True), strict=True))
+    of_rest = dict(zip(at_rest, resting, strict=True))
+    for k in valid:
+        outcome = outcomes[k]
+        plan, least_built = by_plan[scenes[k], outcome.n_placed, in_order and not jobs[k].has_errors]
+        plan_edge_m, rest_edge_m = plan.least, outcome.boxes.rest_edge_m
+        outcome.plan_edge_m, outcome.plan_edge_box = _least(plan_edge_m)
+        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step, nearest_m = least_built
+        near = [np.array([nearest_m]), *plan]
+        edge_m = np.concatenate([[outcome.build_edge_m], *plan])
+        if k in of_rest:
+            rest_edge_m = of_rest[k].least
+            outcome.rest_edge_m, outcome.rest_edge_box = _least(rest_edge_m)
+            near += of_rest[k]
+        outcome.boxes = replace(outcome.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
+        contradicts = (edge_m < 0) if outcome.verdict is Verdict.STABLE else (edge_m >= 0)
+        is_near = np.fmin.reduce(np.abs(np.concatenate(near))) <= KNIFE_EDGE_M
+        if is_near or (contradicts & (np.abs(edge_m) <= NEAR_M)).any():
+            outcome.flags |= Flag.KNIFE_EDGE
+
+
+def _all_edges(
+    planned: Sequence[tuple[Scene, int, bool]], at_rest: Sequence[Scene], pos: Sequence[FloatArray]
+) -> tuple[list[Edges], list[LeastBuildingEdge], list[Edges]]:
+    """Of scenes with so many boxes placed the edges, and the least ones while those are built of which it is asked; and
+    the edges of those that are at rest with their boxes at (n, 3) places. All are computed at once: what takes time
+    is the number of calls."""
+    if not planned:
+        return [], [], []
+    scenes, placed, inputs = zip(*planned, strict=True)
+    bearings = bearings_of(scenes, at_rest, pos)
+    joined = joined_bearing(bearings)
+    edges = edges_of(bearings, [*placed, *(scene.n_boxes for scene in at_rest)], joined)
+    some = [k for k, is_asked in enumerate(inputs) if is_asked]
+    counts = [scenes[k].n_boxes for k in some]
+    built = building_edges([bearings[k] for k in some], counts, joined if len(some) == len(planned) else None)
+    of_some = dict(zip(some, built, strict=True))
+    number = len(planned)
+    return edges[:number], [of_some.get(k, _NOT_BUILT) for k in range(number)], edges[number:]
+
+
+def _least(edge_m: FloatArray) -> tuple[float, int]:
+    """The least of the distances and whose it is; NaN and -1 if there is none."""
+    known = np.where(np.isnan(edge_m), np.inf, edge_m)
+    box = int(known.argmin()) if len(known) else -1
+    return (float(edge_m[box]), box) if box >= 0 and known[box] < np.inf else (np.nan, -1)

@@ -1,0 +1,196 @@
+"""What runs in a worker's process: an engine, and how its outcomes come back. It works without Ray, too."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import queue
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from petmjx.common.errors import EngineUnavailable, PetmjxError
+from petmjx.common.machine import device_name, package_versions, why_no_warp_at_once
+from petmjx.common.processes import collect_rarely
+from petmjx.common.text import one_line
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.gpu_start import start_gpu
+from petmjx.engines.outcome_checks import MOST_TOGETHER
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
+
+REPORT_S = 0.2
+"""Time between two reports of a chunk: each costs the driver a millisecond."""
+
+
+@dataclass(frozen=True)
+class WorkerReady:
+    """What a worker says when it is ready; ``error`` if its engine cannot be built here."""
+
+    pid: int
+    host: str
+    device: str
+    versions: dict[str, str]
+    error: BaseException | None = None
+
+
+@dataclass
+class Report:
+    """What is new of a chunk: outcomes, the progress since its beginning, and the exception that ended it."""
+
+    outcomes: list[Outcome]
+    progress: Progress
+    error: BaseException | None = None
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The arguments of ``make_engine``, with which each worker builds its engine."""
+
+    name: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+class Worker:
+    """Builds an engine once and runs chunks of jobs on it. Several chunks may run in threads side by side.
+
+    Args:
+        threads: of its engine, as it says them.
+        lookers: processes that look at the outcomes of large chunks beside it, of which one runs at a time.
+        thorough: it says that it is ready when its engine is built. Else, for ``mjx-warp`` alone, that is done in a
+            thread while the first jobs are made and sent: it takes seconds.
+
+    Everything goes as pickled bytes: what came through Ray's store of objects would be read-only, and would hold the
+    store's memory.
+    """
+
+    def __init__(
+        self, recipe: Recipe, cache_dir: str | None, threads: int | None, lookers: int = 0, *, thorough: bool = True
+    ) -> None:
+        collect_rarely()
+        if cache_dir is not None:
+            os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
+        self._recipe, self._threads, self._most_lookers = recipe, threads, lookers
+        self._lookers: CheckPool[None] | None = None
+        self._thorough = thorough
+        self._built: Future[Engine] = Future()
+
+    def hello(self) -> bytes:
+        """Build the engine, or begin to, where nothing speaks against it."""
+        error: BaseException | None = None
+        device = ""
+        try:
+            if self._thorough:
+                self._build()
+                self._built.result()
+            elif problem := why_no_warp_at_once():
+                raise EngineUnavailable(f"engine {self._recipe.name} cannot run here: {problem}")
+            else:
+                threading.Thread(target=self._build, daemon=True).start()
+            device = device_name(self._recipe.name, self._threads)
+        except Exception as raised:
+            error = _sendable(raised)
+        return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
+
+    def _build(self) -> None:
+        """Build the engine, and start what a GPU needs beside it. Whatever is in the way is not for a stand-in."""
+        name = self._recipe.name
+        try:
+            if name == "mjx-warp":
+                start_gpu()
+            self._built.set_result(make_engine(name, **self._recipe.options))
+        except PetmjxError as error:
+            self._built.set_exception(error)
+        except BaseException as error:
+            self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
+
+    def simulate(self, chunk: bytes) -> Iterator[bytes]:
+        """Run a pickled (jobs, sim); yield pickled reports, whose outcomes are looked at and count jobs from 0."""
+        jobs, sim = pickle.loads(chunk)
+        lookers = self._lookers_for(jobs)
+        news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
+        progress = Progress()
+        ended: list[BaseException] = []
+        runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, ended), daemon=True)
+        runner.start()
+        going, last_message = True, ""
+        while going:
+            new_outcomes, going = _gather(news)
+            outcomes = _checked_outcomes(new_outcomes, jobs, sim, lookers, wait=not going)
+            if outcomes or not going or progress.message != last_message:
+                last_message = progress.message
+                # a copy: the engine writes into it meanwhile
+                so_far = replace(progress, extra=dict(progress.extra))
+                yield pickle.dumps(Report(outcomes, so_far, ended[0] if ended else None))
+        runner.join()
+
+    def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
+        """Of a large chunk: they stay as long as the worker. Without processes it looks itself."""
+        if self._most_lookers == 0 or len(jobs) < LARGE:
+            return CheckPool(0)
+        self._lookers = self._lookers or CheckPool(self._most_lookers)
+        return self._lookers
+
+    def _run(
+        self,
+        jobs: list[Job],
+        sim: Simulation,
+        progress: Progress,
+        news: queue.SimpleQueue[Outcome | None],
+        ended: list[BaseException],
+    ) -> None:
+        try:
+            for outcome in self._built.result().run(jobs, sim, progress):
+                news.put(outcome)
+        except BaseException as error:
+            ended.append(_sendable(error))
+        finally:
+            news.put(None)
+
+
+def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], bool]:
+    """The outcomes of the next moments, and whether there may be more."""
+    outcomes: list[Outcome] = []
+    until = time.monotonic() + REPORT_S
+    while (left := until - time.monotonic()) > 0:
+        try:
+            outcome = news.get(timeout=left)
+        except queue.Empty:
+            break
+        if outcome is None:
+            return outcomes, False
+        outcomes.append(outcome)
+    return outcomes, True
+
+
+def _checked_outcomes(
+    outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, lookers: CheckPool[None], *, wait: bool
+) -> list[Outcome]:
+    """Give outcomes to be looked at, some at a time, and take those that have been.
+
+    Args:
+        wait: for all of them.
+    """
+    keyed_outcomes: list[tuple[None, Outcome]] = []
+    for first in range(0, len(outcomes), MOST_TOGETHER):
+        some = outcomes[first : first + MOST_TOGETHER]
+        some_jobs = [jobs[outcome.job] for outcome in some]
+        keyed_outcomes += lookers.exchanged([(None, outcome) for outcome in some], some_jobs, sim, wait=False)
+    keyed_outcomes += lookers.exchanged([], [], sim, wait=wait)
+    return [outcome for _, outcome in keyed_outcomes]
+
+
+def _sendable(error: BaseException) -> BaseException:
+    """The exception, or one with its text where it cannot be pickled."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:
+        return RuntimeError(one_line(error))
+    return error

@@ -1,0 +1,287 @@
+"""Starts Ray on this machine or joins a cluster, and leaves the process as it was."""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import importlib
+import logging
+import os
+import shutil
+import signal
+import socket
+import sys
+import tempfile
+import threading
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
+from petmjx.common.machine import cpu_threads, cuda_devices
+from petmjx.common.text import one_line
+from petmjx.engines.remote.worker_resources import Node
+from petmjx.options.run_options import AUTO
+
+LONGEST_TEMPORARY = 24
+"""Longest name of a folder for temporary files, bytes. Below it Ray makes sockets, whose names may have 107."""
+
+REACH_S = 10.0
+"""Longest time to reach the head of a cluster, s."""
+
+END_S = 5.0
+"""Longest time that the end of this process waits for Ray's, s. That takes a minute if a signal has ended Ray's
+processes while they started."""
+
+_OF_RAY = ("RAY_", "PYTHONBREAKPOINT")
+"""Environment variables that Ray sets while it starts."""
+
+_HTTP2_SETTINGS = b"\x00\x00\x00\x04"
+"""The beginning of a frame of settings: three bytes of length and its type."""
+
+_HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
+"""What a client says first, with an empty frame of settings."""
+
+_SIGACTION_BYTES = 1024
+"""More than C's ``struct sigaction`` has on any system."""
+
+_SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
+"""Ray's variable for lines that it does not print; it is read when the package is imported."""
+
+
+def import_ray() -> Any:
+    """The package Ray. Imported here first, it does not tell of workers that died on standard output, where only
+    results belong.
+
+    Raises:
+        EngineUnavailable: it is not installed, or cannot be imported.
+    """
+    try:
+        with _restored_process():
+            os.environ[_SKIPPED_LINES] = "^"
+            return importlib.import_module("ray")
+    except ImportError as error:
+        missing = isinstance(error, ModuleNotFoundError) and error.name == "ray"
+        why = "Ray is not installed" if missing else one_line(error)
+        raise EngineUnavailable(f"workers cannot run here: {why}: pip install 'petmjx[ray]'") from error
+
+
+@contextmanager
+def _restored_process() -> Iterator[None]:
+    """Takes back what Ray changes in the process: variables, ``sys.excepthook``, the level of its logger."""
+    environment = {name: value for name, value in os.environ.items() if name.startswith(_OF_RAY)}
+    hook, logger = sys.excepthook, logging.getLogger("ray")
+    level = logger.level
+    try:
+        yield
+    finally:
+        for name in [name for name in os.environ if name.startswith(_OF_RAY)]:
+            del os.environ[name]
+        os.environ.update(environment)
+        sys.excepthook = hook
+        logger.setLevel(level)
+
+
+@contextmanager
+def _restored_sigterm() -> Iterator[None]:
+    """Puts back what the process does at SIGTERM: Ray's native code ends it with a list of addresses, or, once Ray has
+    ended, without a word. Python itself can do it in the main thread alone, which may be reading plans."""
+    libc, kept = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
+    libc.sigaction(int(signal.SIGTERM), None, kept)
+    try:
+        yield
+    finally:
+        libc.sigaction(int(signal.SIGTERM), kept, None)
+
+
+class _LocalRay:
+    """A Ray that this process starts or joins, and the thread that starts and ends it.
+
+    In the main thread Ray would take over SIGTERM, and turn what a handler of signals raises into a bare
+    KeyboardInterrupt. The thread lives as long as Ray: with it Ray's processes die.
+
+    Args:
+        address: of a cluster's head; None: on this machine alone.
+    """
+
+    def __init__(self, ray: Any, address: str | None) -> None:
+        self.address, self.users = address, 0
+        self._ray = ray
+        self._folder: Path | None = None
+        """Its temporary files, if it runs on this machine alone."""
+        self._started: Future[None] = Future()
+        self._enough = threading.Event()
+        self._thread = threading.Thread(target=self._live, name="petmjx-ray", daemon=True)
+        self._thread.start()
+
+    def wait_until_started(self) -> None:
+        """Wait for it. If that is interrupted, it ends when it has started.
+
+        Raises:
+            InputError: there is no cluster.
+            EngineUnavailable: Ray does not start.
+        """
+        try:
+            self._started.result()
+        except BaseException:
+            self.end()
+            raise
+
+    def end(self) -> None:
+        """Stop Ray or leave the cluster, when it has started. Returns at once."""
+        self._enough.set()
+
+    def wait_until_ended(self) -> None:
+        """Wait for it."""
+        self._thread.join()
+
+    def _live(self) -> None:
+        # a process that ends meanwhile waits; Ray's own function for its end was registered before, so it comes later
+        atexit.register(self._end_with_process)
+        try:
+            self._start()
+        except BaseException as error:
+            self._started.set_exception(error)
+        else:
+            self._started.set_result(None)
+            self._enough.wait()
+            with _restored_process(), _restored_sigterm():
+                _end_monitor()
+                self._ray.shutdown()
+        self._remove_folder()
+        atexit.unregister(self._end_with_process)
+
+    def _remove_folder(self) -> None:
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+
+    def _end_with_process(self) -> None:
+        self.end()
+        with suppress(KeyboardInterrupt):
+            self._thread.join(END_S)
+        if self._thread.is_alive():  # its processes die with this one
+            atexit.unregister(self._ray.shutdown)  # would wait, too
+            self._remove_folder()
+
+    def _start(self) -> None:
+        how: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
+        if self.address is None:
+            temporary = tempfile.gettempdir()
+            short = len(os.fsencode(temporary)) <= LONGEST_TEMPORARY
+            self._folder = Path(tempfile.mkdtemp(prefix="petmjx-ray-", dir=temporary if short else "/tmp"))
+            how |= {"address": "local", "num_cpus": cpu_threads(), "num_gpus": len(cuda_devices())}
+            how |= {"include_dashboard": False, "_temp_dir": str(self._folder)}
+        else:
+            _check_reachable(self.address)
+            how |= {"address": self.address}
+        with _restored_process(), _restored_sigterm(), warnings.catch_warnings():
+            # JAX warns of every fork once it has started; Ray's are followed by an exec
+            warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
+            os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+            logging.getLogger("ray").setLevel(logging.CRITICAL)
+            try:
+                self._ray.init(**how)
+            except Exception as error:
+                if isinstance(error, ConnectionError) and self.address == AUTO:
+                    raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error
+                if isinstance(error, ConnectionError) and self.address is not None:
+                    hint = "a cluster that wants a token needs RAY_AUTH_MODE=token"
+                    raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error
+                raise EngineUnavailable(f"workers cannot run here: Ray does not start: {one_line(error)}") from error
+
+
+def _end_monitor() -> None:
+    """Kill what adds machines to a cluster, if this process has started it. Ray would ask it to end, which it does not
+    hear, and wait for a second."""
+    with suppress(Exception):  # not of Ray's documented interface: then it takes the second
+        importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
+
+
+def _check_reachable(address: str) -> None:
+    """Raises InputError if no head listens there: Ray itself would ask again and again without an end, and no signal
+    would end it. A head speaks HTTP/2 (RFC 9113): to an empty frame of settings it answers with its own."""
+    host, _, port = address.rpartition(":")
+    if address == AUTO:
+        return
+    try:
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=REACH_S) as connection:
+            if os.environ.get("RAY_USE_TLS", "0") not in ("", "0"):
+                return
+            connection.sendall(_HTTP2_HELLO)
+            answer = connection.makefile("rb").read(len(_HTTP2_SETTINGS))
+    except TimeoutError as error:
+        raise InputError(f"ray: no cluster at {address} (no answer within {REACH_S:g} s)") from error
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError(f"ray: no cluster at {address} ({one_line(error)})") from error
+    if answer[3:] != _HTTP2_SETTINGS[3:]:
+        raise InputError(f"ray: no cluster at {address} (it is not the head of a Ray cluster)")
+
+
+class Cluster:
+    """A user of the cluster of this process: Ray has one a process. The last user to close it ends it.
+
+    Where the caller's own program has started Ray, that cluster is used and stays.
+
+    Args:
+        address: of the cluster's head (HOST:PORT, or ``auto`` for the one on this machine); None: a new one of this
+            machine alone.
+
+    Raises:
+        EngineUnavailable: Ray is not installed or does not start.
+        InputError: there is no cluster, or this process uses another one.
+    """
+
+    _lock = threading.Lock()
+    _latest: _LocalRay | None = None
+    """What this process has started or joined last. Without users it is ending."""
+
+    def __init__(self, address: str | None = None) -> None:
+        cls = Cluster
+        with cls._lock:
+            if cls._latest is not None and not cls._latest.users:
+                cls._latest.wait_until_ended()
+                cls._latest = None
+            # one at a time: what another thread's import has just set would be put back as if it had been there before
+            self.ray = import_ray()
+            if not self.ray.is_initialized():
+                cls._latest = _LocalRay(self.ray, address)
+                cls._latest.wait_until_started()
+            elif address not in (None, AUTO, self.ray.get_runtime_context().gcs_address):
+                raise InputError(f"ray: this process is in another cluster already, {address} cannot be joined")
+            self._ours, self._uses = cls._latest, True
+            if self._ours is not None:
+                self._ours.users += 1
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The machines of the cluster that are alive."""
+        resources = [node["Resources"] for node in self.ray.nodes() if node["Alive"]]
+        return [Node(int(resource.get("CPU", 0)), int(resource.get("GPU", 0))) for resource in resources]
+
+    def check(self) -> None:
+        """Raises PetmjxError if the Ray that this process has started is dead: nothing starts it again. The machines of
+        a cluster may come back."""
+        if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
+            raise PetmjxError(
+                "Ray died on this machine (out of memory?); finished work is kept, continue with "
+                f"{option('--resume', 'True')}"
+            )
+
+    def leave(self) -> None:
+        """This user needs it no more. Returns at once, though the last user's cluster takes a second or two to end."""
+        with Cluster._lock:
+            uses, self._uses = self._uses, False
+            if uses and self._ours is not None:
+                self._ours.users -= 1
+                if not self._ours.users:
+                    self._ours.end()
+
+    def close(self) -> None:
+        """The same, and wait until it has ended, if it ends."""
+        self.leave()
+        if self._ours is not None and not self._ours.users:
+            self._ours.wait_until_ended()

@@ -1,0 +1,172 @@
+"""The workers of a run: joins the cluster, chooses the engine, and starts the pool, while plans are read if it can."""
+
+from __future__ import annotations
+
+import atexit
+import threading
+from concurrent.futures import Future
+from contextlib import suppress
+
+from petmjx.common.text import count_text
+from petmjx.engines.cost_model import Costs, Work
+from petmjx.engines.engine_choice import Choice, check_options, choose, options_of
+from petmjx.engines.remote.ray_actor import Recipe
+from petmjx.engines.remote.ray_cluster import END_S, Cluster
+from petmjx.engines.remote.worker_pool import WorkerPool
+from petmjx.engines.remote.worker_resources import Node, places, threads_beside, why_no_gpus
+from petmjx.engines.subprocess.check_pool import max_check_processes
+from petmjx.options.run_options import AUTO, RunOptions
+
+Begun = tuple[Cluster, WorkerPool | None]
+"""A cluster, and the pool that uses it, if that has been started."""
+
+
+class WorkerStartup:
+    """Workers that start in a thread while plans are read: the cluster, and the pool if its engine can be known.
+
+    They are either taken or given up.
+
+    Args:
+        worth_gpus: whether ``auto`` will take the GPUs that a cluster has.
+    """
+
+    def __init__(self, options: RunOptions, *, worth_gpus: bool) -> None:
+        self._options, self._worth_gpus = options, worth_gpus
+        self._begun: Future[Begun] = Future()
+        self._decided = threading.Event()
+        self._taken = False
+        self._thread = threading.Thread(target=self._live, name="petmjx-workers-ahead", daemon=True)
+        self._thread.start()
+
+    def take(self) -> Begun:
+        """What has been started. The caller closes it.
+
+        Raises:
+            InputError, EngineUnavailable: as ``resolve_workers``.
+        """
+        try:
+            begun = self._begun.result()
+            self._taken = True
+            return begun
+        finally:
+            self._decided.set()
+
+    def give_up(self) -> None:
+        """End what has been started. Returns at once; a process that ends meanwhile waits for it."""
+        self._decided.set()
+
+    def _live(self) -> None:
+        try:
+            self._begun.set_result(self._begin())
+        except BaseException as error:
+            self._begun.set_exception(error)
+        else:
+            self._settle()
+        atexit.unregister(self._end_with_process)
+
+    def _settle(self) -> None:
+        """Wait until they are taken or given up."""
+        self._decided.wait()
+        if not self._taken:
+            cluster, pool = self._begun.result()
+            with suppress(Exception):  # nobody would hear of it
+                (pool or cluster).close()
+
+    def _end_with_process(self) -> None:
+        self.give_up()
+        with suppress(KeyboardInterrupt):
+            self._thread.join(END_S)
+
+    def _begin(self) -> Begun:
+        cluster = _run_cluster(self._options)
+        # if the process ends now, this thread stops using Ray before that is ended
+        atexit.register(self._end_with_process)
+        try:
+            name = None if self._decided.is_set() else self._engine(cluster.nodes)
+            return cluster, _pool(name, self._options, cluster) if name is not None else None
+        except BaseException:
+            cluster.close()
+            raise
+
+    def _engine(self, nodes: list[Node]) -> str | None:
+        """The engine of the run, if that is known before its plans are."""
+        if self._options.engine != AUTO:
+            return str(self._options.engine)
+        return "mjx-warp" if self._worth_gpus and _why_no_gpu(self._options, nodes) is None else None
+
+
+def resolve_workers(
+    options: RunOptions, work: Work, costs: Costs, ahead: WorkerStartup | None = None
+) -> tuple[WorkerPool, Choice]:
+    """The pool of a run with workers, and why its engine was chosen: ``auto`` counts the CPUs and GPUs of the cluster.
+
+    Args:
+        ahead: what has been started already for these options.
+
+    Raises:
+        InputError: unusable options, no cluster at the address, or more workers than it has room for.
+        EngineUnavailable: Ray is not installed, or the engine cannot run in a worker.
+    """
+    cluster, pool = ahead.take() if ahead is not None else (_run_cluster(options), None)
+    try:
+        name, reason, seconds = _pool_choice(options, cluster.nodes, work, costs)
+        if pool is not None and pool.name != name:
+            pool.dismiss()
+            pool = None
+        pool = pool or _pool(name, options, cluster)
+        pool.wait_for_first()
+    except BaseException:
+        (pool or cluster).close()
+        raise
+    return pool, Choice(name, f"{reason}, in {count_text(pool.size, 'worker')}", seconds)
+
+
+def _run_cluster(options: RunOptions) -> Cluster:
+    """The cluster of a run whose options are usable."""
+    engine = str(options.engine)
+    if engine != AUTO:
+        check_options(engine, **options_of(engine, options))
+    return Cluster(options.ray)
+
+
+def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> tuple[str, str, float | None]:
+    """The engine's name, why, and the expected time in s."""
+    workers, engine = options.asked_workers, str(options.engine)
+    assert workers is not None
+    threads = sum(node.cpus for node in nodes)
+    if options.threads is not None and workers != AUTO:
+        threads = options.threads * int(workers)
+    gpus = sum(node.gpus for node in nodes)
+    used = gpus if workers == AUTO else min(gpus, int(workers))  # workers that share a GPU count as one
+    seconds = costs.seconds(work, max(threads, 1), max(used, 1))
+
+    def why_no_gpu() -> str | None:
+        return _why_no_gpu(options, nodes)
+
+    def why_no_kernel() -> str | None:
+        return "not chosen for workers"  # each would compile the kernels
+
+    name, reason = engine, "as asked for"
+    if engine == AUTO:
+        name, reason = choose(seconds, threads, used, why_no_gpu, why_no_kernel)
+    return name, reason, seconds.get(name)
+
+
+def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
+    """Why ``auto`` cannot give each worker a GPU or its share of one; None if it can."""
+    assert options.asked_workers is not None
+    return why_no_gpus(nodes, options.asked_workers)
+
+
+def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
+    """A pool whose workers begin to start."""
+    assert options.asked_workers is not None
+    limits = options_of(name, options)
+    worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
+    if name == "mujoco":
+        limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
+    elif name == "mjx-warp-cpu":
+        limits["threads"] = min(place.cpus for place in worker_places)
+    # on CPUs all threads simulate
+    threads = threads_beside(cluster.nodes, len(worker_places)) if name == "mjx-warp" else 0
+    return WorkerPool(Recipe(name, limits), worker_places, cluster, max_check_processes(threads))

@@ -1,0 +1,364 @@
+"""An engine whose jobs run in the workers of a cluster: deals chunks, gathers outcomes, replaces workers that die."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import time
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any
+
+from petmjx.common.errors import EngineUnavailable
+from petmjx.common.machine import package_versions
+from petmjx.common.text import count_text, one_line
+from petmjx.engines.cost_model import MEASURED
+from petmjx.engines.failed_world import failed_outcome
+from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress, RunLock, says_at_hand
+from petmjx.engines.remote.chunk_dealer import Chunk, Deal
+from petmjx.engines.remote.ray_actor import Recipe, Report, Worker, WorkerReady
+from petmjx.engines.remote.ray_cluster import Cluster
+from petmjx.engines.remote.worker_resources import Place
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+
+LOOK_S = 0.25
+"""Longest wait for news, s: a signal is noticed after it, and progress is brought up to date."""
+
+START_S = 30.0
+"""Time that the first worker is waited for while the engine is made, s: what it cannot do at all is then known before a
+run begins. A cluster that is busy may need longer; then the run begins, and waits."""
+
+FALSE_STARTS = 3
+"""So many workers in a row that do not get ready end the run, or the attempts to replace one that died."""
+
+LEAST = {"mjx-warp": 512, "mjx-jax": 16}
+"""Fewer jobs than this are not divided among the workers of these engines: a device takes as long for a few worlds as
+for many."""
+
+_HIGHEST = (" lanes", " contacts")
+"""Suffixes of the names in ``Progress.extra`` whose values are not sums."""
+
+
+@dataclass(eq=False)
+class _Stream:
+    """A chunk in a worker, and the progress of it that is counted already."""
+
+    chunk: Chunk
+    counted: Progress = field(default_factory=Progress)
+
+
+@dataclass(eq=False)
+class _Hand:
+    """A worker.
+
+    Attributes:
+        hello: its first answer, until that is there.
+        working: its engine is there: it was built before the first answer, or has reported.
+        streams: the reports of its chunks, as Ray gives them.
+        said: its last message.
+    """
+
+    place: Place
+    actor: Any
+    hello: Any
+    pid: int = 0
+    working: bool = False
+    streams: dict[Any, _Stream] = field(default_factory=dict)
+    compile_s: float = 0.0
+    said: str = ""
+
+    @property
+    def ready(self) -> bool:
+        return self.hello is None
+
+    def has_room(self, plenty: bool) -> bool:
+        """Whether it can be given another chunk."""
+        if not self.ready or any(stream.chunk.alone for stream in self.streams.values()):
+            return False
+        return len(self.streams) < self.place.slots * (2 if plenty else 1)
+
+
+class WorkerPool(Engine):
+    """The engine ``recipe.name`` in many processes. Outcomes are those of the engine itself.
+
+    A worker that dies is replaced, and its unanswered jobs are dealt again (``Deal``). Workers stay between runs, until
+    :meth:`close`.
+
+    Args:
+        places: of the workers, one each. They begin to start at once.
+        cluster: used until :meth:`close`, which closes it.
+        lookers: processes beside each worker (petmjx/engines/subprocess/check_pool.py).
+    """
+
+    looks = True
+
+    def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, lookers: int = 0) -> None:
+        self.name = recipe.name
+        self._recipe, self._cluster, self._ray, self._lookers = recipe, cluster, cluster.ray, lookers
+        self._running = RunLock(self.name)
+        # As `_Ours.thread`: what a handler of signals raises while Ray waits in the main thread would be lost.
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="petmjx-workers")
+        self._hands: list[_Hand] = []
+        self._devices: dict[str, None] = {}
+        self._false_starts = self._deaths = 0
+        self._deadly: dict[int, Scene] = {}
+        self._places = list(places)
+        self.devices = max(round(sum(place.gpus for place in places)), 1)
+        self._hands += (self._start(place) for place in places)
+
+    def wait_for_first(self) -> None:
+        """Wait until a worker is ready, but no longer than ``START_S``.
+
+        Raises:
+            EngineUnavailable: the engine cannot run in a worker.
+        """
+        first = time.monotonic() + START_S
+        while not any(hand.ready for hand in self._hands) and time.monotonic() < first:
+            for hand, ref in self._news():
+                self._greet(hand, ref)
+
+    @property
+    def size(self) -> int:
+        """The number of workers."""
+        return len(self._places)
+
+    @property
+    def device(self) -> str:
+        """The number of workers and the names of the devices that they have said they have."""
+        return ": ".join(filter(None, (count_text(self.size, "worker"), ", ".join(self._devices))))
+
+    @property
+    def pids(self) -> list[int]:
+        """Processes of the workers that are ready, on their machines."""
+        return [hand.pid for hand in self._hands if hand.ready]
+
+    def dismiss(self) -> None:
+        """End the workers, and leave the cluster to its other users."""
+        hands, self._hands = self._hands, []
+        for hand in hands:
+            self._kill(hand)
+
+    def retire(self) -> None:
+        """Begin to end the workers, and the cluster if it was started for them."""
+        try:
+            self.dismiss()
+        finally:
+            self._thread.shutdown()  # after an interruption it may still ask for news, which would hang where Ray ends
+            self._cluster.leave()
+
+    def close(self) -> None:
+        """End the workers, and the cluster if it was started for them."""
+        try:
+            self.retire()
+        finally:
+            self._cluster.close()
+
+    @says_at_hand
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        """Simulate each job once; outcomes come as they do from the engine itself.
+
+        Raises:
+            EngineUnavailable: workers die as they start, one has other versions than this process, or cannot build its
+                engine.
+            PetmjxError: Ray has died.
+            Exception: what the engine raised in a worker.
+        """
+        if not jobs:
+            return
+        with self._running:
+            yield from self._run(jobs, sim, progress if progress is not None else Progress())
+
+    def _run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Iterator[Outcome]:
+        lacking = Counter(self._places)
+        lacking.subtract(hand.place for hand in self._hands)
+        self._hands += [self._start(place) for place in lacking.elements()]
+        slots = sum(place.slots for place in self._places)
+        deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
+        # engines of others that run in workers are taken for MJX engines, whose base class they are told to use
+        group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
+        least = LEAST.get(self.name, 1)
+        deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
+        compiled_s, before = progress.compile_s, progress.message
+        began = time.monotonic()
+        for hand in self._hands:
+            hand.compile_s, hand.said = 0.0, ""
+        try:
+            while deal.unanswered or any(hand.streams for hand in self._hands):
+                self._hand_out(deal, jobs, sim)
+                seconds = time.monotonic() - began
+                if seconds >= START_S and not all(hand.ready for hand in self._hands):
+                    self._cluster.check()
+                progress.message = self._message(seconds) or before
+                progress.at_hand = 0
+                if progress.pauses:
+                    yield None  # type: ignore[misc]  # who asked for pauses takes it
+                for hand, ref in self._news():
+                    if not hand.ready:
+                        self._greet(hand, ref)
+                        continue
+                    if ref not in hand.streams:
+                        continue  # it was lost a moment ago, with another chunk of its worker
+                    report = self._next_report(ref)
+                    if isinstance(report, Report):
+                        hand.working = True
+                        yield from self._take(hand, hand.streams[ref], report, deal, progress)
+                        progress.compile_s = compiled_s + max(hand.compile_s for hand in self._hands)
+                    elif report is None:
+                        missing = set(hand.streams.pop(ref).chunk.jobs) & deal.unanswered
+                        if missing:
+                            raise RuntimeError(f"engine {self.name} did not answer {count_text(len(missing), 'job')}")
+                    else:
+                        yield from self._bury(hand, deal, jobs, sim, progress)
+            progress.message = before
+        finally:
+            for hand in [hand for hand in self._hands if hand.streams]:  # what still runs there is for nobody
+                self._hands.remove(hand)
+                self._kill(hand)
+
+    # Workers.
+
+    def _start(self, place: Place) -> _Hand:
+        resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
+        remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
+        threads = place.slots if self.name == "mujoco" else None
+        thorough = self.name != "mjx-warp" or self._deaths > 0  # a device may be broken
+        options = {"lookers": self._lookers, "thorough": thorough}
+        actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
+        return _Hand(place, actor, actor.hello.remote(), working=thorough)
+
+    def _kill(self, hand: _Hand) -> None:
+        hand.streams.clear()
+        self._ray.kill(hand.actor)
+
+    def _news(self) -> list[tuple[_Hand, Any]]:
+        """Workers with news, and what their news come from: their first answer, or the stream of a chunk."""
+        owner = {ref: hand for hand in self._hands for ref in (hand.hello, *hand.streams) if ref is not None}
+
+        def wait() -> list[Any]:
+            ready, _ = self._ray.wait(list(owner), num_returns=1, timeout=LOOK_S)
+            return self._ray.wait(list(owner), num_returns=len(owner), timeout=0)[0] if ready else []
+
+        return [(owner[ref], ref) for ref in self._thread.submit(wait).result()]
+
+    def _greet(self, hand: _Hand, ref: Any) -> None:
+        """A worker's first answer; or it has died before."""
+        try:
+            hello: WorkerReady = pickle.loads(self._thread.submit(self._ray.get, ref).result())
+        except self._ray.exceptions.RayError as death:
+            self._start_again(hand, EngineUnavailable(f"workers die at their start: {one_line(death)}"), FALSE_STARTS)
+            return
+        if hello.error is not None:
+            self._start_again(hand, hello.error, 1)
+            return
+        ours = package_versions()
+        for package in sorted(ours.keys() & hello.versions.keys()):
+            if ours[package] != hello.versions[package]:
+                raise EngineUnavailable(
+                    f"the worker on {hello.host} has {package} {hello.versions[package]}, this process "
+                    f"{ours[package]}: install the same versions"
+                )
+        self._false_starts = 0
+        hand.hello, hand.pid = None, hello.pid
+        self._devices[hello.device] = None
+
+    def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
+        """A worker has not come up. In place of one that died, on a device that may be broken, three are tried; if
+        there are others, the run goes on with them.
+
+        Args:
+            error: raised if there are no others, or none has died, after ``most`` tries.
+        """
+        self._false_starts += 1
+        spare = self._deaths > 0 and any(hand.ready for hand in self._hands)
+        if not spare and self._false_starts >= most:
+            raise error
+        self._kill(hand)
+        self._hands.remove(hand)
+        if self._false_starts < FALSE_STARTS:
+            self._hands.append(self._start(hand.place))
+        else:
+            self._places.remove(hand.place)
+            self._false_starts = 0
+
+    def _bury(
+        self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
+    ) -> Iterator[Outcome]:
+        """Replace a dead worker. Yields outcomes of the jobs that are given up: none if its engine was not there."""
+        held = [stream.chunk for stream in hand.streams.values()]
+        self._deaths += 1
+        self._kill(hand)
+        self._hands[self._hands.index(hand)] = self._start(hand.place)
+        if not hand.working:
+            deal.put_back(held)
+            return
+        for index in deal.died(held):
+            self._deadly[id(jobs[index].scene)] = jobs[index].scene
+            progress.worlds_done += 1
+            yield failed_outcome(
+                index, jobs[index], sim, "the worker that simulated this world alone died, like others before"
+            )
+
+    # Chunks.
+
+    def _hand_out(self, deal: Deal, jobs: Sequence[Job], sim: Simulation) -> None:
+        """Give chunks to workers, one each in turn, while there are chunks and room."""
+        waiting = deque(sorted(self._hands, key=lambda hand: len(hand.streams)))
+        while waiting:
+            hand = waiting.popleft()
+            if hand.has_room(deal.plenty) and (chunk := deal.take(idle=not hand.streams)):
+                payload = pickle.dumps(([jobs[index] for index in chunk.jobs], sim))
+                method = hand.actor.simulate.options(num_returns="streaming")
+                hand.streams[method.remote(payload)] = _Stream(chunk)
+                waiting.append(hand)
+
+    def _next_report(self, ref: Any) -> Report | Exception | None:
+        """The next report of a chunk; None at its end; the error if the worker is lost."""
+        try:
+            item = self._thread.submit(lambda: self._ray.get(ref_of) if (ref_of := next(ref, None)) else None).result()
+            report: Report | None = pickle.loads(item) if item is not None else None
+            return report
+        except Exception as error:
+            if not isinstance(error, self._ray.exceptions.RayError):
+                raise
+            if isinstance(error, self._ray.exceptions.RayTaskError):
+                raise RuntimeError(f"a worker failed: {one_line(error)}") from error
+            lost: Exception = error  # mypy takes Ray's classes, which it does not know, for Any
+            return lost
+
+    def _take(self, hand: _Hand, stream: _Stream, report: Report, deal: Deal, progress: Progress) -> Iterator[Outcome]:
+        new, old = report.progress, stream.counted
+        progress.world_steps += new.world_steps - old.world_steps
+        hand.compile_s += new.compile_s - old.compile_s
+        hand.said = new.message
+        for key, value in new.extra.items():
+            before = progress.extra.get(key, 0)
+            highest = key.endswith(_HIGHEST)
+            progress.extra[key] = max(before, value) if highest else before + value - old.extra.get(key, 0)
+        stream.counted = new
+        for count, outcome in enumerate(report.outcomes, start=1):
+            progress.at_hand = len(report.outcomes) - count
+            index = stream.chunk.jobs[outcome.job]
+            try:
+                deal.answered(index)
+            except KeyError:
+                raise RuntimeError(f"engine {self.name} answered job {index} twice") from None
+            progress.worlds_done += 1
+            outcome.job = index
+            yield outcome
+        if report.error is not None:
+            raise report.error
+
+    def _message(self, seconds: float) -> str:
+        """What the workers do, in one line."""
+        waiting = [hand for hand in self._hands if not hand.ready]
+        parts = [f"{count_text(self._deaths, 'worker')} died"] if self._deaths else []
+        if waiting:
+            of = f"{len(waiting)} of {count_text(len(self._hands), 'worker')}"
+            parts += [f"starting {of}" if seconds < START_S else f"waiting until the cluster has room for {of}"]
+        messages = {hand.said for hand in self._hands if hand.streams and hand.said}
+        return "; ".join(parts + sorted(messages))

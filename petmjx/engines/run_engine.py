@@ -1,0 +1,177 @@
+"""The engine of a run: the one that the user gives or names, in workers if asked for, or for ``auto`` the fastest."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.machine import cpu_threads, cuda_devices, device_name
+from petmjx.common.processes import defer_signals
+from petmjx.engines.cost_model import MEASURED, Costs, Work
+from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, options_of
+from petmjx.engines.gpu_start import start_gpu
+from petmjx.engines.machine_speed import costs_here
+from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
+from petmjx.engines.protocol import Engine, MinimalEngine, Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.run_options import AUTO, RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+
+if TYPE_CHECKING:
+    from petmjx.engines.remote.worker_choice import WorkerStartup
+
+WORTH_A_GPU: Final = 4 << 20
+"""Bytes of plan files for which ``auto`` will take a GPU that is there: of some 400 plans."""
+
+
+class UserEngine(Engine):
+    """An engine of the user's own, with what it leaves out of ``Engine``. It is not closed: it stays the user's.
+
+    Args:
+        threads: that the run was given, for the name of a device that the engine does not tell.
+    """
+
+    def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
+        self.name, self._own, self._threads = engine.name, engine, threads
+        self.takes_more = bool(getattr(engine, "takes_more", False))
+        self.takes_parts = bool(getattr(engine, "takes_parts", False))
+        self.looks = bool(getattr(engine, "looks", False))
+        self.devices = int(getattr(engine, "devices", 1))
+        self.names_engines = bool(getattr(engine, "names_engines", False))
+
+    @property
+    def tells(self) -> bool:
+        return getattr(self._own.run, "says_at_hand", False)
+
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
+        """Worlds that stay open, of an engine that has them; else as any other."""
+        opens = getattr(self._own, "open", None)
+        worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
+        return worlds
+
+    @property
+    def device(self) -> str:
+        return getattr(self._own, "device", "") or device_name(self.name, self._threads)
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        return self._own.run(jobs, sim, progress)
+
+
+@contextmanager
+def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup | None]:
+    """While plans are read, start what the run will need and what Python mostly waits for: JAX and Warp on the GPU,
+    where ``mjx-warp`` will be the engine of this process, or workers, which are for ``resolve_engine``."""
+    if options.asked_workers is not None and isinstance(options.engine, str):
+        from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have none
+
+        ahead = WorkerStartup(options, worth_gpus=_bytes_of(plans) >= WORTH_A_GPU)
+        try:
+            yield ahead
+        except BaseException:
+            ahead.give_up()
+            raise
+        return
+    thread = threading.Thread(target=_start_if_gpu, name="petmjx-start") if _may_be_gpu(options, plans) else None
+    if thread is not None:
+        thread.start()
+    # what is wrong with plans is told at once: then the thread is waited for where the process ends, if at all
+    yield None
+    if thread is not None:
+        thread.join()
+
+
+def _may_be_gpu(options: RunOptions, plans: object) -> bool:
+    """Whether the engine of this process will be ``mjx-warp`` if there is a GPU."""
+    if options.engine not in (AUTO, "mjx-warp"):
+        return False
+    return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
+
+
+def _start_if_gpu() -> None:
+    if cuda_devices():  # to ask takes the driver its time, too
+        start_gpu()
+
+
+def _bytes_of(plans: object) -> int:
+    """Size of plan files, and of what is in folders; 0 of anything else."""
+    several = plans if isinstance(plans, list | tuple) else [plans]
+    paths = [Path(source) for source in several if isinstance(source, str | PathLike)]
+    with suppress(OSError, ValueError):
+        return sum(file.stat().st_size for path in paths for file in (path.iterdir() if path.is_dir() else [path]))
+    return 0
+
+
+@contextmanager
+def engine_for(
+    options: RunOptions,
+    work: Work,
+    ahead: WorkerStartup | None = None,
+    *,
+    hands_over: bool = False,
+    earlier: str | None = None,
+) -> Iterator[tuple[Engine, Choice]]:
+    """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
+    engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
+    try:
+        yield engine, choice
+    finally:
+        with defer_signals(afterwards=True):  # a second ctrl-C leaves no process behind
+            engine.close()
+
+
+def resolve_engine(
+    options: RunOptions,
+    work: Work,
+    costs: Costs | None = None,
+    ahead: WorkerStartup | None = None,
+    *,
+    hands_over: bool = False,
+    earlier: str | None = None,
+) -> tuple[Engine, Choice]:
+    """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
+    engine does not have.
+
+    Args:
+        costs: of the engines; None: as measured, on a machine as fast as this one.
+        ahead: workers that have been started already for these options (``engine_warmup``).
+        hands_over: whether an engine that ``auto`` takes may hand worlds over to another one (``HandoverEngine``).
+        earlier: the engine that the run had before, which ``auto`` keeps: the machine may be busier than then.
+
+    Raises:
+        InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
+    """
+    asked = options.engine
+    if not isinstance(asked, str):
+        if isinstance(asked, type) or not isinstance(asked, MinimalEngine):
+            raise InputError(f"engine must be a name or an object with a name and a method run, {shown_value(asked)}")
+        if options.asked_workers is not None:
+            raise InputError("workers need an engine by name: each of them builds its own")
+        return UserEngine(asked, options.threads), Choice(asked.name, "given")
+    if options.asked_workers is not None:
+        from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have none
+
+        return resolve_workers(options, work, costs or MEASURED, ahead)
+    threads = options.threads or cpu_threads()
+    costs = costs or costs_here(work, threads)
+    seconds = costs.seconds(work, threads)
+    if asked == AUTO and earlier in ENGINES:
+        name, reason = earlier, "as before"
+    else:
+        name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
+    engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
+    if hands_over and asked == AUTO and name == "mujoco" and options.world_timeout_s is None:
+        from petmjx.engines.engine_handover import HandoverEngine
+        from petmjx.engines.mujoco.engine import MujocoEngine  # it imports MuJoCo
+
+        kernels = "mjx-warp-cpu"
+        assert isinstance(engine, MujocoEngine)
+        return HandoverEngine(engine, lambda: make_engine(kernels, **options_of(kernels, options)), costs), choice
+    return engine, choice

@@ -1,0 +1,94 @@
+"""What runs in the process beside a run: engines of one thread each, and tasks from a pipe.
+
+The process has no GPU, so that JAX and Warp work on its CPU whatever they do in the process of the run. It ends when
+the pipe does, with the process that started it.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+
+from petmjx.common.errors import EngineUnavailable
+from petmjx.common.machine import cpu_threads
+from petmjx.common.text import one_line
+from petmjx.engines.engine_choice import make_engine
+from petmjx.engines.protocol import Engine
+from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
+
+NICE = 5
+"""How much later its threads come than those of the run, which keep a GPU at work."""
+
+GRANULE = 96
+"""Tables have room for a multiple of so many boxes: single worlds of nearly all sizes use the same programs."""
+
+_BUILDING = threading.Lock()
+"""The first engine starts JAX and Warp."""
+
+
+READY = -1
+"""Number of a task whose answer nobody needs: after it an engine is compiled."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A world to simulate, on an engine of this name. ``sim`` and ``job`` are as an engine takes them."""
+
+    number: int
+    engine: str
+    job: Job
+    sim: Simulation
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The outcome of a task; None where there is none, with why, in one line."""
+
+    number: int
+    outcome: Outcome | None
+    message: str = ""
+
+
+def main() -> None:
+    """Answer tasks from standard input on standard output, in any order, until the input ends."""
+    tasks, answers = own_pipes(NICE)
+    thread_state, writing = threading.local(), threading.Lock()
+
+    def answer(task: Task) -> None:
+        reply = _answer(task, vars(thread_state))
+        try:
+            data = pickle.dumps(reply)
+        except Exception as error:
+            data = pickle.dumps(Answer(task.number, None, one_line(error)))
+        with writing, suppress(BrokenPipeError):
+            answers.write(data)
+            answers.flush()
+
+    pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-beside")
+    while (task := next_of(tasks)) is not None:
+        pool.submit(answer, task)
+    os._exit(0)  # whatever still runs is for nobody
+
+
+def _answer(task: Task, engines: dict[str, Engine]) -> Answer:
+    """Simulate a world, on one of a thread's engines."""
+    try:
+        if task.engine not in engines:
+            with _BUILDING:
+                engine = make_engine(task.engine, threads=1)
+            if hasattr(engine, "granule"):
+                engine.granule = GRANULE
+            engines[task.engine] = engine
+        (outcome,) = engines[task.engine].run([task.job], task.sim)
+    except EngineUnavailable as error:
+        return Answer(task.number, None, str(error))
+    except Exception as error:
+        return Answer(task.number, None, one_line(error))
+    return Answer(task.number, outcome)

@@ -1,0 +1,45 @@
+"""What runs in a process that looks at outcomes. It needs neither JAX nor Warp, and ends with the run."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Sequence
+from typing import Final
+
+from petmjx.common.text import one_line
+from petmjx.common.units import FloatArray
+from petmjx.engines.outcome_checks import outcome_checks
+from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
+
+NICE: Final = 5
+
+Look = tuple[Sequence[Outcome], Sequence[Job], Simulation]
+"""The arguments of ``looked_at``."""
+
+Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
+"""Outcomes without their boxes, and the boxes' edges by the plan and at rest, m: what was found of boxes."""
+
+
+def main() -> None:
+    """Answer each look in turn, or say the line of an error."""
+    looks, answers = own_pipes(NICE)
+    while (look := next_of(looks)) is not None:
+        answer: Answer | str
+        try:
+            outcomes = outcome_checks(*look)
+            edges = [(outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m) for outcome in outcomes]
+            for outcome in outcomes:
+                del outcome.boxes  # the run has them, and would need most of its time for an answer to read them
+            answer = outcomes, edges
+        except Exception as error:
+            answer = one_line(error)
+        try:
+            pickle.dump(answer, answers)
+            answers.flush()
+        except BrokenPipeError:
+            break
+    os._exit(0)

@@ -1,0 +1,97 @@
+"""A process beside a run: tasks go to its standard input, and answers come from its standard output, as pickles."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import queue
+import signal
+import subprocess
+import sys
+import threading
+from typing import IO, Any, Final
+
+from petmjx.common.machine import own_environment
+from petmjx.common.processes import collect_rarely
+
+_NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
+
+
+class Child:
+    """The side of the run: threads write tasks and read answers.
+
+    Args:
+        module: whose ``main`` the process runs.
+
+    Attributes:
+        tasks: pickled; after None nothing more is written.
+        answers: None is the last one.
+    """
+
+    def __init__(self, module: str) -> None:
+        self.tasks: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()
+        self.answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._popen: subprocess.Popen[bytes] | None = None
+        try:
+            self._popen = subprocess.Popen(
+                [sys.executable, "-c", f"from {module} import main; main()"],
+                env={**own_environment(), **_NO_GPU},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+            )
+            for target in (self._write, self._read):
+                threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
+        except (OSError, RuntimeError):  # no memory for it or a thread, or an interpreter inside another program
+            self.answers.put(None)
+
+    @property
+    def lives(self) -> bool:
+        return self._popen is not None and self._popen.poll() is None
+
+    @property
+    def pid(self) -> int | None:
+        return self._popen.pid if self._popen is not None else None
+
+    def end(self) -> None:
+        """Kill it."""
+        self.tasks.put(None)
+        if self._popen is not None:
+            self._popen.kill()
+            self._popen.wait()
+
+    def _write(self, popen: subprocess.Popen[bytes]) -> None:
+        assert popen.stdin is not None
+        with contextlib.suppress(OSError), popen.stdin as pipe:
+            while (task := self.tasks.get()) is not None:
+                pipe.write(task)
+                pipe.flush()
+
+    def _read(self, popen: subprocess.Popen[bytes]) -> None:
+        assert popen.stdout is not None
+        with popen.stdout as pipe:
+            while (answer := next_of(pipe)) is not None:
+                self.answers.put(answer)
+        self.answers.put(None)
+
+
+def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
+    """The side of the process, at its start: tasks and answers. Its threads come later than those of the run, by their
+    niceness. Ctrl-C is for the run, which ends this process when it wants to."""
+    collect_rarely()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(nice)
+    answers = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is no answer
+    return sys.stdin.buffer, answers
+
+
+def next_of(pipe: IO[bytes]) -> Any:
+    """The next object of a pipe; None at its end, and where it cannot be read: the pipe ends in the middle of it, there
+    is no memory for it, or its class cannot be imported."""
+    try:
+        return pickle.load(pipe)
+    except Exception:  # a thread that ended without a word would be waited for without end
+        return None

@@ -1,0 +1,244 @@
+"""The outcome of a world: verdict, reason, flags, metrics per box. And the function that decides, ``judge``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntFlag, StrEnum
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.mujoco.box_motion import excess
+from petmjx.options.simulation import Thresholds
+from petmjx.world.history import History
+from petmjx.world.job import EngineState, KeptState
+
+
+class Verdict(StrEnum):
+    STABLE = "stable"
+    UNSTABLE = "unstable"
+    INVALID = "invalid"
+
+
+class Reason(StrEnum):
+    """Why a world is not stable. Empty for worlds that are."""
+
+    NONE = ""
+    NONFINITE = "nonfinite"
+    OVERFLOW = "overflow"
+    EXPLOSION = "explosion"
+    OUT_OF_MEMORY = "out-of-memory"
+    SINKING = "sinking"
+    FAILED = "failed"
+    TIMEOUT = "timeout"
+    DROP = "drop"
+    TILT = "tilt"
+    SHIFT = "shift"
+
+
+class Flag(IntFlag):
+    """What happened to a world, where the metrics do not tell it. The bits of the column ``flags``."""
+
+    NONE = 0
+    NONFINITE = 1
+    CONTACT_OVERFLOW = 2
+    CONSTRAINT_OVERFLOW = 4
+    EXPLOSION = 8
+    EARLY_STOP = 16
+    RERUN_AFTER_OVERFLOW = 32
+    """An engine simulated it again with larger buffers. It depends on the worlds beside it, so results never have it
+    (petmjx.engines.outcome_checks)."""
+    OUT_OF_MEMORY = 64
+    OTHER_OVERFLOW = 128
+    FORKED = 256
+    """The world started from a settled state that another world had reached."""
+    SINKING = 512
+    """Boxes sank into what bears them, so far that a verdict may come from it (petmjx.engines.contact_penetration)."""
+    FAILED = 1024
+    """The simulation ended with an exception; ``Outcome.message`` has its text."""
+    TIMEOUT = 2048
+    """The world took longer than ``RunOptions.world_timeout_s``."""
+    MOVING = 4096
+    """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
+    depend on how long the world is simulated."""
+    KNIFE_EDGE = 8192
+    """A load of any box acts within half a millimetre of the edge of what bears it (petmjx.engines.outcome_checks)."""
+    TIMESTEP = 16384
+    """At half the timestep the verdict is another one (``Simulation.check_timestep``)."""
+    LEANS = 32768
+    """It is stable, but not as planned: a box leans, or lies lower (petmjx.engines.outcome_checks)."""
+    NOT_PLACED = 65536
+    """A hand found no room for a box: it let go further than ``MISSED_M`` from the box's place
+    (petmjx.world.approach_paths), before any box crossed a threshold."""
+
+
+@dataclass(eq=False)
+class Outcome:
+    """The outcome of one world. ``culprit`` is a box index (packing order, from 0), −1 for none."""
+
+    job: int
+    verdict: Verdict
+    reason: Reason
+    culprit: int
+    first_sign_s: float
+    n_boxes: int
+    n_placed: int
+    sim_time_s: float
+    n_steps: int
+    flags: Flag
+    boxes: BoxMetrics
+    n_at_sign: int = 0
+    """Boxes that were placed when the culprit crossed a threshold; 0: none did before the end."""
+    solver: str = "newton"
+    attempt: int = 1
+    engine: str = ""
+    """Which engine made this attempt; filled in where outcomes arrive (petmjx.engines.attempt_runner)."""
+    state: KeptState | EngineState | None = None
+    """The settled state, if the job asked for it: a ``KeptState`` where outcomes have arrived."""
+    margin: float = math.nan
+    """See :func:`margin_of`; filled in for all engines (petmjx.engines.outcome_checks)."""
+    plan_edge_m: float = math.nan
+    plan_edge_box: int = -1
+    rest_edge_m: float = math.nan
+    rest_edge_box: int = -1
+    build_edge_m: float = math.nan
+    build_edge_box: int = -1
+    build_edge_step: int = -1
+    """Least distances of loads from edges, m, whose they are, and after which box is placed; -1 for none. Filled in by
+    petmjx.engines.outcome_checks, too, as those of boxes are."""
+    message: str = ""
+    """Why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
+    history: History | None = None
+    """The frames, if the job asked for them."""
+
+
+INVALID_FLAGS: Final = (
+    (Flag.FAILED, Reason.FAILED),
+    (Flag.NONFINITE, Reason.NONFINITE),
+    (Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW, Reason.OVERFLOW),
+    (Flag.OUT_OF_MEMORY, Reason.OUT_OF_MEMORY),
+    (Flag.EXPLOSION, Reason.EXPLOSION),
+    (Flag.TIMEOUT, Reason.TIMEOUT),
+)
+"""Flags that make a world invalid, with their reasons. The first one that is set decides."""
+
+_INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
+
+
+class Signs(NamedTuple):
+    """Of (…, n) boxes what may decide whether they fail, as in ``BoxMetrics``."""
+
+    shift_m: FloatArray
+    max_tilt_deg: FloatArray
+    max_top_force_n: FloatArray
+    dropped: NDArray[np.bool_]
+
+
+def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
+    """What makes boxes fail, in the order in which it is looked for, and the (…, n) boxes that fail by it.
+
+    Args:
+        boxes: fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
+    """
+    yield Reason.DROP, boxes.dropped
+    yield Reason.TILT, boxes.max_tilt_deg > thresholds.tilt_deg
+    yield Reason.SHIFT, (abs(boxes.shift_m) > thresholds.shift_m).any(axis=-1)
+
+
+def judge(
+    flags: Flag,
+    boxes: BoxMetrics,
+    n_placed: int,
+    thresholds: Thresholds,
+    *,
+    sank: bool = False,
+    placement: tuple[Verdict, Reason] = (Verdict.STABLE, Reason.NONE),
+) -> tuple[Verdict, Reason]:
+    """The verdict of a world and its reason: the only place that decides (docs/metrics.md, section "Verdict").
+
+    An engine asks with what it has measured. Callers that learn more about the world ask again.
+
+    Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
+    20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
+
+    Args:
+        sank: whether boxes sank into what bears them, so far that there is no verdict. ``Flag.SINKING`` does not say
+            it: worlds that keep their verdict have that flag, too.
+        placement: of a world that was shaken, what it was before. What did not stand then has not passed, even if it
+            ends where the plan has it.
+    """
+    for bits, reason in INVALID_FLAGS if int(flags) & _INVALID_BITS else ():
+        if flags & bits:
+            return Verdict.INVALID, reason
+    if sank:
+        return Verdict.INVALID, Reason.SINKING
+    for reason, failed in failures(boxes, thresholds):
+        if failed[:n_placed].any():
+            return Verdict.UNSTABLE, reason
+    return placement
+
+
+def judge_all(
+    flags: NDArray[np.int64], boxes: Signs | BoxMetrics, thresholds: Thresholds
+) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
+    """The verdicts and reasons of many worlds, each as ``judge`` says it of one.
+
+    Args:
+        flags: (m,).
+        boxes: with rows for the m worlds, (m, n) instead of (n,); of boxes that are not placed it has no values.
+    """
+    invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
+    unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
+    verdicts, reasons, where = zip(*invalid, *unstable, strict=True)
+    verdict = np.select(where, [str(label) for label in verdicts], str(Verdict.STABLE))
+    return verdict, np.select(where, [str(reason) for reason in reasons], str(Reason.NONE))
+
+
+DROPPED_EXCESS: Final = 2.0
+"""Least excess of a box that dropped, so that its margin is -1 at most: where it lies in the end may be near its place,
+but a drop is always beyond."""
+
+
+_EPSILON: Final = float(np.finfo(np.float64).eps)
+
+
+def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
+    """How far a world is from the nearest threshold, as a share of it: 1 − the largest excess of a placed box.
+
+    1: nothing moved; 0: on the threshold; negative: beyond it, -1 at most where a box dropped. It is never negative in
+    a stable world and always in an unstable one. NaN for invalid worlds. More: docs/metrics.md, section "Margin".
+    """
+    if verdict is Verdict.INVALID or n_placed == 0:
+        return math.nan
+    placed = slice(n_placed)
+    dropped = boxes.dropped[placed]
+    shift, tilt = (np.asarray(values[placed], dtype=np.float64) for values in (boxes.shift_m, boxes.max_tilt_deg))
+    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped).max()
+    margin = float(1.0 - largest)
+    # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
+    return max(margin, 0.0) if verdict is Verdict.STABLE else min(margin, -_EPSILON)
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One attempt at a world. The last attempt gives the verdict."""
+
+    attempt: int
+    engine: str
+    solver: str
+    timestep_s: float
+    verdict: Verdict
+    reason: Reason
+    flags: Flag
+    n_steps: int
+
+    @classmethod
+    def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
+        """The record of an outcome that was simulated with ``timestep_s`` (s)."""
+        kept = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
+        return cls(timestep_s=timestep_s, **kept)

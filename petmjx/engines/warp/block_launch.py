@@ -1,0 +1,309 @@
+"""Launches of thread blocks: on a GPU by its scheduler, on a CPU each in a thread of its own.
+
+Kernels that run at the same time on one device.
+
+How a device runs the thread blocks of mjx-warp, and the kernel for that: by the size of the world.
+
+A step of forty boxes is latency for the most part, and needs another world beside it; one of two hundred is work for
+many threads. So there are blocks of two sizes, each with a kernel of its own.
+
+A step of few boxes is latency alone, and many worlds have to go through it together: a third kernel has sixteen of them
+in a block, a warp each. Pallets of all sizes begin there. And a run ends with its longest worlds, each of which is
+faster with a multiprocessor to itself: these have a fourth kernel.
+
+All kernels sum in the same order, so that a world may go on in another one after any step, with the same bits.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import warp as wp
+
+from petmjx.common.warp_cpp import with_cpp
+from petmjx.engines.warp.kernels.pause import pause
+from petmjx.engines.warp.kernels.world_loop import run_worlds
+from petmjx.engines.warp.solver import newton
+from petmjx.engines.warp.world_arrays import (
+    MAX_BOXES,
+    PANEL,
+    Counts,
+    FrameBuffer,
+    Model,
+    State,
+    Workspace,
+    Worlds,
+    most_panels,
+)
+
+
+@dataclass(frozen=True)
+class Call:
+    """A kernel, and the blocks that it is launched with.
+
+    Attributes:
+        threads: of a block.
+        arguments: those of the kernel, by the number of the first block.
+    """
+
+    kernel: Any
+    blocks: int
+    threads: int
+    arguments: Callable[[int], Sequence[Any]]
+
+    def launch(self, first: int, blocks: int, **options: Any) -> None:
+        """Some of its blocks, from this one on."""
+        dim, inputs = (blocks, self.threads), list(self.arguments(first))
+        wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
+
+
+@contextmanager
+def others_may_call() -> Iterator[None]:
+    """Inside a call of Python by JAX: let JAX call Python in other threads at the same time.
+
+    Warp (1.18) holds a lock during such a call, so engines in several threads on a CPU would take turns, a slice each.
+    What the lock guards is read before Warp calls our function. Other versions may have no such lock.
+    """
+    lock = getattr(sys.modules[wp.jax_callable.__module__], "_FFI_CALLBACK_LOCK", None)
+    if lock is None or not lock.locked():
+        yield
+        return
+    lock.release()
+    try:
+        yield
+    finally:
+        lock.acquire()
+
+
+def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
+    """Launch all blocks of some calls, on Warp's current device. JAX calls Python for this.
+
+    Args:
+        clock: (1,) the number that tells blocks on a CPU that the time slice is over.
+        slice_ns: the time slice, ns.
+    """
+    device = wp.get_device()
+    if device.is_cuda:
+        with side_by_side(len(calls)) as streams:
+            for call, stream in zip(calls, streams, strict=True):
+                call.launch(0, call.blocks, stream=stream)
+        return
+
+    def run(block: int) -> None:
+        for call in calls:
+            if block < call.blocks:
+                call.launch(block, 1, device=device)
+
+    running: list[Future[None]] = []
+    with others_may_call():
+        try:
+            for block in range(max(call.blocks for call in calls)):
+                running.append(_threads().submit(run, block))
+            wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
+        finally:  # also after an error: then the memory of all blocks is freed
+            clock.numpy()[0] = 1  # the kernels' own memory
+            wait(running)
+        for future in running:
+            future.result()
+
+
+MOST_THREADS: Final = 1024
+
+
+@functools.cache
+def _threads() -> ThreadPoolExecutor:
+    """Threads for the blocks of all engines, as many as are needed at once. They are kept: each slice needs them."""
+    return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")
+
+
+HEAD_START_NS = 50_000
+"""How much later each kernel begins than the one before. A GPU gives thread blocks to its multiprocessors in the order
+in which they come, and lets them run to their end: so blocks of the first kernel have what room they need."""
+
+
+@functools.cache
+def _more_streams(device: str, count: int) -> list[wp.Stream]:
+    return [wp.Stream(device) for _ in range(count)]
+
+
+def own_kernels(count: int) -> list[wp.Kernel]:
+    """What ``side_by_side`` launches itself."""
+    return [pause] if count > 1 and wp.get_device().is_cuda else []
+
+
+@contextmanager
+def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
+    """Streams for kernels that run at the same time, between what is on the current stream before and after.
+
+    Kernels are to be launched in the order of the streams.
+    """
+    device = wp.get_device()
+    current = wp.get_stream(device)
+    more = _more_streams(device.alias, count - 1)
+    for number, stream in enumerate(more, start=1):
+        stream.wait_stream(current)
+        wp.launch(pause, dim=1, inputs=[number * HEAD_START_NS], block_dim=1, stream=stream)
+    try:
+        yield [current, *more]
+    finally:
+        for stream in more:
+            current.wait_stream(stream)
+
+
+TILE_BYTES = 4
+"""Shared memory that Warp takes for a thread of a block with tiles."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """Thread blocks for worlds of a size.
+
+    Attributes:
+        most_boxes: of a world.
+        threads: of a block, from 64 to 512. Those of a world are a power of two, from 32 to 256 (ORDER in block.cuh).
+        per_sm: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
+        shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
+            multiprocessor has for all its blocks the rest is cache.
+        worlds: of a block: one of all its threads, or each one of a warp.
+        pause_after: iterations after which the solver of a world pauses, so that the other worlds of its block need not
+            wait for it to end; 0: it does not.
+    """
+
+    most_boxes: int
+    threads: int
+    per_sm: int
+    shared_bytes: int
+    worlds: int = 1
+    pause_after: int = 0
+
+
+SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
+"""By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured: docs/performance.md."""
+
+FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
+"""For worlds with so few boxes so far: with a carrier that moves they fill six panels."""
+
+LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
+"""For a run's last worlds of the smaller size. No other block has room beside one of these."""
+
+
+def size_for(n_boxes: int) -> Size:
+    """Of the block for a world."""
+    return next(size for size in SIZES if n_boxes <= size.most_boxes)
+
+
+@dataclass(frozen=True)
+class Launch:
+    """How a device runs thread blocks: the execution configuration of a launch, and the sizes that a kernel knows.
+
+    Attributes:
+        blocks: at the same time.
+        threads, per_sm, worlds, pause_after: as in ``Size``.
+        shared_words: shared memory for rows of a world's factor and its Hessian, in numbers of four bytes.
+        panels: of the largest system.
+        hands: whether a hand may carry boxes. Without it a kernel has fewer registers to spill.
+        gives, wraps: whether boxes may give, and film may hold them; as for hands.
+        lands: whether boxes that land follow a law of their own.
+    """
+
+    blocks: int
+    threads: int
+    per_sm: int
+    shared_words: int
+    panels: int
+    hands: bool
+    gives: bool = False
+    wraps: bool = False
+    worlds: int = 1
+    pause_after: int = 0
+    lands: bool = False
+
+    @property
+    def lanes(self) -> int:
+        """Worlds at the same time."""
+        return self.blocks * self.worlds
+
+    @property
+    def tile_words(self) -> int:
+        """Of the tile in a block's shared memory, numbers of four bytes; 0: it has none."""
+        newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
+        return self.worlds * (self.shared_words + newton_words)
+
+    @classmethod
+    def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
+        """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread, and one kernel is
+        for all sizes."""
+        return cls.of(size_for(n_boxes), hands, gives, wraps)
+
+    @classmethod
+    def of(cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
+        """For blocks of this size; of fewer worlds where a GPU has not enough shared memory for so many."""
+        device = wp.get_device()
+        if not device.is_cuda:
+            return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
+        panels = most_panels(size.most_boxes)
+        newton_bytes = newton.own_bytes(panels, size.worlds)
+        most = device.max_shared_memory_per_block // size.per_sm - newton.DRIVER_BYTES
+        traits = hands, gives, wraps
+        if size.worlds > 1:
+            room = most - TILE_BYTES * size.threads - size.worlds * newton_bytes
+            if room < 0:
+                return cls.of(replace(size, threads=size.threads // 2, worlds=size.worlds // 2), *traits)
+            words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2
+        else:
+            words = min(size.shared_bytes, most - newton_bytes) // 4
+        blocks = size.per_sm * device.sm_count
+        return cls(blocks, size.threads, size.per_sm, words, panels, *traits, size.worlds, size.pause_after)
+
+
+@functools.cache
+def kernel(launch: Launch) -> Any:
+    """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
+    shared_words, of_block = launch.shared_words, launch.worlds
+    tile_words, threads = launch.tile_words, launch.threads // launch.worlds
+    hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))
+
+    def march(
+        # Model:
+        model: Model,
+        worlds: Worlds,
+        # In:
+        n_blocks: int,
+        slice_ns: wp.int64,
+        first_block: int,
+        # Data out:
+        state: State,
+        work: Workspace,
+        frames: FrameBuffer,
+        counts: Counts,
+    ) -> None:
+        block, thread = wp.tid()  # type: ignore[misc]  # two numbers in a kernel of two dimensions
+        block += first_block
+        if wp.static(tile_words > 0):
+            shared = wp.tile_zeros(shape=tile_words, dtype=float, storage="shared")
+        else:
+            shared = work.strip  # type: ignore[assignment]  # never used: there is no shared memory
+        if wp.static(of_block > 1):
+            run_worlds(
+                model, worlds,
+                of_block * block + thread // threads, thread % threads, threads, n_blocks, slice_ns,
+                hands, gives, wraps, lands, shared, shared_words,
+                state, work, frames, counts,
+            )  # fmt: skip
+        else:
+            run_worlds(
+                model, worlds,
+                block, thread, threads, n_blocks, slice_ns, hands, gives, wraps, lands, shared, shared_words,
+                state, work, frames, counts,
+            )  # fmt: skip
+
+    bounds = launch.threads, launch.per_sm
+    text = newton.text_for(launch.panels, of_block, threads, launch.pause_after)
+    return with_cpp(march, text, threads=launch.threads, launch_bounds=bounds)

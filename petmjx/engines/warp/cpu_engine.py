@@ -1,0 +1,62 @@
+"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. The fastest engine without a GPU."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax
+import warp as wp
+
+from petmjx.common.errors import EngineUnavailable
+from petmjx.common.machine import cpu_threads, device_name, why_no_warp_on_cpu
+from petmjx.engines.open_worlds import MOST_BOXES
+from petmjx.engines.warp.block_launch import Launch
+from petmjx.engines.warp.engine import MjxWarpEngine
+from petmjx.engines.warp.kernel_launcher import SLICE_NS
+from petmjx.engines.warp.open_worlds import WarpWorlds
+from petmjx.options.simulation import Simulation
+from petmjx.world.scene import Scene
+
+GROUP_WORLDS = 4096
+"""Worlds whose states are in memory at the same time."""
+
+
+class MjxWarpCpuEngine(MjxWarpEngine):
+    """Worlds on Warp's kernels, compiled for this machine's CPU: a world in each thread at a time.
+
+    A world's outcome does not depend on the number of threads.
+
+    Args:
+        threads: worlds simulated at once; None: as many as CPU threads this process may use.
+
+    Raises:
+        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the line says which.
+    """
+
+    name = "mjx-warp-cpu"
+    takes_parts = False  # its tables are made in no time beside what its worlds take
+
+    def __init__(self, threads: int | None = None) -> None:
+        if threads is not None and threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        if problem := why_no_warp_on_cpu():
+            raise EngineUnavailable(f"engine {self.name} cannot run here: {problem}")
+        self.threads = threads if threads is not None else cpu_threads()
+        super().__init__(allow_cpu=True, group_size=GROUP_WORLDS, slice_ns=SLICE_NS)
+        if jax.default_backend() != "cpu":
+            raise EngineUnavailable(
+                f"engine {self.name} cannot run here: jax uses a GPU in this process; set JAX_PLATFORMS=cpu, or take "
+                "the engine mjx-warp"
+            )
+        wp.set_device("cpu")
+
+    @property
+    def device(self) -> str:
+        return device_name(self.name, self.threads)
+
+    def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
+        """As in the protocol."""
+        return WarpWorlds(scenes, sim, most_boxes, self.threads)
+
+    def _blocks(self, launch: Launch) -> int:
+        return self.threads

@@ -1,0 +1,211 @@
+"""The JAX call that launches the kernels of mjx-warp, in which every world goes at its own pace.
+
+Thread blocks for worlds of one size are a fleet, with a kernel of its own (petmjx/engines/warp/block_launch.py); all
+fleets work at the same time, on the same tables. A block takes a world from its fleet's queue, steps it to its end (or
+until its drive begins, or until its time slice is over), and takes the next one. Nothing is done in lockstep: a world
+costs what its own boxes cost, and a step takes as long as its own solver needs. States lie in the tables of
+petmjx/engines/mjx/world_state.py, and a world that was cut off goes on in the next call. So results depend neither on
+blocks, nor on the order of worlds, nor on time.
+"""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import warp as wp
+
+from petmjx.engines.mjx.world_state import NEVER
+from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.block_launch import Call, Launch, kernel, launch_all, own_kernels
+from petmjx.engines.warp.world_arrays import (
+    Counts,
+    FrameBuffer,
+    Model,
+    State,
+    Workspace,
+    Worlds,
+    array_types,
+    filled_record,
+)
+
+SLICE_NS = 250_000_000
+"""Time of a call: short enough for a progress bar, and to stop."""
+
+PAIRS_PER_BOX = 10
+"""Pairs of near geoms reserved per box, and per board of a carrier."""
+
+CONTACTS_PER_BOX = 8
+"""Contacts reserved per box. Full real pallets have 4.5; the most that any of 2,000 sample plans needed was 6.4, in a
+collapse."""
+
+MORE_BOXES = 2
+"""The carrier, and one that small plans need more."""
+
+
+@dataclass(frozen=True)
+class BlockPool:
+    """Thread blocks for worlds of one size.
+
+    Attributes:
+        launch: how the device runs them.
+        blocks: how many.
+        n_boxes, boards: most placed boxes of a world, and most shapes of a carrier.
+        npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
+        least: with fewer worlds it is not worth while; 0: it always is (few.py).
+        last: it is for the last worlds of a run (last.py).
+    """
+
+    launch: Launch
+    blocks: int
+    n_boxes: int
+    boards: int
+    npairmax: int
+    nconmax: int
+    least: int = 0
+    last: bool = False
+
+    @property
+    def is_extra(self) -> bool:
+        """Whether its worlds have another fleet, too."""
+        return self.last or self.least > 0
+
+    @property
+    def most_idle(self) -> int:
+        """Lanes without a world with which it is still worth while."""
+        return self.lanes - self.least if self.least else NEVER
+
+    @property
+    def lanes(self) -> int:
+        """Worlds at the same time."""
+        return self.blocks * self.launch.worlds
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes of the axes of its workspace."""
+        return world_arrays.axes(self.lanes, self.n_boxes, self.boards, self.npairmax, self.nconmax)
+
+
+class KernelLauncher:
+    """Launches kernels with the constants of a run.
+
+    Args:
+        constants: fields of ``records.Model`` except those of a fleet.
+        fleets: by number of the queue from which they take worlds; those that come first have the device's room first.
+        slice_ns: time of a call, ns; with 0 each block takes one step.
+    """
+
+    def __init__(self, constants: Mapping[str, Any], fleets: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
+        self.fleets = tuple(fleets)
+        self.models = [
+            filled_record(
+                Model,
+                {
+                    **constants,
+                    "queue": queue,
+                    "most_idle": fleet.most_idle,
+                    "most_placed": fleet.n_boxes if fleet.least else NEVER,
+                    "npairmax": fleet.npairmax,
+                    "nconmax": fleet.nconmax,
+                },
+            )
+            for queue, fleet in enumerate(fleets)
+        ]
+        # those of extra fleets have worlds that others have room for, too
+        self.blocks = sum(fleet.blocks for fleet in fleets if not fleet.is_extra)
+        self.lanes = sum(fleet.lanes for fleet in fleets)
+        self.slice_ns = slice_ns
+        self.id = next(_IDS)
+        _MARCHES[self.id] = self
+
+    def workspace(self) -> jax.Array:
+        """The workspace of all blocks. It has to be given to each call."""
+        rows = sum(world_arrays.buffer_rows(fleet.sizes) for fleet in self.fleets)
+        return jnp.zeros((rows, world_arrays.BUFFER_WORDS), jnp.float32)
+
+    def load(self) -> None:
+        """Compile the kernels, at the same time, or take them from Warp's cache."""
+        kernels = [kernel(fleet.launch) for fleet in self.fleets] + own_kernels(len(self.fleets))
+        modules = list(dict.fromkeys(kernel.module for kernel in kernels))
+        wp.force_load(wp.get_device(), modules, max_workers=len(modules))
+
+    def __call__(
+        self,
+        worlds: Mapping[str, jax.Array],
+        state: Mapping[str, jax.Array],
+        workspace: jax.Array,
+        frames: Mapping[str, jax.Array],
+    ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
+        """States after a time slice, the workspace, frames, and what was counted. What the kernels do not know of a
+        state stays as it is."""
+        kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.fleets)})
+        counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
+        given = {**worlds, **state, **counts, "workspace": workspace}
+        given |= {_of_frames(name): values for name, values in frames.items()}
+        call = wp.jax_callable(
+            _launch,
+            num_outputs=len(_CHANGED),
+            graph_mode=wp.JaxCallableGraphMode.NONE,
+            in_out_argnames=list(_CHANGED),
+        )
+        changed = call(self.id, *(given[name] for name in _INPUTS | _CHANGED))
+        outputs = dict(zip(_CHANGED, changed, strict=True))
+        after = {name: outputs.get(name, values) for name, values in state.items()}
+        kept = {name: outputs[_of_frames(name)] for name in frames}
+        return after, outputs["workspace"], kept, {name: outputs[name] for name in counts}
+
+    def launch(self, arrays: dict[str, Any]) -> None:
+        """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
+        worlds, state, counts = (filled_record(kind, arrays) for kind in (Worlds, State, Counts))
+        frames = filled_record(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
+        row, calls = 0, []
+        for fleet, model in zip(self.fleets, self.models, strict=True):
+            work = filled_record(Workspace, world_arrays.in_buffer(arrays["workspace"], fleet.sizes, row))
+            row += world_arrays.buffer_rows(fleet.sizes)
+            before, after = (model, worlds, self.lanes, self.slice_ns), (state, work, frames, counts)
+            arguments = partial(_with_block, before, after)
+            calls.append(Call(kernel(fleet.launch), fleet.blocks, fleet.launch.threads, arguments))
+        launch_all(calls, arrays["clock"], self.slice_ns)
+
+
+def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: int) -> tuple[Any, ...]:
+    """The arguments of a kernel, with the number of its first block."""
+    return *before, first_block, *after
+
+
+def _of_frames(name: str) -> str:
+    """The name of an array of ``FrameBuffer`` among all arrays that JAX sees; some are called as those of ``State``."""
+    return f"frame_{name}"
+
+
+_INPUTS = array_types(Worlds)
+_CHANGED = (
+    array_types(State)
+    | array_types(Counts)
+    | {"workspace": wp.array2d[float]}
+    | {_of_frames(name): kind for name, kind in array_types(FrameBuffer).items()}
+)
+"""Name → type of the arrays that JAX sees."""
+
+_IDS = itertools.count()
+_MARCHES: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
+"""By number. JAX never frees a function that it calls, so the function must not hold a run's memory."""
+
+
+def _launch(march: int, *arrays: Any) -> None:
+    """Launch the kernel. JAX calls this with the arrays of ``_INPUTS`` and ``_CHANGED``."""
+    _MARCHES[march].launch(dict(zip(_INPUTS | _CHANGED, arrays, strict=True)))
+
+
+# Warp reads the types of the buffers from the signature.
+_launch.__annotations__ = {"march": int} | _INPUTS | _CHANGED
+_launch.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # what inspect reads
+    [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in _launch.__annotations__]
+)

@@ -1,0 +1,194 @@
+"""Collisions of a world: pairs of geoms that are near, and where they touch.
+
+Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
+over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.warp.kernels.bed import bed_of
+from petmjx.engines.warp.kernels.block_threads import any_of_all, prefix_sums, wait_for_all, warp_by_warp
+from petmjx.engines.warp.kernels.compliance import compliance_of_pair, spring_of_bed, spring_of_pair
+from petmjx.engines.warp.kernels.motion import ROOM, body_of, first_geom, geom_half, skin_of
+from petmjx.engines.warp.kernels.mujoco_warp import box_box, mat83f, plane_box, vec8f
+from petmjx.engines.warp.world_arrays import Model, Thread, Workspace, Worlds
+
+NEAR = wp.constant(1e-5)
+"""Boxes around geoms are larger by this, m, so that rounding loses no contact."""
+
+APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
+"""How far boxes around geoms may be apart, m, for their pair to be listed. The list is good until one of them has left
+its room, so that it need not be made in each step."""
+
+
+@wp.func
+def _first_partner(worlds: Worlds, at: Thread, geom: int) -> int:
+    """The first of the geoms behind this one that may touch it: of another body, and not held fast to the floor."""
+    body = wp.max(body_of(worlds, at.world, geom), wp.where(at.held != 0, 0, -1))
+    return first_geom(worlds, at.world, body + 1)
+
+
+@wp.func
+def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool:
+    """Whether the boxes around two geoms are no further apart than this along each axis, m."""
+    reach = work.geom_reach[at.block, two]
+    place = work.geom_xpos[at.block, two]
+    if one == 0:
+        return place[2] - reach[2] <= work.geom_xpos[at.block, 0][2] + apart
+    gap = wp.abs(place - work.geom_xpos[at.block, one]) - reach - work.geom_reach[at.block, one]
+    return wp.max(gap[0], wp.max(gap[1], gap[2])) <= apart
+
+
+@wp.func
+def list_pairs(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    apart: float,
+    # Data out:
+    work: Workspace,
+) -> int:
+    """List pairs of geoms that are no further apart than this, m; returns their number, which may be more than fit.
+
+    ``geom1_pairadr`` says where the pairs of each lower geom begin. ``geom2_pair`` has the pairs of each higher geom,
+    from ``geom2_pairadr`` on, in order.
+    """
+    block = at.block
+    n = at.geoms
+    for one in range(at.thread, n, at.threads):
+        work.listed_xpos[block, one] = work.geom_xpos[block, one]
+        work.listed_reach[block, one] = work.geom_reach[block, one]
+        count = int(0)
+        for two in range(_first_partner(worlds, at, one), n):
+            count += wp.where(_near(work, at, one, two, apart), 1, 0)
+        work.geom1_pairadr[block, one] = count
+    wait_for_all()
+    prefix_sums(work.geom1_pairadr, block, n, at.thread)
+    wait_for_all()
+    npair = work.geom1_pairadr[block, n]
+    if npair > model.npairmax:
+        return npair
+    for one in range(at.thread, n, at.threads):
+        pair = work.geom1_pairadr[block, one]
+        for two in range(_first_partner(worlds, at, one), n):
+            if _near(work, at, one, two, apart):
+                work.pair_geom1[block, pair] = one
+                work.pair_geom2[block, pair] = two
+                pair += 1
+    wait_for_all()
+    for two in range(at.thread, n, at.threads):
+        count = int(0)
+        for pair in range(work.geom1_pairadr[block, two]):
+            count += wp.where(work.pair_geom2[block, pair] == two, 1, 0)
+        work.geom2_pairadr[block, two] = count
+    wait_for_all()
+    prefix_sums(work.geom2_pairadr, block, n, at.thread)
+    wait_for_all()
+    for two in range(at.thread, n, at.threads):
+        entry = work.geom2_pairadr[block, two]
+        for pair in range(work.geom1_pairadr[block, two]):
+            if work.pair_geom2[block, pair] == two:
+                work.geom2_pair[block, entry] = pair
+                entry += 1
+    wait_for_all()
+    return npair
+
+
+@wp.func
+def collide(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    npair: int,
+    anew: bool,
+    # Data out:
+    work: Workspace,
+) -> bool:
+    """Find where pairs touch; returns whether contacts have other numbers than a step ago.
+
+    Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
+    petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may be more than fit.
+    ``contact_pair`` is the pair of each contact that fits.
+
+    Args:
+        anew: pairs were listed for this step.
+    """
+    block = at.block
+    changed = bool(anew)
+    for pair in range(warp_by_warp(at), npair, at.threads):
+        one = work.pair_geom1[block, pair]
+        two = work.pair_geom2[block, pair]
+        if not _near(work, at, one, two, NEAR):
+            changed = changed or work.pair_ncon[block, pair] != 0
+            work.pair_ncon[block, pair] = 0
+            continue
+        n_points = int(8)
+        distances = vec8f()
+        places = mat83f()
+        normal = wp.vec3(0.0, 0.0, 1.0)
+        lower_skin = skin_of(model, worlds, at.world, one)
+        skin = skin_of(model, worlds, at.world, two)
+        half = geom_half(worlds, at.world, two) + wp.vec3(skin, skin, skin)
+        margin = -lower_skin - skin
+        if one == 0:
+            distances, places, normal = plane_box(
+                normal, work.geom_xpos[block, 0], work.geom_xpos[block, two], work.geom_xmat[block, two], half
+            )
+        else:
+            n_points, distances, places, normal = box_box(
+                work.geom_xpos[block, one],
+                work.geom_xmat[block, one],
+                geom_half(worlds, at.world, one) + wp.vec3(lower_skin, lower_skin, lower_skin),
+                work.geom_xpos[block, two],
+                work.geom_xmat[block, two],
+                half,
+                margin,
+            )
+        count = int(0)
+        for i in range(n_points):
+            distance = distances[i] - margin
+            if distance < 0.0:
+                work.pair_points[block, pair, count] = wp.vec4(places[i, 0], places[i, 1], places[i, 2], distance)
+                count += 1
+        if at.gives != 0:
+            give = compliance_of_pair(worlds, at.world, one, two)
+            work.pair_spring[block, pair] = spring_of_pair(worlds, at.world, one, two)
+            if one != 0 and give > 0.0 and count > 0:
+                are_faces, outward, points, area, least = bed_of(
+                    work.geom_xpos[block, one],
+                    work.geom_xmat[block, one],
+                    geom_half(worlds, at.world, one),
+                    work.geom_xpos[block, two],
+                    work.geom_xmat[block, two],
+                    geom_half(worlds, at.world, two),
+                    normal,
+                )
+                if are_faces:
+                    count = wp.where(area > 0.0, 4, 0)
+                    normal = outward
+                    for i in range(4):
+                        work.pair_points[block, pair, i] = points[i]
+                    work.pair_spring[block, pair] = spring_of_bed(wp.max(area, least), give)
+        work.pair_normal[block, pair] = normal
+        changed = changed or work.pair_ncon[block, pair] != count
+        work.pair_ncon[block, pair] = count
+    if not any_of_all(changed):
+        return False
+    for pair in range(at.thread, npair, at.threads):
+        work.pair_conadr[block, pair] = work.pair_ncon[block, pair]
+    wait_for_all()
+    prefix_sums(work.pair_conadr, block, npair, at.thread)
+    wait_for_all()
+    for pair in range(at.thread, npair, at.threads):
+        begin = work.pair_conadr[block, pair]
+        end = wp.min(work.pair_conadr[block, pair + 1], model.nconmax)
+        for contact in range(begin, end):
+            work.contact_pair[block, contact] = pair
+    wait_for_all()
+    return True

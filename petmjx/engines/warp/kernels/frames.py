@@ -1,0 +1,56 @@
+"""Frames of recorded worlds: poses after a step, and the forces on tops during it (petmjx.world.history)."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.warp.kernels.block_threads import add_to, wait_for_all
+from petmjx.engines.warp.kernels.rules import RUNNING
+from petmjx.engines.warp.world_arrays import FrameBuffer, State, Thread, Workspace
+
+
+@wp.func
+def no_room(frames: FrameBuffer, blocks: int) -> bool:
+    """Whether a block must not step a recorded world, since each block may be about to write a frame. By one thread.
+
+    An atomic addition reads what all blocks have written; a plain load may read a multiprocessor's own cache.
+    """
+    return add_to(frames.used, 0, 0) + blocks > frames.of.shape[0]
+
+
+@wp.func
+def keep_frame(
+    # Data in:
+    state: State,
+    # In:
+    at: Thread,
+    every: int,
+    # Data out:
+    work: Workspace,
+    frames: FrameBuffer,
+) -> None:
+    """Keep a frame after a step of a recorded world and all that followed from it, if one is due.
+
+    Args:
+        every: steps between two frames.
+    """
+    world = at.world
+    step = state.step[world]
+    placed = state.placed[world]
+    regular = at.placed > 0 and step >= 0 and step % every == 0
+    if regular or placed > at.placed or state.status[world] != RUNNING:
+        if at.thread == 0:
+            work.frame[at.block] = add_to(frames.used, 0, 1)
+        wait_for_all()
+        frame = work.frame[at.block]
+        for box in range(at.thread, placed, at.threads):
+            for i in range(7):
+                frames.pose[frame, box, i] = state.qpos[world, box, i]
+            # nothing has acted yet on a box that was just placed
+            frames.top_force[frame, box] = wp.where(box < at.placed, work.top_force[at.block, box], 0.0)
+        if at.thread == 0:
+            frames.of[frame] = world
+            frames.step[frame] = step
+            frames.placed[frame] = placed
+            for i in range(7):
+                frames.carrier_pose[frame, i] = state.carrier_qpos[world, i]

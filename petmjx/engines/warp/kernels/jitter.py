@@ -1,0 +1,82 @@
+"""Which boxes of a world tremble: those that go to and fro and get nowhere (docs/rules.md, section 5).
+
+Twin of petmjx/engines/mjx/jitter.py.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.warp.kernels.motion import box_half
+from petmjx.engines.warp.kernels.samples import speed_of
+from petmjx.engines.warp.world_arrays import Model, State, Thread, Worlds
+
+
+@wp.func
+def distance_since(worlds: Worlds, state: State, home: wp.array3d[float], world: int, box: int) -> float:
+    """How far a point of a box has moved at most since it was at ``home``, m."""
+    shifted = float(0.0)
+    turned = float(0.0)
+    for i in range(3):
+        change = state.qpos[world, box, i] - home[world, box, i]
+        shifted += change * change
+    for i in range(3, 7):
+        change = state.qpos[world, box, i] - home[world, box, i]
+        turned += change * change
+    return wp.sqrt(shifted) + 2.0 * wp.length(box_half(worlds, world, box)) * wp.sqrt(turned)
+
+
+@wp.func
+def find_jitter(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    look: int,
+    # Data out:
+    state: State,
+) -> None:
+    """At a look for which boxes tremble; the first period after a placement is not measured.
+
+    Args:
+        look: number since the last placement, from 0.
+    """
+    world = at.world
+    period = model.tremble_looks
+    if look < period:
+        return
+    look_s = float(model.poll_steps) * model.timestep
+    begins = look % period == 0
+    for box in range(at.thread, at.placed, at.threads):
+        path = state.tremble_path[world, box] + speed_of(worlds, state, world, box) * look_s
+        away = wp.max(state.tremble_away[world, box], distance_since(worlds, state, state.tremble_qpos, world, box))
+        if begins and look > period:
+            least = model.slow_speed * float(period) * look_s
+            trembles = path >= least and away < wp.min(model.tremble_share * path, least)
+            state.trembles[world, box] = wp.where(trembles, 1, 0)
+        if begins:
+            path = 0.0
+            away = 0.0
+            for i in range(7):
+                state.tremble_qpos[world, box, i] = state.qpos[world, box, i]
+        state.tremble_path[world, box] = path
+        state.tremble_away[world, box] = away
+
+
+@wp.func
+def has_jitter(model: Model, state: State, looks: int, world: int, box: int) -> bool:
+    """Whether a box trembles. Once another one has been placed, that is not known.
+
+    Args:
+        looks: since the last placement.
+    """
+    return looks > 2 * model.tremble_looks and state.trembles[world, box] != 0
+
+
+@wp.func
+def speed_without_jitter(model: Model, worlds: Worlds, state: State, looks: int, world: int, box: int) -> float:
+    """Speed of a box's fastest point, m/s; 0 if it trembles."""
+    if has_jitter(model, state, looks, world, box):
+        return float(0.0)
+    return speed_of(worlds, state, world, box)

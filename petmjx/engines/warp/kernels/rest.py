@@ -1,0 +1,78 @@
+"""The rule for quiet (docs/rules.md, section 5), for one world. Twin of ``Rules.count_quiet``."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.warp.kernels.block_threads import any_of_all
+from petmjx.engines.warp.kernels.jitter import has_jitter, speed_without_jitter
+from petmjx.engines.warp.world_arrays import Model, State, Thread, Worlds
+
+
+@wp.func
+def has_failed(
+    # Model:
+    model: Model,
+    # In:
+    at: Thread,
+    culprit: int,
+    # Data in:
+    state: State,
+) -> bool:
+    """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
+    judged at rest, and may go back until then. ``culprit`` is that of the world: without one no box is looked at."""
+    if culprit < 0:
+        return False
+    world = at.world
+    failed = bool(False)
+    for box in range(at.thread, at.placed, at.threads):
+        failed = failed or state.drop_step[world, box] >= 0 or state.max_tilt[world, box] > model.tilt
+    return any_of_all(failed)
+
+
+@wp.func
+def count_quiet(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    quiet_steps: int,
+    failed: bool,
+    looks: int,
+    # Data out:
+    state: State,
+) -> tuple[int, bool]:
+    """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
+    and the count starts again. Boxes that tremble do not count; with such ones the count of a quiet pallet is 0."""
+    world = at.world
+    fast = bool(False)
+    for box in range(at.thread, at.placed, at.threads):
+        if not speed_without_jitter(model, worlds, state, looks, world, box) < model.quiet_speed:
+            fast = True
+    count = int(0)
+    if not any_of_all(fast):
+        count = quiet_steps + model.poll_steps
+    quiet = count >= model.quiet_steps
+    if model.waits_for_rest == 0:
+        return count, quiet
+    creeps = bool(False)
+    for box in range(at.thread, at.placed, at.threads):
+        speed = speed_without_jitter(model, worlds, state, looks, world, box)
+        if count <= model.poll_steps:
+            state.quiet_speed[world, box] = speed
+        first = state.quiet_speed[world, box]
+        if speed >= wp.max(model.slow_speed, model.slowing * first) or speed > wp.max(model.still_speed, first):
+            creeps = True
+    if any_of_all(creeps) and quiet and not failed:
+        quiet = False
+        count = model.poll_steps
+        for box in range(at.thread, at.placed, at.threads):
+            state.quiet_speed[world, box] = speed_without_jitter(model, worlds, state, looks, world, box)
+    if quiet and looks > 2 * model.tremble_looks:
+        trembling = bool(False)
+        for box in range(at.thread, at.placed, at.threads):
+            trembling = trembling or has_jitter(model, state, looks, world, box)
+        if any_of_all(trembling):
+            count = 0
+    return count, quiet

@@ -1,0 +1,151 @@
+"""What a sample measures of a box: tilt, speed, how far it is over its thresholds, and whether it has dropped.
+
+The twin of petmjx/engines/mjx/box_motion.py, and of what petmjx/engines/mjx/running_metrics.py keeps of it.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
+from petmjx.engines.warp.kernels.motion import box_half, middle_of, rotation
+from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+
+JUST_OVER = wp.constant(1.0000001192092896)
+"""The next float32 after 1: the least excess of a box that has dropped."""
+
+LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
+HALF = wp.constant(wp.int64(32))
+
+RESTLESS = wp.constant(RESTLESS_M_S)
+RISING = wp.constant(RISING_M_S2)
+
+
+@wp.func
+def tilt_of(q: wp.vec4) -> float:
+    """Angle between a box's z axis and the world's, degrees; from the half angle, which float32 resolves."""
+    return wp.degrees(2.0 * wp.atan2(wp.sqrt(q[1] * q[1] + q[2] * q[2]), wp.sqrt(q[0] * q[0] + q[3] * q[3])))
+
+
+@wp.func
+def length_of(a: wp.array3d[float], world: int, box: int, first: int) -> float:
+    """Length of three numbers of a box."""
+    x = a[world, box, first]
+    y = a[world, box, first + 1]
+    z = a[world, box, first + 2]
+    return wp.sqrt(x * x + y * y + z * z)
+
+
+@wp.func
+def excess_of(model: Model, worlds: Worlds, world: int, box: int, place: wp.vec3, tilt: float, dropped: bool) -> float:
+    """Excess of a box: the larger of shift / its threshold and tilt / its threshold, and over 1 if it has dropped."""
+    shift = float(0.0)
+    for i in range(3):
+        moved = wp.abs(place[i] - worlds.target[world, box, i])
+        if i == 2 and place[i] < worlds.target[world, box, i]:
+            moved = wp.max(moved - worlds.sinks[world, box], 0.0)
+        if moved >= model.shift_floor:
+            shift = wp.max(shift, moved)
+    excess = wp.max(shift / model.shift, tilt / model.tilt)
+    return wp.where(dropped, wp.max(excess, JUST_OVER), excess)
+
+
+@wp.func
+def sway_of(state: State, world: int, box: int, place: wp.vec3) -> float:
+    """Horizontal distance of a box from where it was when its drive began, m."""
+    x = place[0] - state.sway_anchor[world, box, 0]
+    y = place[1] - state.sway_anchor[world, box, 1]
+    return wp.sqrt(x * x + y * y)
+
+
+@wp.func
+def measure(
+    # Model:
+    model: Model,
+    worlds: Worlds,
+    # In:
+    at: Thread,
+    box: int,
+    step: int,
+    culprit: int,
+    sample: bool,
+    look: bool,
+    driven: bool,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> bool:
+    """Place of a box in a sample, in a look during a drive, or at the end; returns whether it is lost: with early stop
+    its world ends.
+
+    Args:
+        culprit: as found at an earlier look.
+    """
+    world = at.world
+    place = wp.vec3(0.0, 0.0, 0.0)
+    q = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for i in range(3):
+        place[i] = wp.where(sample, work.qpos_before[at.block, box, i], state.qpos[world, box, i])
+    for i in range(4):
+        q[i] = wp.where(sample, work.qpos_before[at.block, box, 3 + i], state.qpos[world, box, 3 + i])
+    place = middle_of(worlds, world, box, place, q)
+    tilt = tilt_of(q)
+    lowest = place[2] - wp.dot(wp.abs(rotation(q)[2]), box_half(worlds, world, box))
+    dropped = place[2] < 0.0 or lowest < model.drop_z
+    if dropped and state.drop_step[world, box] < 0:
+        state.drop_step[world, box] = step
+    excess = excess_of(model, worlds, world, box, place, tilt, dropped)
+    # positive numbers are in the order of their bits; of equal ones the first box counts
+    key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
+    wp.atomic_max(work.worst, at.block, key)
+    if sample or look:
+        state.max_tilt[world, box] = wp.max(state.max_tilt[world, box], tilt)
+    if sample:
+        state.max_lin_acc[world, box] = wp.max(state.max_lin_acc[world, box], length_of(state.qacc, world, box, 0))
+        state.max_ang_acc[world, box] = wp.max(state.max_ang_acc[world, box], length_of(state.qacc, world, box, 3))
+    tilts = tilt > model.tilt
+    lost = tilts and worlds.ends_when_lost[world]
+    if driven:
+        sway = sway_of(state, world, box, place)
+        state.max_sway[world, box] = wp.max(state.max_sway[world, box], sway)
+        lost = lost or (tilts and box == culprit and model.waits_for_rest != 0 and sway >= worlds.allowed_sway[world])
+    return dropped or lost
+
+
+@wp.func
+def press(
+    # In:
+    world: int,
+    block: int,
+    box: int,
+    # Data out:
+    state: State,
+    work: Workspace,
+) -> None:
+    """The force on a box's top, in a step in which it counts."""
+    state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[block, box])
+
+
+@wp.func
+def speed_of(worlds: Worlds, state: State, world: int, box: int) -> float:
+    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
+    radius = wp.length(box_half(worlds, world, box))
+    return length_of(state.qvel, world, box, 0) + radius * length_of(state.qvel, world, box, 3)
+
+
+@wp.func
+def is_fast(worlds: Worlds, state: State, at: Thread) -> bool:
+    """Whether one of a thread's boxes is faster than ``RESTLESS_M_S``."""
+    fast = bool(False)
+    for box in range(at.thread, at.placed, at.threads):
+        fast = fast or speed_of(worlds, state, at.world, box) > RESTLESS
+    return fast
+
+
+@wp.func
+def rises(work: Workspace, at: Thread) -> bool:
+    """Whether one of a thread's free bodies is accelerated upwards by more than ``RISING_M_S2`` in this step."""
+    up = bool(False)
+    for body in range(at.thread, at.placed + 1 - at.held, at.threads):
+        up = up or work.qacc[at.block, 6 * body + 2] > wp.float64(RISING)
+    return up

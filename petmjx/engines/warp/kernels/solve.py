@@ -1,0 +1,47 @@
+"""The solver as a Warp function. The method: petmjx/engines/warp/solver/newton.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from petmjx.engines.warp.solver.newton import PANELS_MACRO
+from petmjx.engines.warp.world_arrays import EFC_WORDS, PANEL, Model, Workspace
+
+
+@wp.func_native(
+    f"petmjx::newton<{PANELS_MACRO}, {PANEL}, {EFC_WORDS}>"
+    "(model, block, thread, threads, limit, changed, forces,"
+    " petmjx::begin_of(shared), shared_words, work);"
+)
+def newton(
+    # Model:
+    model: Model,
+    # In:
+    block: int,
+    thread: int,
+    threads: int,
+    limit: int,
+    changed: bool,
+    forces: bool,
+    shared: Any,
+    shared_words: int,
+    # Data out:
+    work: Workspace,
+) -> None:
+    """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
+
+    ``changed``: contacts, or the order of bodies, are others than at the last call. ``forces``: those of contacts are
+    wanted, too; else ``contact_force`` may be of the accelerations before the last iteration.
+
+    Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
+    ``contact_force``, ``solver_niter`` and ``solver_paused``: if that is not zero the solver has paused, and the next
+    call goes on. Uses other arrays of the workspace as scratch, and ``shared``, a tile in shared memory with
+    ``shared_words`` numbers for each world of a block, for rows of the factor and the Hessian if they fit.
+    """
+
+
+@wp.func_native("return PETMJX_PAUSE_AFTER > 0 && paused.data[lane] != 0;")
+def in_pause(paused: wp.array[int], lane: int) -> bool:
+    """Whether a lane's solver has paused. ``paused``: ``solver_paused``. The compiler knows if none ever does."""

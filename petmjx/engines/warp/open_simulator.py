@@ -1,0 +1,186 @@
+"""Open worlds as a pytree, and the pure functions that change them: jitted programs can call these."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import warp as wp
+from jaxtyping import Array, Bool, Float, Int
+
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.timetable import Timetable
+from petmjx.engines.mjx.world_constants import Worlds
+from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state, of_flat, put_rows, take_rows
+from petmjx.engines.verdict import Flag
+from petmjx.engines.warp import world_arrays
+from petmjx.engines.warp.block_launch import Launch
+from petmjx.engines.warp.kernel_launcher import (
+    CONTACTS_PER_BOX,
+    MORE_BOXES,
+    PAIRS_PER_BOX,
+    SLICE_NS,
+    BlockPool,
+    KernelLauncher,
+)
+from petmjx.engines.warp.next_boxes import NewBox, with_new_box
+from petmjx.engines.warp.programs import constants
+from petmjx.options.simulation import Check, Simulation
+from petmjx.world.scene import Scene
+
+
+class Traits(NamedTuple):
+    """What worlds have that only some kernels know, as of ``Launch``."""
+
+    hands: bool
+    gives: bool
+    wraps: bool
+
+    @classmethod
+    def of(cls, scene: Scene) -> Traits:
+        """Of a world with this scene, perhaps shaken."""
+        return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
+
+    def __or__(self, other: tuple[object, ...]) -> Traits:
+        """What either has."""
+        return Traits(*(bool(mine or its) for mine, its in zip(self, other, strict=True)))
+
+
+ALL_TRAITS: Final = Traits(True, True, True)
+
+
+class OpenState(NamedTuple):
+    """Open worlds: what is constant about them until boxes are put in, and their states."""
+
+    worlds: Worlds
+    state: State
+
+
+class Simulator:
+    """The pure functions of open worlds.
+
+    Args:
+        most_boxes: of a world.
+        boards: most shapes of a carrier.
+        room: how much larger than usual buffers are.
+        threads: of a CPU; None: one.
+        traits: which code the kernel has; without the others it spills fewer registers.
+    """
+
+    def __init__(
+        self,
+        sim: Simulation,
+        timetable: Timetable,
+        most_boxes: int,
+        boards: int,
+        room: int = 1,
+        threads: int | None = None,
+        traits: Traits = ALL_TRAITS,
+    ) -> None:
+        launch = replace(Launch.here(most_boxes, *traits), lands=sim.physics.has_landings)
+        shapes = room * (most_boxes + MORE_BOXES) + boards - 1
+        pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
+        fleet = BlockPool(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
+        self._march = KernelLauncher(constants(sim, timetable), [fleet], SLICE_NS)
+        self._sim, self._timetable = sim, timetable
+        self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
+        self._driving = Rules(sim, timetable, most_boxes, driven=True)
+
+    def load(self) -> None:
+        """Compile the kernel, or take it from Warp's cache."""
+        self._march.load()
+
+    def begin(self, worlds: Worlds) -> State:
+        """States of worlds before their soft start."""
+        static = self._sim.check is Check.STATIC
+        ends = jnp.full(len(worlds.n_boxes), NEVER, jnp.int32)
+        fresh: State = fresh_state(worlds, all_placed=static, ends=ends, rest_steps=self._timetable.rest_steps)
+        return fresh
+
+    def reset(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
+        """Begin worlds anew, with these constants; rows beyond the last world are left out."""
+        fresh = self.begin(worlds)
+        return OpenState(put_rows(open_.worlds, rows, worlds), put_rows(open_.state, rows, fresh))
+
+    def put(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
+        """Give worlds more boxes. In those that are paused the first of them is placed.
+
+        Args:
+            rows: which; rows beyond the last world are left out.
+            worlds: their constants, with the boxes that they had and more.
+        """
+        after = put_rows(open_.worlds, rows, worlds)
+        state = open_.state
+        goes = (state.status == Status.PAUSED) & (state.placed < after.n_boxes)
+        state = self._placing.place_next(self._noting_motion(state, goes), after, goes)
+        return OpenState(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
+
+    def put_next(self, open_: OpenState, rows: Int[Array, " row"], box: NewBox) -> OpenState:
+        """As ``put``, one box each, which appears at its place."""
+        return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
+
+    def finish(self, open_: OpenState) -> State:
+        """Paused worlds begin their rest window, or their drive, as their constants say. Those that have paused early,
+        since a wait was in vain, and still move wait on: their last wait is a long one."""
+        state, worlds = open_.state, open_.worlds
+        paused = state.status == Status.PAUSED
+        goes = paused & ~(self._moves(state) & self._lasts_longer(state))
+        settles = goes & worlds.settles & (not self._sim.waits_for_rest)
+        rests = goes & ~settles
+        state = self._noting_motion(state, settles)
+        rest_from = self._placing.rest_from(state)
+        return state._replace(
+            rest_from=jnp.where(rests, rest_from, state.rest_from),
+            end=jnp.where(rests, rest_from + self._timetable.rest_steps, state.end),
+            driven_from=jnp.where(settles, state.step, state.driven_from),
+            status=jnp.where(settles, Status.SETTLED, jnp.where(paused, Status.RUNNING, state.status)),
+        )
+
+    def go_on(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
+        """Let worlds go on until each has paused or ended, or has no room in its buffers."""
+
+        def going(open_: OpenState) -> Bool[Array, ""]:
+            return self.going(open_)
+
+        def on(open_: OpenState) -> OpenState:
+            return self.time_slice(open_, profiles)
+
+        return jax.lax.while_loop(going, on, open_)
+
+    @staticmethod
+    def going(open_: OpenState) -> Bool[Array, ""]:
+        """Whether any world goes on."""
+        state, driven = open_.state, open_.worlds.driven
+        return (state.running | ((state.status == Status.SETTLED) & driven)).any()
+
+    def time_slice(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
+        """Let worlds go on for a time slice."""
+        worlds, n = open_.worlds, len(open_.worlds.n_boxes)
+        flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
+        flat = self._driving.begin_drives(open_.state, worlds)._asdict()
+        flat |= flat.pop("metrics")._asdict()
+        after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
+        return OpenState(worlds, of_flat(after))
+
+    def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
+        """The flag of worlds that go on although they are not at rest."""
+        moves = goes & self._moves(state)
+        return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
+
+    def _moves(self, state: State) -> Bool[Array, " world"]:
+        """Whether worlds that have paused are not quiet, and have not failed."""
+        return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
+
+    def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
+        """Whether the wait of worlds that have paused goes on if it is the last one."""
+        patient = self._sim.waits_for_rest and self._sim.check is Check.ONE_BY_ONE
+        return patient & (state.step < jnp.asarray(self._timetable.longest)[state.last_placed_at])
+
+
+def _no_frames(n_worlds: int, n_boxes: int) -> dict[str, jax.Array]:
+    """Room for frames where no world is recorded."""
+    shapes = world_arrays.array_shapes(world_arrays.FrameBuffer, {"frame": 1, "box": n_boxes, "world": n_worlds})
+    kinds = world_arrays.array_types(world_arrays.FrameBuffer)
+    return {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}

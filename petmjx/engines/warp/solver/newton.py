@@ -1,0 +1,121 @@
+"""The constraint solver of mjx-warp: MuJoCo's Newton method on a pallet's contacts, by one thread block.
+
+MuJoCo finds the accelerations a (qacc) that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ (qacc_smooth) are
+those without contacts, r (aref) the reference accelerations of the contacts, and s the cost of their cones (MuJoCo's
+documentation, "Computation", section "Constraint model"). Newton's direction (search) solves H·x = gradient with
+H = M + Jᵀ·s″·J; a line search follows.
+
+Five things make it fast:
+
+- It starts where accelerations are heading: on the line through those of the last two steps. While boxes come to rest
+  they change smoothly, and the start is off by what bends the line.
+- A contact touches two bodies. So J is kept as 27 numbers per contact, and a product with J costs that much.
+- H is sparse, and bodies are in order of their contacts (kernel/ordering.py), so H has a narrow envelope: a
+  column is zero above the rows of the first body that its body touches, and its factor fills in only below them.
+  Cholesky runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
+- Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This says before each
+  factorisation whether it can help.
+- Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm, μ·p·|j|. Its curvature
+  μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to that of sticking within a tiny step, so that line searches end
+  at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and more while a pallet slides. So j/|j| in it is
+  replaced by a vector w, |w| ≤ 1, that follows |j|·w = j linearised (Chan, Golub and Mulet, "A nonlinear primal-dual
+  method for total variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient
+  primal-dual interior-point method for minimizing a sum of Euclidean norms", the same, 22, 2000). The minimum is the
+  same, and each direction descends. Iterations are nearly halved while a pallet slides, and a line search takes a
+  quarter of the evaluations.
+
+Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
+the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
+world's result depends neither on other blocks nor on their number nor on the run.
+
+The method itself is CUDA C++: petmjx/engines/warp/solver/newton.cu and the files that it includes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from importlib import resources
+
+from petmjx.engines.warp.world_arrays import PANEL
+from petmjx.world.contact_laws import ENOUGH_M_S2, RELAXATION
+
+PANELS_MACRO = "PETMJX_MOST_PANELS"
+"""What C++ calls the panels of a kernel's largest system: its shared memory has room for as many."""
+
+FEW_PANELS = 40
+"""A kernel whose largest system has no more panels factors one at a time (by_one.cuh), others two (by_two.cuh)."""
+
+SLIP_ROUNDS = 12
+"""Iterations after the first one that may change the excess of contacts that slide (petmjx/world/contact_laws.py). The
+other engines change it between two calls of their solver. With these, steps of bricks that slide and tip take 6.6
+iterations (without the law 7.4), those of a heap 24.9 (21.8); with 40 those of a heap take 40."""
+
+SLIP_MACROS = {
+    "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
+    "PETMJX_SLIP_RELAXATION": RELAXATION,
+    "PETMJX_SLIP_ENOUGH": ENOUGH_M_S2,
+}
+"""What C++ calls the numbers of contacts that slide."""
+
+_INCLUDE = re.compile(r'#include "([\w.]+)"')
+
+
+DRIVER_BYTES = 1 << 10
+"""Of a block's shared memory, which the driver keeps for itself (CUDA C++ Programming Guide, "Compute capability
+9.0")."""
+
+
+def own_bytes(panels: int, worlds: int = 1) -> int:
+    """Shared memory that the threads of a world take for systems of up to so many panels, beside strip and Hessian, in
+    blocks of so many worlds. newton.cu checks that it is enough."""
+    parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
+    return 4 * (PANEL + 4) * panels + (parts << 10)
+
+
+def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int = 0) -> str:
+    """The solver's C++ for systems of up to so many panels.
+
+    Args:
+        worlds: of a block; each of several has a warp.
+        threads: of a world.
+        pause_after: iterations after which the solver pauses; 0: it does not.
+    """
+    numbers: dict[str, float] = {
+        PANELS_MACRO: panels,
+        "PETMJX_FEW_PANELS": FEW_PANELS,
+        "PETMJX_OWN_BYTES": own_bytes(panels, worlds),
+        "PETMJX_WORLDS": worlds,
+        "PETMJX_THREADS": threads,
+        "PETMJX_PAUSE_AFTER": pause_after,
+        **SLIP_MACROS,
+    }
+    return defines(numbers) + source("newton.cu")
+
+
+def defines(numbers: Mapping[str, float]) -> str:
+    """C++ that gives numbers their names."""
+    return "".join(f"#define {name} {number}\n" for name, number in numbers.items())
+
+
+def source(name: str, included: set[str] | None = None) -> str:
+    """A C++ file of this package as one text, with the files that it includes.
+
+    Warp compiles a text, and compiles again when the text has changed. It would not notice a change in an included
+    file. ``#line`` directives let compiler errors name the right file and line.
+
+    Args:
+        included: files that are in the text already and are not included again; this call adds its own.
+    """
+    included = included if included is not None else set()
+    included.add(name)
+    lines = [f'#line 1 "{name}"']
+    text = resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+    for number, line in enumerate(text.splitlines(), 1):
+        if match := _INCLUDE.fullmatch(line):
+            if match[1] not in included:
+                lines.append(source(match[1], included))
+            lines.append(f'#line {number + 1} "{name}"')
+        else:
+            lines.append(line)
+    return "\n".join(lines) + "\n"

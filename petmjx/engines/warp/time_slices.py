@@ -1,0 +1,102 @@
+"""Runs of mjx-warp: time slices in which every world of a group goes on."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Int
+from numpy.typing import NDArray
+
+from petmjx.engines.warp.frame_buffers import room_for
+from petmjx.engines.warp.kernel_launcher import SLICE_NS, BlockPool
+from petmjx.engines.warp.programs import LOOKED_AT, programs
+from petmjx.engines.warp.world_groups import Group, Run
+
+
+class Slice(NamedTuple):
+    """What a time slice gives beside states, when it has ended.
+
+    Attributes:
+        began: when the host began it, s.
+        looked_at: statuses of all rows, then the counts ``LOOKED_AT``.
+    """
+
+    began: float
+    looked_at: Int[Array, " word"]
+    frames: dict[str, jax.Array]
+    counts: dict[str, jax.Array]
+
+
+class Rollout:
+    """The buffers of a run, and its time slices that are under way, in their order.
+
+    Args:
+        fleets: as ``BlockPools.of`` gives them.
+        slice_ns: time of a call of the kernels, ns.
+    """
+
+    def __init__(self, run: Run, fleets: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
+        self.programs = programs(run.sim, run.timetable, tuple(fleets), slice_ns)
+        self.march = self.programs.march
+        self.workspace = self.march.workspace().block_until_ready()
+        self._slices: deque[Slice] = deque()
+        self._last_end = 0.0
+
+    @property
+    def under_way(self) -> int:
+        """Slices that have begun and were not waited for."""
+        return len(self._slices)
+
+    def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
+        """Begin a time slice for all worlds of a group that run: behind those that are under way."""
+        lanes = self.march.lanes
+        if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
+            group.frames = room_for(group, lanes)
+        arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
+        program = self.programs.compiled(arguments, group.run.progress)
+        began = time.perf_counter()
+        group.table, self.workspace, looked_at, frames, counts = program(*arguments)
+        self._slices.append(Slice(began, looked_at, frames, counts))
+
+    def keep_under_way(self, count: int, group: Group, order: Int[Array, "queue world"]) -> None:
+        """Begin slices until so many are under way."""
+        while self.under_way < count:
+            self.start(group, order)
+
+    def finish(self, group: Group) -> None:
+        """Wait for all slices that are under way."""
+        while self.under_way:
+            self.wait(group)
+
+    def close(self) -> None:
+        """Wait for slices that are under way, and free the workspace."""
+        while self._slices:
+            with suppress(jax.errors.JaxRuntimeError):  # it may be because of this error that it is closed
+                self._slices.popleft().looked_at.block_until_ready()
+        if not self.workspace.is_deleted():
+            with suppress(jax.errors.JaxRuntimeError):
+                self.workspace.block_until_ready()
+            self.workspace.delete()
+
+    def wait(self, group: Group) -> tuple[NDArray[np.int32], Slice]:
+        """Statuses of a group's worlds after the first slice under way, and that slice, which has ended."""
+        ended = self._slices.popleft()
+        looked_at = np.array(ended.looked_at)
+        self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
+        progress = group.run.progress
+        counts = dict(zip(LOOKED_AT, looked_at[-len(LOOKED_AT) :].tolist(), strict=True))
+        progress.message = group.run.message
+        progress.world_steps += counts["steps"]
+        extra = progress.extra
+        sums = {"seconds": self._last_end - began, "steps": counts["steps"], "iterations": counts["iterations"]}
+        for quantity, amount in sums.items():
+            extra[f"march {quantity}"] = extra.get(f"march {quantity}", 0) + amount
+        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
+        extra["march contacts"] = max(extra.get("march contacts", 0), counts["contacts"])
+        return looked_at[: len(group.jobs)], ended

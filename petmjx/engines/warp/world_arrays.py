@@ -1,0 +1,330 @@
+"""The data that the GPU engine's kernel works on, as records: constants, worlds, their state, workspace, and results.
+
+The kernel and its C++ take whole records. Each array is declared once, with its element type and its axes: ``Worlds``
+and ``State`` are the tables of petmjx/engines/mjx/world_constants.py, state.py and running.py, field by field; JAX
+passes their arrays, and the kernel changes ``State`` in place. All others are declared here. The workspace is one
+buffer, divided by the shapes given here.
+
+Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
+of one size. ``body``: the carrier, then the boxes in packing order; ``free_body``: one that moves; ``dof``: one
+of its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
+``contact``: a point in which a pair touches. Units are SI.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+
+import warp as wp
+from jaxtyping import Bool, Float, Int
+
+from petmjx.engines.mjx import running_metrics, world_constants, world_state
+
+PANEL = 16
+"""Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
+
+MAX_BOXES = 512
+"""Boxes of the largest world. Shared memory limits it: it holds the solver's right-hand side."""
+
+EFC_WORDS = 32
+"""Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref, 3), stiffness of
+a row (D, 1), friction (1)."""
+
+BUFFER_WORDS = 1024
+"""Numbers in a row of the buffer that holds workspaces."""
+
+TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
+"""Element types of tables on the device, by those of JAX."""
+
+
+def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) -> Any:
+    """A Warp struct whose arrays name their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
+
+    Args:
+        tables: records of JAX arrays, whose fields it also has, except those in ``without``.
+    """
+    annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
+    for name, kind in annotations.items():
+        if hasattr(kind, "__metadata__"):
+            annotations[name], axes[name] = get_args(kind)
+    for table in tables:
+        for name, kind in get_type_hints(table).items():
+            if name not in without:
+                annotations[name] = wp.array(dtype=TYPES[kind.dtype], ndim=len(kind.dims))
+                axes[name] = kind.dim_str
+    cls.__annotations__ = annotations
+    made: Any = wp.struct(cls)
+    made.shapes = {
+        name: tuple(int(axis) if axis.isdigit() else axis for axis in of.split()) for name, of in axes.items()
+    }
+    return made
+
+
+@record
+class Model:
+    """Constants of a run: contacts and solver, then the numbers of the rules (docs/rules.md)."""
+
+    timestep: float
+    gravity: float
+    solref: wp.vec2
+    solimp: wp.vec3  # d₀, d_width, width
+    skin: float  # by how much boxes are larger for the collider, m
+    carrier_skin: float  # the same of the carrier
+    pyramidal: int  # 1 with pyramidal friction cones
+    friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
+    slip_slack: float  # reference acceleration of a slip that is not corrected, m/s²; inf: none is
+    kinetic_share: float  # friction of contacts that slide fast, as a share of that at rest
+    impratio_invsqrt: wp.float64  # 1 / √impratio
+    tolerance: wp.float64  # of the solver, as MuJoCo's
+    iterations: int  # most iterations of the solver
+    driven_iterations: int  # the same in a drive
+    ls_iterations: int  # the same of its line search
+
+    queue: int  # from which these blocks take worlds
+    most_idle: int  # lanes without a world; if there are more the others give their worlds up, too, for this call
+    most_placed: int  # boxes of a world in these blocks; with more placed it goes on in others, in the next call
+    npairmax: int  # most pairs of near geoms of a world
+    nconmax: int  # most contacts of a world
+
+    fixed: int  # 1 with the fixed schedule
+    waits_for_rest: int
+    extends: int  # 1 if a world that moves at its end is waited for
+    early_stop: int
+    soft_start: int  # steps
+    sample_every: int
+    rest_steps: int
+    still_steps: int
+    due_steps: int
+    longest_steps: int
+    static_end: int  # last step of the placement of a static check; NEVER with boxes one by one
+    shift: float
+    shift_floor: float
+    tilt: float  # degrees
+    drop_z: float
+    linear_acceleration: float
+    angular_acceleration: float
+    quiet_speed: float
+    slow_speed: float
+    slowing: float
+    still_speed: float
+    tremble_share: float
+    tremble_looks: int
+    quiet_steps: int
+    landing_steps: int
+    poll_steps: int
+    hand_rate: float  # of the hand's spring, 1/s
+    lowering_rate: float  # of the damper by which it sets boxes down, 1/s
+    stuck_steps: int  # for which a hand waits at most
+    film_rate: float  # of a box's spring on its film, 1/s
+    landing_time: float  # in which what lands is stopped, s
+    landing_lasts: int  # steps for which a box that has touched counts as landing
+    restitution: float
+
+    due: wp.array[int]  # by step; as in Timetable
+    longest: wp.array[int]
+    settled: wp.array[int]
+    settled_nominally: wp.array[int]  # by number of boxes
+
+
+@partial(record, tables=(world_constants.Worlds,), without=("driven",))
+class Worlds:
+    """Constants of worlds: the table ``batch.worlds.Worlds``. And ``profiles``, whose rows are excitations."""
+
+    profiles: Annotated[wp.array3d[float], "profile step 3"]
+    order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+@partial(record, tables=(world_state.State, running_metrics.Metrics), without=("metrics",))
+class State:
+    """The state of worlds: the table ``batch.state.State`` with its metrics."""
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+
+@record
+class Workspace:
+    """Arrays of a thread block, used within a step. Each array begins at a multiple of 16 bytes."""
+
+    qacc: Annotated[wp.array2d[wp.float64], "block dof"]
+    search: Annotated[wp.array2d[wp.float64], "block dof"]
+    grad: Annotated[wp.array2d[wp.float64], "block dof"]
+    Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·qacc − aref
+    jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
+    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # in its frame
+    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
+    hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if shared memory has no room for it
+    strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if shared memory has no room for them
+    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # make_constraint; where they lie: efc.cuh
+    curvature: Annotated[wp.array3d[float], "block contact 6"]
+    qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
+    qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
+    drag: Annotated[wp.array3d[float], "block contact 2"]  # contact.cuh
+    excess: Annotated[wp.array2d[float], "block contact"]  # of contacts that slide; negative: does not (world/slip.py)
+    geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
+    geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
+    geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
+    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # xpos and reach when pairs were listed
+    listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
+    qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
+    top_force: Annotated[wp.array2d[float], "block box"]
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the lower geom of a pair
+    pair_geom2: Annotated[wp.array2d[int], "block pair"]
+    pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
+    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both are rigid
+    geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
+    geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
+    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # where they begin
+    pair_ncon: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
+    pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
+    contact_pair: Annotated[wp.array2d[int], "block contact"]
+    contact_bodies: Annotated[wp.array3d[int], "block contact 2"]  # free bodies, lower first; negative: does not move
+    body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, body after body
+    body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
+    body_level: Annotated[wp.array2d[int], "block body"]  # when bodies are put in order
+    position: Annotated[wp.array2d[int], "block free_body"]  # of a body in the solver's system
+    lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: the lowest that its body touches, or its own
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, in no order
+    ncon: Annotated[wp.array[int], "block"]
+    nfree: Annotated[wp.array[int], "block"]  # free bodies
+    solver_niter: Annotated[wp.array[int], "block"]
+    solver_paused: Annotated[wp.array[int], "block"]  # iterations after which the solver has paused; 0: it has ended
+    world: Annotated[wp.array[int], "block"]  # which a block has; negative: none
+    frame: Annotated[wp.array[int], "block"]  # which a block writes
+
+
+@record
+class FrameBuffer:
+    """Frames of recorded worlds, in the order in which blocks write them; all worlds of a call share the room."""
+
+    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: it is not recorded
+    used: Annotated[wp.array[int], "1"]
+    of: Annotated[wp.array[int], "frame"]  # the world of a frame
+    step: Annotated[wp.array[int], "frame"]
+    placed: Annotated[wp.array[int], "frame"]
+    pose: Annotated[wp.array3d[float], "frame box 7"]
+    top_force: Annotated[wp.array2d[float], "frame box"]
+    carrier_pose: Annotated[wp.array2d[float], "frame 7"]
+
+
+@record
+class Counts:
+    """What a call counts."""
+
+    taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken, so far
+    idle: Annotated[wp.array[int], "queue"]  # lanes that have found no more worlds
+    clock: Annotated[wp.array[int], "1"]  # when it began: block.cuh
+    steps: Annotated[wp.array[int], "1"]
+    iterations: Annotated[wp.array[int], "1"]
+    contacts: Annotated[wp.array[int], "1"]  # most of a world
+
+
+@record
+class Thread:
+    """A thread of a block, and the world that its block has."""
+
+    block: int
+    thread: int
+    threads: int
+    world: int
+    placed: int  # boxes that stand
+    geoms: int  # the floor and the shapes of the carrier and of these boxes
+    held: int  # 1 if the carrier is held fast: it is then no free body
+    hands: int  # 1 if a hand may carry boxes; 0 is known to the compiler, which then leaves hands out
+    gives: int  # the same where boxes may give
+    wraps: int  # the same where film may hold boxes
+    lands: int  # the same where boxes that land follow a law of their own
+    carried: int  # 1 if a hand has the last of these boxes
+
+
+def most_panels(n_boxes: int) -> int:
+    """Panels of the system of a world with so many boxes and a carrier that moves."""
+    return -(-6 * (n_boxes + 1) // PANEL)
+
+
+def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) -> dict[str, int]:
+    """Sizes of the axes of some blocks' workspace.
+
+    Args:
+        n_boxes: most boxes of a world.
+        boards: most shapes of a carrier.
+        npairmax: most pairs of near geoms of a world.
+        nconmax: most contacts of a world.
+    """
+    panels = most_panels(n_boxes)
+    return {
+        "block": blocks,
+        "box": n_boxes,
+        "geom": n_boxes + boards + 1,
+        "geom_end": n_boxes + boards + 2,
+        "body": n_boxes + 1,
+        "free_body": n_boxes + 1,
+        "free_body_end": n_boxes + 2,
+        "dof": 6 * (n_boxes + 1),
+        "entry": panels * (panels + 1) // 2 * PANEL**2,
+        "part": panels * 2 * PANEL**2,
+        "pair": npairmax,
+        "pair_end": npairmax + 1,
+        "contact": nconmax,
+        "link": 2 * nconmax,
+        "efc_word": EFC_WORDS,
+    }
+
+
+def array_types(kind: Any) -> dict[str, Any]:
+    """Name → type of a record's arrays, in order."""
+    return {name: kind.vars[name].type for name in kind.shapes}
+
+
+def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ...]]:
+    """Name → shape of a record's arrays, for axes of these sizes."""
+    return {
+        name: tuple(axis if isinstance(axis, int) else sizes[axis] for axis in shape)
+        for name, shape in kind.shapes.items()
+    }
+
+
+def filled_record(kind: Any, values: Mapping[str, Any]) -> Any:
+    """A record with its fields from ``values``, which may have more entries. Arrays are rows (arrays.cuh)."""
+    instance = kind()
+    for name in kind.vars:
+        assert getattr(values[name], "is_contiguous", True), name
+        setattr(instance, name, values[name])
+    return instance
+
+
+def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...], int]]:
+    """Name, element type, shape and 32-bit words of the workspace's arrays, in the order of its buffer."""
+    types = array_types(Workspace)
+    for name, shape in array_shapes(Workspace, sizes).items():
+        words = wp.types.type_size_in_bytes(types[name].dtype) // 4 * math.prod(shape)
+        yield name, types[name].dtype, shape, words + -words % 4
+
+
+def buffer_rows(sizes: Mapping[str, int]) -> int:
+    """Rows of ``BUFFER_WORDS`` that hold the workspace of some blocks; within each array block lies after block.
+
+    Args:
+        sizes: axis → size.
+    """
+    return -(-sum(words for *_, words in _parts(sizes)) // BUFFER_WORDS)
+
+
+def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict[str, Any]:
+    """The workspace's arrays, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``) from this row on."""
+    views: dict[str, Any] = {}
+    pointer = buffer.ptr + 4 * BUFFER_WORDS * first_row
+    for name, dtype, shape, words in _parts(sizes):
+        views[name] = wp.array(ptr=pointer, dtype=dtype, shape=shape, device=buffer.device)
+        pointer += 4 * words
+    return views

@@ -1,0 +1,105 @@
+"""Options of the environment, with their defaults, checks and meanings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Final, Self
+
+from petmjx.analysis.criteria import SUPPORT_SHARES
+from petmjx.common.argument_checks import integer_of, number_of
+from petmjx.common.checked_records import hint, shown_value
+from petmjx.common.errors import InputError
+from petmjx.loop.order_sources import ENDLESS, Orders
+from petmjx.loop.rewards import weights_of
+
+CELLS: Final = "cells"
+CANDIDATES: Final = "candidates"
+PHYSICS: Final = "physics"
+LOADS: Final = "loads"
+GEOMETRY: Final = "geometry"
+CENTRE: Final = "centre"
+SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
+MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, PHYSICS, LOADS)
+
+
+@dataclass(frozen=True)
+class PalletizingOptions:
+    """Options of ``petmjx/Palletizing-v0``, beside those of ``petmjx.Pallets``.
+
+    Attributes:
+        orders: where boxes come from (``petmjx.loop.order_sources.Orders``).
+        orders_seed: of the generator.
+        articles: a table of articles (docs/loads.md) with the strengths of the orders' boxes.
+        look_ahead: boxes that are seen: 1 is online, as many as an order has is offline.
+        buffer: the first so many of them may be placed next.
+        actions: ``candidates``: one of the places that are listed with their features; ``cells``: box × orientation ×
+            cell of the carrier.
+        n_candidates: places that are listed at most, and at least one for each box of the buffer: the lowest of each
+            box, then the second lowest of each, and so on.
+        action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
+        mask: which actions are legal, beside being on the carrier and not too high: ``geometry`` (all), a criterion of
+            docs/criteria.md (``support_75``, … or ``centre``), ``physics``: those that stand when they are tried, or
+            ``loads``: those that also overload no box.
+        max_height_mm: highest top.
+        rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
+        most_illegal: illegal actions after which an episode is truncated.
+    """
+
+    orders: Any = ENDLESS
+    orders_seed: int = 0
+    articles: Any = None
+    look_ahead: int = 1
+    buffer: int = 1
+    actions: str = CANDIDATES
+    n_candidates: int = 32
+    action_cell_mm: float = 100.0
+    cell_mm: float = 50.0
+    mask: str = "support_75"
+    max_height_mm: float = 1800.0
+    rewards: Any = None
+    most_illegal: int = 20
+
+    @classmethod
+    def of(cls, given: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
+        """These options, and what is left of those given.
+
+        Raises:
+            InputError: an unusable value.
+        """
+        names = {field.name for field in fields(cls)}
+        options = cls(**{name: value for name, value in given.items() if name in names})
+        for name, least, most in (
+            ("orders_seed", 0, None),
+            ("look_ahead", 1, 512),
+            ("buffer", 1, 512),
+            ("n_candidates", 1, 100_000),
+            ("most_illegal", 1, None),
+        ):
+            integer_of(getattr(options, name), name, least, most)
+        number_of(options.max_height_mm, "max_height_mm", 1.0, 20_000.0)
+        number_of(options.action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
+        for name, choices in (("actions", (CANDIDATES, CELLS)), ("mask", MASKS)):
+            value = getattr(options, name)
+            if not isinstance(value, str):
+                raise InputError(f"{name} must be text, {shown_value(value)}")
+            if value not in choices:
+                raise InputError(f"unknown {name} {value!r}; {hint(value, choices)}")
+        if options.buffer > options.look_ahead:
+            raise InputError(f"buffer must be at most look_ahead, {options.look_ahead}, got {options.buffer}")
+        return options, {name: value for name, value in given.items() if name not in names}
+
+    def read_orders(self) -> Orders:
+        """The orders.
+
+        Raises:
+            InputError: they cannot be read, or the mask ``loads`` needs strengths and there are none.
+        """
+        orders = Orders(self.orders, self.orders_seed, self.articles)
+        if self.mask == LOADS and not orders.have_strengths:
+            raise InputError(f"mask: {LOADS} needs strengths of boxes: the column strength_n of orders, or articles")
+        return orders
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Of reward terms."""
+        return weights_of(self.rewards)

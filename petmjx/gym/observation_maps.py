@@ -1,0 +1,91 @@
+"""What is seen of pallets from above: how high they are over each cell of the carrier, and what boxes there bear."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.processes import on_threads
+from petmjx.common.units import FloatArray
+from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
+from petmjx.loop.height_maps import spans
+
+_AT_ONCE: Final = 512
+"""Pallets whose maps are made at a time: they stay in a core's cache."""
+
+_MOST: Final = float(np.finfo(np.float32).max)
+
+Map = NDArray[np.float32]
+
+
+class Maps:
+    """The maps of n pallets, kept from box to box, in the precision in which they are observed.
+
+    Attributes:
+        heights: (n, x, y) the highest top, mm; ``loads``: (n, x, y) the largest force on a box's top, N.
+    """
+
+    def __init__(self, n: int, cells: tuple[int, int], cell_mm: float) -> None:
+        self._cell_mm = cell_mm
+        self.heights: Map = np.zeros((n, *cells), np.float32)
+        self.loads: Map = np.zeros((n, *cells), np.float32)
+        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)  # of each box
+
+    def clear(self, rows: NDArray[np.int64]) -> None:
+        """Pallets have no boxes."""
+        self.heights[rows] = self.loads[rows] = 0.0
+
+    def add(
+        self, rows: NDArray[np.int64], number: NDArray[np.int64], size_mm: FloatArray, corner_mm: FloatArray
+    ) -> None:
+        """Some pallets have one box more each.
+
+        Args:
+            number: (m,) which box of its pallet it is, counted from 0; ``size_mm``, ``corner_mm``: (m, 3).
+        """
+        self._spans = widened_table(self._spans, int(number.max(initial=0)) + 1)
+        self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)
+        tops = (corner_mm[:, 2] + size_mm[:, 2]).astype(np.float32)
+        over_x, over_y = self._over(box_spans)
+        self.heights[rows] = np.maximum(self.heights[rows], (tops * over_x[:, None] * over_y).transpose(2, 0, 1))
+
+    def load(self, rows: NDArray[np.int64], top_force_n: FloatArray) -> None:
+        """What boxes of some pallets bear now.
+
+        Args:
+            top_force_n: (m, k) force on each box's top; NaN behind a pallet's own.
+        """
+        force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
+        count = (force > 0).sum(axis=1)
+        fullest = np.argsort(-count, kind="stable")  # together, so that the others take less time
+
+        def load(some: NDArray[np.intp]) -> None:
+            most = int(count[some].max(initial=0))
+            bearing = np.argsort(force[some] <= 0, axis=1, kind="stable")[:, :most]
+            box_spans, box_force = (
+                self._spans[rows[some, None], bearing],
+                np.take_along_axis(force[some], bearing, axis=1),
+            )
+            loads: Map = np.zeros((*self.heights.shape[1:], len(some)), np.float32)
+            for number in range(most):
+                over_x, over_y = self._over(box_spans[:, number])
+                np.maximum(loads, (box_force[:, number] * over_x)[:, None] * over_y, out=loads)
+            self.loads[rows[some]] = loads.transpose(2, 0, 1)
+
+        on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
+
+    def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
+        """(x, m) and (y, m) 1 where boxes stand over these columns and rows of cells, else 0.
+
+        Args:
+            each: (m, 2, 2) of ``spans``.
+        """
+        low, high = box_spans.transpose(1, 2, 0)
+        x, y = (
+            ((low[axis] <= cells) & (cells < high[axis])).astype(np.float32)
+            for axis in range(2)
+            for cells in [np.arange(self.heights.shape[1 + axis])[:, None]]
+        )
+        return x, y

@@ -1,0 +1,155 @@
+"""``petmjx/Palletizing-v0`` as a vector environment: n pallets a step, on one engine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from petmjx.common.argument_checks import integer_of
+from petmjx.common.errors import InputError
+from petmjx.gym.env import PalletizingEnv, check_render_mode, spaces_of
+from petmjx.gym.episodes import Episodes, Observation
+from petmjx.loop.engine_setup import MOST_PALLETS
+
+Info = dict[str, Any]
+
+
+class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
+    """As n of ``PalletizingEnv``, to the last bit, with all pallets in one call.
+
+    Args:
+        num_envs: n.
+        autoreset_mode: when an episode that has ended begins anew: in the next step, which then does nothing else, in
+            the same step, with the last observation and information in ``info``, or when ``reset`` is asked for it.
+        render_mode, options: as in ``PalletizingEnv``; the engine is ``auto`` unless one is named.
+
+    Raises:
+        InputError: an unusable option.
+    """
+
+    metadata = {**PalletizingEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # as Gymnasium
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        check_render_mode(render_mode)
+        try:
+            self.autoreset_mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            names = ", ".join(mode.value for mode in AutoresetMode)
+            raise InputError(f"autoreset_mode must be one of {names}, got {autoreset_mode!r}") from None
+        self.num_envs, self.render_mode = integer_of(num_envs, "num_envs", 1, MOST_PALLETS), render_mode
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.episodes = Episodes(self.num_envs, options)
+        self.single_observation_space, self.single_action_space = spaces_of(self.episodes)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._all = np.arange(self.num_envs)
+        self._rngs: list[np.random.Generator] = [seeding.np_random()[0] for _ in range(self.num_envs)]
+        self._over = np.ones(self.num_envs, bool)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Info]:
+        """Begin all episodes, or those of ``options["reset_mask"]``, (n,) booleans.
+
+        Args:
+            seed: of the first environment, where the others have the numbers that follow; or a list with one for each.
+        """
+        mask = None if options is None else options.get("reset_mask")
+        rows = self._all if mask is None else np.flatnonzero(self._checked_mask(mask))
+        seeds = [seed + row for row in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise InputError(f"seed must have {self.num_envs} of them, got {len(seeds)}")
+        for row in rows.tolist():
+            if seeds is not None and seeds[row] is not None:
+                self._rngs[row], _ = seeding.np_random(seeds[row])
+        self._begin(rows)
+        return self.episodes.observed(self._all), self._info(rows)
+
+    def step(self, actions: Any) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
+        """Put a box onto each pallet whose episode goes on."""
+        chosen = np.asarray(actions)
+        if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
+            raise InputError(f"actions must be {self.num_envs} whole numbers, got shape {chosen.shape}")
+        if not ((chosen >= 0) & (chosen < self.episodes.n_actions)).all():
+            raise InputError(f"actions must be from 0 to {self.episodes.n_actions - 1}")
+        anew = np.flatnonzero(self._over)
+        if anew.size and self.autoreset_mode is not AutoresetMode.NEXT_STEP:
+            raise InputError(f"the episode of environment {anew[0]} is over: reset it")
+        going = np.flatnonzero(~self._over)
+        self._begin(anew)
+        reward, terminated, truncated = np.zeros(self.num_envs), *(np.zeros(self.num_envs, bool) for _ in range(2))
+        info: Info = {}
+        if going.size:
+            stepped = self.episodes.step(going, chosen[going])
+            reward[going], terminated[going], truncated[going] = stepped.reward, stepped.terminated, stepped.truncated
+            terms = {f"reward_{name}": values for name, values in stepped.terms.items()}
+            info = self._spread(going, terms)
+        over = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
+            ended = np.flatnonzero(over)
+            info |= self._final(ended, info)
+            self._begin(ended)
+            self._over[:] = False
+        else:
+            self._over = over
+        return self.episodes.observed(self._all), reward, terminated, truncated, info | self._info(self._all)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture of each pallet."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.episodes.pallets.show(row, size=(480, 480)) for row in range(self.num_envs))
+
+    def close_extras(self, **_: Any) -> None:
+        """Free the engine."""
+        self.episodes.pallets.close()
+
+    def _begin(self, rows: NDArray[np.int64]) -> None:
+        self.episodes.begin(rows, [self._rngs[row] for row in rows.tolist()])
+        self._over[rows] = False
+
+    def _info(self, rows: NDArray[np.int64]) -> Info:
+        return self._spread(rows, self.episodes.told(rows))
+
+    def _spread(self, rows: NDArray[np.int64], values: dict[str, NDArray[Any]]) -> Info:
+        """Values of some environments in Gymnasium's form: arrays for all environments, with masks of those that have
+        a value."""
+        info: Info = {}
+        known = np.zeros(self.num_envs, bool)
+        known[rows] = True
+        for name, some in values.items():
+            table = np.zeros(self.num_envs, some.dtype)
+            if some.dtype == object:
+                table[:] = None
+            table[rows] = some
+            info[name], info[f"_{name}"] = table, known.copy()
+        return info
+
+    def _final(self, rows: NDArray[np.int64], so_far: Info) -> Info:
+        """The last observations and information of episodes that have ended in this step."""
+        seen = self.episodes.observed(rows)
+        last = np.full(self.num_envs, None, object)
+        for at, row in enumerate(rows.tolist()):
+            last[row] = {name: values[at] for name, values in seen.items()}
+        known = np.zeros(self.num_envs, bool)
+        known[rows] = True
+        terms = {name: values[rows] for name, values in so_far.items() if name.startswith("reward_")}
+        info = self._spread(rows, terms | self.episodes.told(rows))
+        return {"final_obs": last, "_final_obs": known, "final_info": info, "_final_info": known.copy()}
+
+    def _checked_mask(self, mask: Any) -> NDArray[np.bool_]:
+        reset_mask = np.asarray(mask)
+        if reset_mask.shape != (self.num_envs,) or reset_mask.dtype != bool or not reset_mask.any():
+            raise InputError(f"options: reset_mask must be {self.num_envs} booleans, at least one of them true")
+        return reset_mask

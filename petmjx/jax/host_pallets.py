@@ -1,0 +1,223 @@
+"""Pallets on C MuJoCo for jitted programs: what boxes there are is in the pytree, settled worlds are behind a callback.
+
+How a pallet stands follows from its boxes alone, so the boxes are the state. Settled worlds are kept by their boxes,
+the last ones used; one that is not there any more is built again, to the last bit.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.engines.protocol import Engine
+from petmjx.jax.placement_results import PlacementArrays, empty_results, shapes, write_results
+from petmjx.loop.pallets import Pallets
+from petmjx.loop.placements import Placements
+from petmjx.options.simulation import Simulation
+
+KEPT_PER_PALLET: Final = 4
+"""Settled worlds that are kept, for each pallet of a state."""
+
+
+MOST_ASKED: Final = 64
+"""So many more are kept for candidates of pallets other than those of the last states."""
+
+
+_BEYOND: Final = (2, 2, 1, 0, 1, 1, 0, 0, 0)
+"""How many axes follow the axis of pallets, in the arrays of boxes, counts, new boxes, and the two masks."""
+
+
+class Host:
+    """Settled pallets by their boxes. Called by one thread at a time."""
+
+    def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
+        self.most_boxes = most_boxes
+        slots = KEPT_PER_PALLET * n + MOST_ASKED
+        self._lock = threading.Lock()
+        self._engine, self._sim = engine, sim
+        self._begin(slots)
+
+    def _begin(self, slots: int) -> None:
+        """Have room for so many settled worlds, and none of them."""
+        self._pallets = Pallets(slots, engine=self._engine, most_boxes=self.most_boxes, **dict(self._sim))
+        self._slots: OrderedDict[bytes, int] = OrderedDict()
+        self._free = list(range(slots))
+
+    def place(self, *arguments: Any) -> list[NDArray[Any]]:
+        """The answers for pallets that get a box each. Arguments are the boxes that they have, and the new ones."""
+        return self._of_all(arguments, keeps=True)
+
+    def try_all(self, *arguments: Any) -> list[NDArray[Any]]:
+        """The same, and nothing is kept of it."""
+        return self._of_all(arguments, keeps=False)
+
+    def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
+        """Under ``jax.vmap`` arrays have axes in front, of 1 where they are the same for all: all rows in one call."""
+        arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
+        shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
+        rows = []
+        for values, beyond in arrays:
+            row_shape = values.shape[values.ndim - beyond :]
+            rows.append(np.broadcast_to(values, (*shape, *row_shape)).reshape(-1, *row_shape))
+        size, corner, mass, count, *box = rows
+        columns = self._asked(size, corner, mass, count, box, keeps=keeps)
+        return [values.reshape(*shape, *values.shape[1:]) for values in columns]
+
+    def _asked(
+        self,
+        size: NDArray[Any],
+        corner: NDArray[Any],
+        mass: NDArray[Any],
+        count: NDArray[Any],
+        box: Any,
+        *,
+        keeps: bool,
+    ) -> list[NDArray[Any]]:
+        new_size, new_corner, new_mass, gets, stands = (np.asarray(values) for values in box)
+        columns = empty_results(len(count), self.most_boxes)
+        rows, others = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
+        with self._lock:
+            used = np.flatnonzero(gets | stands)
+            many = len(used) if keeps else len({_key(size[row], corner[row], mass[row]) for row in used})
+            if (needed := KEPT_PER_PALLET * many + MOST_ASKED) > len(self._pallets):
+                self._begin(needed)
+            pinned: set[int] = set()
+            if len(others):
+                other_slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
+                write_results(columns, others, self._pallets.told(np.array(other_slots)))
+            if not len(rows):
+                return columns
+            slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in rows]
+            request = Placements(new_size[rows], new_corner[rows], new_mass[rows], np.array(slots))
+            if not keeps:
+                write_results(columns, rows, self._pallets.try_all(**vars(request)))
+                return columns
+            into: list[int] = []
+            fresh: list[int] = []
+            made: dict[bytes, int] = {}
+            for row in rows.tolist():
+                k = int(count[row])
+                key = _key(
+                    np.vstack([size[row, :k], new_size[row]]),
+                    np.vstack([corner[row, :k], new_corner[row]]),
+                    np.append(mass[row, :k], new_mass[row]),
+                )
+                if key in self._slots:
+                    self._slots.move_to_end(key)
+                elif key not in made:
+                    made[key] = self._spare(pinned)
+                    fresh.append(len(into))
+                into.append(self._slots.get(key, made.get(key, -1)))
+                pinned.add(into[-1])
+            if fresh:
+                self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
+            self._slots.update(made)  # now that they have their boxes
+            write_results(columns, rows, self._pallets.told(np.array(into)))
+        return columns
+
+    def _placed(self, request: Placements, bases: NDArray[np.int64]) -> None:
+        """Make free pallets copies of others, with a box more each. What is refused leaves them free."""
+        try:
+            self._pallets.fork(bases, request.pallet)
+            self._pallets.place(**vars(request))
+        except BaseException:
+            self._free += request.pallet.tolist()
+            raise
+
+    def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
+        """The pallet that has these boxes; it is then not given to others."""
+        keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
+        known = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
+        slot = self._slots[keys[known]] if known >= 0 else -1
+        if known < count:
+            if known >= 0:
+                pinned.add(slot)
+            base, slot = slot, self._spare(pinned)
+            try:
+                self._pallets.reset(slot) if known < 0 else self._pallets.fork(base, slot)
+                for k in range(max(known, 0), count):
+                    self._pallets.place(size_mm=size[k], corner_mm=corner[k], mass_kg=mass[k], pallet=slot)
+            except BaseException:
+                self._free.append(slot)
+                raise
+            self._slots[keys[count]] = slot
+        self._slots.move_to_end(keys[count])
+        pinned.add(slot)
+        return slot
+
+    def _spare(self, pinned: set[int]) -> int:
+        """A pallet that nobody needs now: a free one, or the one that was not used for longest."""
+        if not self._free:
+            oldest = next(key for key, slot in self._slots.items() if slot not in pinned)
+            self._free.append(self._slots.pop(oldest))
+        return self._free.pop()
+
+
+def _key(size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any]) -> bytes:
+    return np.concatenate([size.ravel(), corner.ravel(), mass.ravel()]).tobytes()
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class HostState:
+    """n pallets: their boxes, with room for k, and whether each has fallen."""
+
+    size_mm: Float[Array, "pallet box 3"]
+    corner_mm: Float[Array, "pallet box 3"]
+    mass_kg: Float[Array, "pallet box"]
+    count: Int[Array, " pallet"]
+    ended: Bool[Array, " pallet"]
+    host: Host = field(metadata={"static": True})
+
+    @property
+    def n(self) -> int:
+        """Pallets."""
+        return int(self.count.shape[0])
+
+    def place(
+        self, size: jax.Array, corner: jax.Array, mass: jax.Array, gets: jax.Array
+    ) -> tuple[HostState, PlacementArrays]:
+        """See ``petmjx.jax.place``."""
+        k = self.host.most_boxes
+        gets = gets & ~self.ended & (self.count < k)
+        before = (self.size_mm, self.corner_mm, self.mass_kg, self.count)
+        outcomes = _host_callback(self.host.place, self.n, k, *before, size, corner, mass, gets, ~self.ended)
+        rows, at = jnp.arange(self.n), jnp.where(gets, self.count, k)
+        state = replace(
+            self,
+            size_mm=self.size_mm.at[rows, at].set(size, mode="drop"),
+            corner_mm=self.corner_mm.at[rows, at].set(corner, mode="drop"),
+            mass_kg=self.mass_kg.at[rows, at].set(mass, mode="drop"),
+            count=self.count + gets,
+            ended=jnp.where(gets, outcomes.ended, self.ended),
+        )
+        return state, outcomes
+
+    def try_all(self, size: jax.Array, corner: jax.Array, mass: jax.Array, pallet: jax.Array) -> PlacementArrays:
+        """See ``petmjx.jax.try_all``."""
+        k, valid = self.host.most_boxes, (pallet >= 0) & (pallet < self.n)
+        rows = jnp.clip(pallet, 0, self.n - 1)
+        before = tuple(values[rows] for values in (self.size_mm, self.corner_mm, self.mass_kg, self.count))
+        gets = valid & ~self.ended[rows] & (self.count[rows] < k)
+        return _host_callback(self.host.try_all, len(pallet), k, *before, size, corner, mass, gets, gets)
+
+
+def empty_host(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> HostState:
+    """n empty pallets."""
+    three, one = jnp.zeros((n, most_boxes, 3)), jnp.zeros((n, most_boxes))
+    host = Host(n, sim, engine, most_boxes)
+    return HostState(three, three, one, jnp.zeros(n, jnp.int32), jnp.zeros(n, bool), host)
+
+
+def _host_callback(function: Any, m: int, k: int, *arguments: jax.Array) -> PlacementArrays:
+    struct: Any = jax.ShapeDtypeStruct
+    kinds = [struct(shape, kind) for shape, kind in shapes(m, k)]
+    return PlacementArrays(*jax.pure_callback(function, kinds, *arguments, vmap_method="expand_dims"))

@@ -1,0 +1,59 @@
+"""What physics says of placements, as a pytree."""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.engines.verdict import Reason
+from petmjx.loop.placement_results import PlacementResults as HostResults
+
+ENDED: Final = "ended"
+REASONS: Final = (*(str(reason) for reason in Reason), ENDED)
+"""What the numbers of ``PlacementArrays.reason`` mean; 0: the pallet stands. "ended": nothing was placed."""
+
+
+class PlacementArrays(NamedTuple):
+    """m placements, on pallets of at most k boxes. Beyond a pallet's own boxes numbers are 0.
+
+    Attributes as in ``petmjx.PlacementResults``; ``reason`` is an index into ``REASONS``, ``margin`` is -1 where
+    invalid.
+    """
+
+    stable: Bool[Array, " placement"]
+    reason: Int[Array, " placement"]
+    culprit: Int[Array, " placement"]
+    margin: Float[Array, " placement"]
+    shift_mm: Float[Array, " placement"]
+    tilt_deg: Float[Array, " placement"]
+    n_boxes: Int[Array, " placement"]
+    ended: Bool[Array, " placement"]
+    top_force_n: Float[Array, "placement box"]
+    middle_mm: Float[Array, "placement box 3"]
+
+
+def shapes(m: int, k: int) -> list[tuple[tuple[int, ...], type[Any]]]:
+    """Shape and type of each field."""
+    one = [((m,), kind) for kind in (bool, np.int32, np.int32, *(np.float32,) * 3, np.int32, bool)]
+    return [*one, ((m, k), np.float32), ((m, k, 3), np.float32)]
+
+
+def empty_results(m: int, k: int) -> list[NDArray[Any]]:
+    """Of m pallets onto which nothing was placed."""
+    columns: list[NDArray[Any]] = [np.zeros(shape, kind) for shape, kind in shapes(m, k)]
+    columns[1][:], columns[2][:], columns[3][:], columns[7][:] = REASONS.index(ENDED), -1, -1.0, True
+    return columns
+
+
+def write_results(into: list[NDArray[Any]], rows: NDArray[np.int64], told: HostResults) -> None:
+    """Write what was told into these rows."""
+    k = told.top_force_n.shape[1]
+    reasons = np.array([REASONS.index(reason) for reason in told.reason], np.int32)
+    margin = np.nan_to_num(told.margin, nan=-1.0)
+    one = (told.stable, reasons, told.culprit, margin, told.shift_mm, told.tilt_deg, told.n_boxes, told.ended)
+    for table, values in zip(into, one, strict=False):
+        table[rows] = values
+    into[8][rows, :k], into[9][rows, :k] = np.nan_to_num(told.top_force_n), np.nan_to_num(told.middle_mm)

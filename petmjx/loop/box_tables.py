@@ -1,0 +1,88 @@
+"""Which boxes are on which pallets, in arrays, as they were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.loop.extreme_points import Points
+from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
+from petmjx.loop.placements import Placements
+from petmjx.plans.plan import Plan
+
+_AT_ONCE: Final = 512
+"""Pallets whose points are found at a time."""
+
+
+class BoxTable:
+    """The boxes of n pallets.
+
+    Attributes:
+        count: (n,) boxes.
+        size_mm, corner_mm: (n, k, 3), ``mass_kg``: (n, k); NaN beyond a pallet's own.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.count: NDArray[np.int64] = np.zeros(n, np.int64)
+        self.size_mm: FloatArray = np.full((n, FIRST_COLUMNS, 3), np.nan)
+        self.corner_mm: FloatArray = np.full((n, FIRST_COLUMNS, 3), np.nan)
+        self.mass_kg: FloatArray = np.full((n, FIRST_COLUMNS), np.nan)
+        self._points = Points(n)
+
+    def add(self, asked: Placements) -> None:
+        """Put one box on each of some pallets."""
+        rows, at = asked.pallet, self.count[asked.pallet]
+        for name in ("size_mm", "corner_mm", "mass_kg"):
+            setattr(self, name, widened_table(getattr(self, name), int(at.max(initial=0)) + 1, np.nan))
+        self.size_mm[rows, at], self.corner_mm[rows, at] = asked.size_mm, asked.corner_mm
+        self.mass_kg[rows, at] = asked.mass_kg
+        self.count[rows] += 1
+
+    def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
+        """Keep the first boxes of some pallets."""
+        beyond = np.arange(self.size_mm.shape[1]) >= count[:, None]
+        for name in ("size_mm", "corner_mm", "mass_kg"):
+            values = getattr(self, name)
+            some = values[pallets]
+            some[beyond] = np.nan
+            values[pallets] = some
+        self.count[pallets] = count
+        self._points.cut(pallets, count)
+
+    def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
+        """Give pallets the boxes of others."""
+        for name in ("count", "size_mm", "corner_mm", "mass_kg"):
+            values = getattr(self, name)
+            values[into] = values[sources]
+        self._points.copy(sources, into)
+
+    def find_points(self, pallets: NDArray[np.int64]) -> Points:
+        """The extreme points, with those of all boxes of these pallets."""
+        points, rows = self._points, np.unique(pallets)
+        rows = rows[np.argsort(self.count[rows], kind="stable")]  # pallets with few boxes have few points: together
+        while len(rows := rows[points.boxes[rows] < self.count[rows]]):
+            for some in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
+                low = self.corner_mm[some, : int(points.boxes[some].max()) + 1]
+                points.add(some, low, low + self.size_mm[some, : low.shape[1]])
+        return points
+
+    def box(self, pallets: NDArray[np.int64], number: int) -> Placements:
+        """Box ``number`` of some pallets that have it."""
+        return Placements(
+            self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
+        )
+
+    def plan(self, pallet: int, plan_id: str, fields: Mapping[str, Any]) -> Plan:
+        """A pallet with boxes as a plan, with further fields of ``Plan.from_boxes``."""
+        k = int(self.count[pallet])
+        return Plan.from_boxes(
+            plan_id,
+            size_mm=self.size_mm[pallet, :k],
+            corner_mm=self.corner_mm[pallet, :k],
+            mass_kg=self.mass_kg[pallet, :k],
+            **fields,
+        )

@@ -1,0 +1,161 @@
+"""Where boxes could go: the extreme points of many pallets, in arrays.
+
+A box is lowered at a point until it rests, as in ``petmjx.packers.baseline_packer``.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.processes import MOST_THREADS, on_threads
+from petmjx.common.units import FloatArray
+from petmjx.loop.box_tables import BoxTable
+from petmjx.loop.placements import Placements
+from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
+
+_AT_ONCE: Final = 100_000
+"""Pairs of a point and a box that are compared at a time: their tables stay in a core's cache."""
+
+_WORTH_A_THREAD: Final = 50_000
+"""Fewer pairs take less time than a thread to begin."""
+
+_Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
+
+
+class Places(NamedTuple):
+    """c places, box after box, each box's lowest ones first, then those nearest to the origin.
+
+    Attributes:
+        row: (c,) which of the m boxes that were asked about; ``pallet``: (c,) its pallet.
+        corner_mm: (c, 3) where its front-left-bottom corner would be.
+        support: (c,) share of its base that would rest on the carrier or on boxes' tops.
+        centred: (c,) whether its base's middle lies over the convex hull of what it rests on: the criterion ``centre``;
+            None where it was not asked for.
+    """
+
+    row: NDArray[np.intp]
+    pallet: NDArray[np.int64]
+    corner_mm: FloatArray
+    support: FloatArray
+    centred: NDArray[np.bool_] | None
+
+
+def free_places(
+    stock: BoxTable,
+    asked: Placements,
+    extent_mm: tuple[float, float],
+    max_height_mm: float,
+    grid: FloatArray | None = None,
+    *,
+    least_support: float = 0.0,
+    hulls: bool = True,
+) -> Places:
+    """Places for boxes on pallets; ``asked.corner_mm`` is not read.
+
+    Args:
+        grid: (p, 2) points, mm, instead of the extreme ones.
+        least_support: share of its base that must be borne.
+        hulls: whether ``centred`` is asked for.
+    """
+    count = stock.count[asked.pallet]
+    if grid is None:
+        points = stock.find_points(asked.pallet)
+        of_each = points.count(asked.pallet)
+    else:
+        of_each = np.full(len(asked), len(grid))
+    order = np.argsort(count, kind="stable")  # pallets with few boxes cost little, if they are together
+    done = np.cumsum((of_each * (count + 1))[order])
+    share = int(done[-1] // (2 * MOST_THREADS)) if len(order) else 0
+    at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
+    chunks = np.split(order, np.flatnonzero(np.diff(done // at_once)) + 1) if len(order) else []
+
+    def lowered(rows: NDArray[np.intp]) -> _Lowered:
+        pallets, k = asked.pallet[rows], int(count[rows].max())
+        low, size = stock.corner_mm[pallets, :k], asked.size_mm[rows]
+        high = low + stock.size_mm[pallets, :k]
+        at = points.of(pallets) if grid is None else np.tile(grid[:, 0] + 1j * grid[:, 1], (len(pallets), 1))
+        limits = extent_mm, max_height_mm, least_support
+        box, corner, support, centred = _lowered_boxes(at, low, high, size, *limits, hulls=hulls)
+        return rows[box], corner, support, centred
+
+    parts = on_threads(lowered, chunks[::-1])
+    if not parts:
+        nothing = np.zeros(0, np.intp)
+        return Places(nothing, asked.pallet, np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool) if hulls else None)
+    row, corner, support, centred = (np.concatenate(values) for values in zip(*parts, strict=True))
+    given = np.argsort(row, kind="stable")
+    row, corner, support = row[given], corner[given], support[given]
+    return Places(row, asked.pallet[row], corner, support, centred[given] if hulls else None)
+
+
+def _lowered_boxes(
+    points: NDArray[np.complex128],
+    low: FloatArray,
+    high: FloatArray,
+    size: FloatArray,
+    extent_mm: tuple[float, float],
+    max_height_mm: float,
+    least_support: float,
+    *,
+    hulls: bool,
+) -> _Lowered:
+    """Boxes lowered at points of their pallets: which box, its corner, the supported share of its base, and whether its
+    middle is between what bears it.
+
+    Args:
+        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3).
+    """
+    with np.errstate(invalid="ignore"):  # points and boxes that a pallet does not have
+        x, y = points.real, points.imag
+        inside = (x + size[:, :1] <= extent_mm[0] + TOUCH_MM) & (y + size[:, 1:2] <= extent_mm[1] + TOUCH_MM)
+        box, point = np.nonzero(inside)
+        x, y = x[box, point], y[box, point]
+        length_x, length_y, height = size[box].T
+        x_end, y_end = x + length_x, y + length_y
+        # candidates are the last axis: sums over boxes are made in their order, however many there are
+        low_x, low_y = np.take(low[..., :2].transpose(2, 1, 0), box, axis=2)
+        high_x, high_y, top = np.take(high.transpose(2, 1, 0), box, axis=2)
+        under = (low_x < x_end - TOUCH_MM) & (low_y < y_end - TOUCH_MM)
+        under &= (x + TOUCH_MM < high_x) & (y + TOUCH_MM < high_y)
+        z = np.where(under, top, 0.0).max(axis=0, initial=0.0)
+        useful = z + height <= max_height_mm + TOUCH_MM
+        under &= np.where(useful, z - TOUCH_MM, np.inf) <= top
+    bearing = np.flatnonzero(under)
+    at = bearing % max(len(box), 1)
+    low_x, low_y, high_x, high_y = (values.reshape(-1)[bearing] for values in (low_x, low_y, high_x, high_y))
+    start = np.column_stack([np.maximum(x[at], low_x), np.maximum(y[at], low_y)])
+    end = np.column_stack([np.minimum(x_end[at], high_x), np.minimum(y_end[at], high_y)])
+    carried = np.bincount(at, (end - start).prod(axis=1), len(box))
+    support = np.where(z > 0, carried / (length_x * length_y), 1.0)
+    kept = np.flatnonzero(useful & (support >= least_support - SHARE_SLACK))
+    kept = kept[np.lexsort((y[kept], x[kept], z[kept], box[kept]))]
+    corner = np.column_stack([x[kept], y[kept], z[kept]])
+    if not hulls:
+        return box[kept], corner, support[kept], np.zeros(0, bool)
+    middle = np.column_stack([x + length_x / 2, y + length_y / 2])
+    centred = _over_hull(middle, at, start, end) | (z <= 0)
+    return box[kept], corner, support[kept], centred[kept]
+
+
+def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
+    """(c,) whether points lie over the convex hulls of rectangles: seen from it their corners leave no gap of more than
+    180°.
+
+    Args:
+        point: (c, 2); ``at``: (q,) which point each rectangle is for; ``low``, ``high``: (q, 2) ends of rectangles.
+    """
+    order = np.argsort(at, kind="stable")
+    at, low, high = at[order], low[order] - point[at[order]], high[order] - point[at[order]]
+    rank = np.arange(len(at)) - np.searchsorted(at, at)
+    angles = np.full((len(point), int(rank.max(initial=0)) + 1, 4), np.nan)
+    x = np.column_stack([low[:, 0], high[:, 0], low[:, 0], high[:, 0]])
+    y = np.column_stack([low[:, 1], high[:, 1], high[:, 1], low[:, 1]])
+    angles[at, rank] = np.arctan2(y, x)
+    angles = np.sort(angles.reshape(len(point), -1), axis=1)  # those that are none come last
+    has_angles = np.isfinite(angles[:, 0])
+    first, last = angles[:, 0], np.nanmax(np.where(has_angles[:, None], angles, 0.0), axis=1)
+    gap = np.nan_to_num(np.diff(angles, axis=1), nan=0.0).max(axis=1, initial=0.0)
+    return np.asarray((np.maximum(gap, first + 2 * np.pi - last) <= np.pi + 1e-9) & has_angles)

@@ -1,0 +1,129 @@
+"""Candidates under errors and drives: a robot places the box inexactly, or the pallet is shaken afterwards."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.argument_checks import number_of, text_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.units import FloatArray, deg_to_rad
+from petmjx.engines.open_worlds import OpenWorlds
+from petmjx.engines.verdict import Verdict
+from petmjx.loop.placement_results import PlacementResults
+from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.runs.confidence import confidence_sweep
+from petmjx.runs.sweep_design import Design
+from petmjx.world.growing_scenes import NextBoxes
+from petmjx.world.job import Drive
+from petmjx.world.profiles.profile import Strength, allowed_sway_m
+from petmjx.world.profiles.profile_registry import resolve
+from petmjx.world.scene import Scene
+from petmjx.world.variants import Variant, apply
+
+_AT_ONCE: Final = 1024
+"""Worlds with errors or drives that are held at a time."""
+
+_NAME = "candidate"
+"""In place of a plan's id in random numbers: all candidates have the same errors, and can be compared."""
+
+
+class Errors:
+    """The errors of ``petmjx score --confidence``, for a box that is put onto a pallet that stands.
+
+    Place, turn, size and mass of the box are in error; the pallet stands as it stands. Friction has one error for the
+    whole pallet: all cartons are of the same board, at the same humidity. The box is carried to its place by a hand
+    (docs/placing.md).
+    """
+
+    def __init__(self, count: int, sim: Simulation) -> None:
+        self._sweep = confidence_sweep(count, None, dict(sim))
+        placements = list(Design(self._sweep).placements())
+        self._variants: list[Variant] = [variant for variant, _ in placements if variant.placement.random]
+
+    def __len__(self) -> int:
+        return len(self._variants)
+
+    def scenes(self, scene: Scene) -> list[Scene]:
+        """A scene whose last box is the candidate, once for each error."""
+        standing = scene.n_boxes - 1
+        return [apply(scene, _NAME, variant, self._sweep.seed, standing=standing) for variant in self._variants]
+
+
+@functools.lru_cache(maxsize=4)
+def errors_of(count: int, sim: Simulation) -> Errors:
+    """The errors of so many worlds. The file that says them is read once: candidates are tried step after step."""
+    return Errors(count, sim)
+
+
+def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Drive | None:
+    """What shakes candidates, by the name of a profile.
+
+    Args:
+        drive: the name of a built-in profile, a ``Drive``, or None.
+        level: its strength, in the unit given in docs/profiles.md, such as g for ``eumos-40509``.
+
+    Raises:
+        InputError: an unknown profile, a family, or a value that is not a number.
+    """
+    if drive is None:
+        for value, name, usual in ((level, "level", 1.0), (direction_deg, "direction_deg", 0.0)):
+            if value != usual:
+                raise InputError(f"{name} needs a drive")
+        return None
+    if isinstance(drive, Drive):
+        return drive
+    if not isinstance(drive, str):
+        raise InputError(f"drive must be the name of a profile, {shown_value(drive)}")
+    profiles = resolve(text_of(drive, "drive"))
+    if len(profiles) > 1:
+        raise InputError(
+            f"drive: {drive} stands for several profiles; name one of {', '.join(p.name for p in profiles)}"
+        )
+    (profile,) = profiles
+    strength = number_of(level, "level", 0.0)
+    if profile.strength is Strength.ANGLE and strength != 1.0:
+        raise InputError(f"level: {drive} has none")
+    excitation = profile.excitation(sim.physics.timestep_s)
+    yaw_rad = deg_to_rad(number_of(direction_deg, "direction_deg"))
+    return Drive(excitation, strength, yaw_rad, sim.rest_s, allowed_sway_m(profile))
+
+
+def driven_results(
+    open_worlds: OpenWorlds, pallets: NDArray[np.int64], boxes: NextBoxes, drive: Drive, thresholds: Thresholds
+) -> PlacementResults:
+    """The outcomes of (m,) pallets that get one more box each and are then shaken."""
+    parts = []
+    for rows in _chunks(len(pallets), _AT_ONCE):
+        some = pallets[rows].tolist()
+        outcomes = open_worlds.try_scenes(some, open_worlds.with_next(some, boxes.take(rows)), [drive] * len(some))
+        parts.append(PlacementResults.of_outcomes(pallets[rows], outcomes, thresholds))
+    return PlacementResults.joined(parts)
+
+
+def shares(
+    open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
+) -> FloatArray:
+    """(m,) share of the worlds with errors that are stable; invalid worlds are left out."""
+    parts = []
+    for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
+        some = [worlds[row] for row in rows]
+        scenes = [
+            changed for scene in open_worlds.with_next(some, boxes.take(rows)) for changed in errors.scenes(scene)
+        ]
+        error_worlds = [world for world in some for _ in range(len(errors))]
+        outcomes = open_worlds.try_scenes(error_worlds, scenes, [drive] * len(error_worlds))
+        verdicts = np.array([str(outcome.verdict) for outcome in outcomes]).reshape(len(some), -1)
+        known = (verdicts != str(Verdict.INVALID)).sum(axis=1)
+        stable = (verdicts == str(Verdict.STABLE)).sum(axis=1)
+        parts.append(np.where(known > 0, stable / np.maximum(known, 1), np.nan))
+    return np.concatenate(parts)
+
+
+def _chunks(count: int, most: int) -> list[NDArray[np.intp]]:
+    return [np.arange(first, min(first + most, count)) for first in range(0, count, most)]

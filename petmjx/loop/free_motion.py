@@ -1,0 +1,339 @@
+"""``petmjx.release``: boxes let go with any pose and velocity, to hold petmjx against a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from petmjx.common.argument_checks import array_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.engines.protocol import Engine
+from petmjx.loop.engine_setup import ready_engine
+from petmjx.options.carriers import CARRIER_EXTENT_M, OwnCarrier
+from petmjx.options.physics import HIGHEST_FRICTION, HIGHEST_RESTITUTION, LANDING_S, Physics
+from petmjx.options.run_options import AUTO
+from petmjx.options.simulation import LONGEST_S, Simulation
+from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
+from petmjx.world.free_bodies import FreeBodies, Ground, inertia_box
+from petmjx.world.scene import Scene
+
+PLANE: Final = "plane"
+"""The ground that is an infinite plane."""
+
+MANY_WORLDS: Final = 1_000
+"""From so many on ``auto`` takes a GPU where there is one: it has room for as many worlds at a time, and each is slower
+than on a CPU thread."""
+
+FASTEST_M_S: Final = 100.0
+FASTEST_RAD_S: Final = 1_000.0
+"""Velocities. What is faster passes through what it hits within a step, or has the wrong unit."""
+
+SMALLEST_KG_M2: Final = 1e-12
+LARGEST_KG_M2: Final = 1e6
+"""Moments of inertia: more than those of the smallest and the largest boxes of all masses."""
+
+UNIT_WITHIN: Final = 0.01
+"""By how much the length of a quaternion may differ from 1: those of a camera are rounded. It is then made 1."""
+
+_SMALL_RAD: Final = 1e-6
+"""Half of a turn between two steps below which orientations are interpolated linearly: sines would lose digits."""
+
+ON_STEP: Final = 1e-6
+"""A time that is no further than this share of a timestep from a whole number of steps is a step's."""
+
+
+class _Argument(NamedTuple):
+    """An argument with a value for each box: how many numbers that is, and their limits."""
+
+    numbers: int
+    low: float
+    high: float
+
+
+_ARGUMENTS: Final = {
+    "size_mm": _Argument(3, SMALLEST_MM, LARGEST_MM),
+    "mass_kg": _Argument(1, SMALLEST_KG, LARGEST_KG),
+    "pos_m": _Argument(3, -FARTHEST_MM / MM_PER_M, FARTHEST_MM / MM_PER_M),
+    "quat_wxyz": _Argument(4, -1 - UNIT_WITHIN, 1 + UNIT_WITHIN),
+    "vel_m_s": _Argument(3, -FASTEST_M_S, FASTEST_M_S),
+    "angvel_rad_s": _Argument(3, -FASTEST_RAD_S, FASTEST_RAD_S),
+    "inertia_kg_m2": _Argument(3, SMALLEST_KG_M2, LARGEST_KG_M2),
+    "friction": _Argument(1, 0.0, HIGHEST_FRICTION),
+    "restitution": _Argument(1, 0.0, HIGHEST_RESTITUTION),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectories:
+    """Where boxes went that ``petmjx.release`` let go. Without an axis of boxes if there was one box a world.
+
+    Attributes:
+        times_s: (t,) s.
+        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN from where on a world's numbers were not finite.
+        quat_wxyz: (n, t, 4) or (n, k, t, 4) their orientations, of length 1. Its sign is that of the quaternion before.
+        engine: that simulated them.
+    """
+
+    times_s: FloatArray
+    pos_m: FloatArray
+    quat_wxyz: FloatArray
+    engine: str
+
+
+def release(
+    size_mm: ArrayLike,
+    mass_kg: ArrayLike,
+    pos_m: ArrayLike,
+    quat_wxyz: ArrayLike,
+    vel_m_s: ArrayLike,
+    angvel_rad_s: ArrayLike,
+    times_s: ArrayLike,
+    *,
+    inertia_kg_m2: ArrayLike | None = None,
+    friction: ArrayLike | None = None,
+    restitution: ArrayLike | None = None,
+    ground: str | Path = PLANE,
+    physics: str | Mapping[str, Any] | Physics = "pallet",
+    engine: str | Engine = AUTO,
+) -> Trajectories:
+    """Let boxes go with any pose and velocity, and follow them: no rules, no verdicts, many worlds at a time, with the
+    contacts and the steps that plans are simulated with (docs/release.md).
+
+    Arrays have the axes (n, …), for n worlds of one box each, or (n, k, …), for k boxes each. Axes of length 1 and axes
+    that are left out in front are repeated, as NumPy does: a single size, mass or friction is that of all boxes.
+
+    Args:
+        size_mm: (…, 3) extents along the boxes' axes, mm.
+        mass_kg: (…) kg.
+        pos_m: (…, 3) their centres, m; z = 0 is the ground.
+        quat_wxyz: (…, 4) their orientations (w, x, y, z).
+        vel_m_s: (…, 3) velocities of the centres, m/s.
+        angvel_rad_s: (…, 3) angular velocities along the boxes' own axes, rad/s.
+        times_s: (t,) when one looks, s after the boxes are let go, rising. Multiples of the timestep are exact; between
+            two steps places are interpolated linearly, and orientations along the shortest turn.
+        inertia_kg_m2: (…, 3) principal moments along the boxes' axes, kg·m², or one number for all three and all boxes;
+            None: boxes are solid.
+        friction: (…) coefficient of sliding friction of a box with the ground; between two boxes the larger one counts.
+            None: as the physics says of boxes and carriers.
+        restitution: (…) share of its speed with which a box bounces, up to 0.9, the same for all boxes of a world; what
+            lands is stopped within ``physics.landing_s``, or 3 ms where that is 0. None: as the physics says.
+        ground: "plane", infinite, or the name of a carrier of a fixed size, or a TOML file of boards, which is held
+            fast, with its front-left corner at the origin and its top at z = 0.
+        physics: a preset's name, a table that changes one, or a record.
+        engine: mujoco, mjx-warp, mjx-warp-cpu or mjx-jax; auto: mujoco, or a GPU from 1,000 worlds on; or an engine.
+
+    Raises:
+        InputError: an argument is unusable; the line names it.
+        EngineUnavailable: the engine cannot run here.
+    """
+    sim = _options(physics, ground)
+    given: dict[str, Any] = {
+        "size_mm": size_mm,
+        "mass_kg": mass_kg,
+        "pos_m": pos_m,
+        "quat_wxyz": quat_wxyz,
+        "vel_m_s": vel_m_s,
+        "angvel_rad_s": angvel_rad_s,
+    }
+    optional = {"inertia_kg_m2": inertia_kg_m2, "friction": friction, "restitution": restitution}
+    given |= {name: values for name, values in optional.items() if values is not None}
+    boxes, axes = _box_arguments({name: _numbers(name, values) for name, values in given.items()})
+    times, steps, share = _steps(times_s, sim.physics.timestep_s)
+    below = _ground(sim, ground, smooth=friction is not None)
+    scenes = _scenes(boxes, below, sim)
+    velocity = np.concatenate([boxes["vel_m_s"], boxes["angvel_rad_s"]], axis=-1)
+    bodies = FreeBodies(scenes, velocity, np.unique(steps).astype(np.int32), below.is_plane)
+    runner, made = ready_engine(engine, {}, gpu=len(scenes) >= MANY_WORLDS)
+    try:
+        poses = _poses(runner, bodies, sim, boxes.get("restitution")).swapaxes(1, 2)
+    finally:
+        if made:
+            runner.close()
+    rows = np.searchsorted(bodies.steps, steps)
+    pos, quat = _interpolated_poses(poses[:, :, rows[0]], poses[:, :, rows[1]], share)
+    return Trajectories(times, pos.reshape(*axes, -1, 3), quat.reshape(*axes, -1, 4), runner.name)
+
+
+def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatArray | None) -> FloatArray:
+    """(n, s, k, 7) poses of all worlds. Those that bounce alike are simulated together.
+
+    Args:
+        restitution: (n, k, 1) of each box; None: as the physics says.
+
+    Raises:
+        InputError: boxes of a world have several restitutions.
+    """
+    if restitution is None:
+        poses: FloatArray = runner.paths(bodies, sim)
+        return poses
+    of_world = restitution[:, 0, 0]
+    if (restitution[..., 0] != of_world[:, None]).any():
+        raise InputError("restitution must be the same for all boxes of a world")
+    landing_s = sim.physics.landing_s or LANDING_S
+    made: dict[int, FloatArray] = {}
+    for share in np.unique(of_world).tolist():
+        rows = np.flatnonzero(of_world == share)
+        bounces = sim.changed(physics=sim.physics.changed(landing_s=landing_s, restitution=share))
+        alike = replace(bodies, scenes=tuple(bodies.scenes[row] for row in rows), velocity=bodies.velocity[rows])
+        made |= dict(zip(rows.tolist(), runner.paths(alike, bounces), strict=True))
+    return np.stack([made[world] for world in range(len(of_world))])
+
+
+def _options(physics: Any, ground: Any) -> Simulation:
+    """Raises InputError: no such physics, or no such ground."""
+    if not isinstance(physics, str | Mapping | Physics):
+        raise InputError(f"physics must be the name of a preset, a table or a record, {shown_value(physics)}")
+    sim = Simulation(physics=physics, placing="exact")
+    fixed = [str(carrier) for carrier, extent in CARRIER_EXTENT_M.items() if extent is not None]
+    named = isinstance(ground, str) and ground in (PLANE, *fixed)
+    made = isinstance(ground, Path | OwnCarrier) or (isinstance(ground, str) and ground.lower().endswith(".toml"))
+    if not named and not made:
+        raise InputError(
+            f"ground must be {', '.join(map(repr, (PLANE, *fixed)))} or a TOML file of boards, {shown_value(ground)}"
+        )
+    return sim if ground == PLANE else sim.changed(carrier=ground)
+
+
+def _ground(sim: Simulation, ground: Any, *, smooth: bool) -> Ground:
+    made = Ground.plane(sim.physics) if ground == PLANE else Ground.of_carrier(sim)
+    return made.smooth if smooth else made
+
+
+def _numbers(name: str, values: Any) -> FloatArray:
+    """(…, numbers) the values of an argument, with an axis of numbers also where a value is one.
+
+    Raises:
+        InputError: they are no numbers, beyond their limits, or of another shape.
+    """
+    numbers, low, high = _ARGUMENTS[name]
+    try:
+        array = np.asarray(values)
+    except Exception:  # whatever an object says when it is asked for an array
+        array = np.empty(0, dtype=object)
+    if array.dtype.kind not in "iuf" or not array.size:
+        raise InputError(f"{name} must be an array of numbers, {shown_value(values)}")
+    if name == "inertia_kg_m2" and array.ndim == 0:
+        array = np.repeat(array, 3)
+    if numbers == 1:
+        array = array[..., None]
+    shapes = f"(n, {numbers}) or (n, k, {numbers})" if numbers > 1 else "(n,) or (n, k)"
+    if array.ndim == 0 or array.shape[-1] != numbers or array.ndim > 3:
+        raise InputError(f"{name} must have the shape {shapes}, got {np.shape(values)}")
+    array = array.astype(np.float64)
+    if not np.isfinite(array).all():
+        raise InputError(f"{name} must be finite")
+    beyond = (array < low) | (array > high)
+    if beyond.any():
+        where = np.argwhere(beyond)[0].tolist()
+        raise InputError(f"{name} must be from {low:g} to {high:g}, got {array[tuple(where)]:g}")
+    if name == "quat_wxyz":
+        length = np.linalg.norm(array, axis=-1, keepdims=True)
+        if (abs(length - 1) > UNIT_WITHIN).any():
+            wrong = length[abs(length - 1) > UNIT_WITHIN][0]
+            raise InputError(f"quat_wxyz must have the length 1, got {wrong:g}")
+        array /= length
+    return array
+
+
+def _box_arguments(arrays: dict[str, FloatArray]) -> tuple[dict[str, FloatArray], tuple[int, ...]]:
+    """(n, k, numbers) of each argument, and the axes asked for: (n,) or (n, k).
+
+    Raises:
+        InputError: arguments do not fit together.
+    """
+    axes: tuple[int, ...] = ()
+    for name, array in arrays.items():
+        try:
+            axes = np.broadcast_shapes(axes, array.shape[:-1])
+        except ValueError:
+            raise InputError(
+                f"{name} has the axes {array.shape[:-1]}, which do not fit {axes} of the arguments before it"
+            ) from None
+    if not axes:
+        raise InputError("pos_m must have the shape (n, 3) or (n, k, 3), got (3,)")
+    full = {name: np.broadcast_to(array, (*axes, array.shape[-1])) for name, array in arrays.items()}
+    return {name: array.reshape(axes[0], -1, array.shape[-1]) for name, array in full.items()}, axes
+
+
+def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) -> tuple[Scene, ...]:
+    """A scene for each world.
+
+    Raises:
+        InputError: no body has these moments of inertia.
+    """
+    n, k, _ = boxes["pos_m"].shape
+    half_size, mass = mm_to_m(boxes["size_mm"] / 2), boxes["mass_kg"][..., 0]
+    friction = np.tile(sim.physics.box_friction, (n, k, 1))
+    if "friction" in boxes:
+        friction[..., :1] = boxes["friction"]
+    equal = half_size
+    if "inertia_kg_m2" in boxes:
+        equal = inertia_box(boxes["inertia_kg_m2"], mass)
+        if not np.isfinite(equal).all():
+            raise InputError("inertia_kg_m2 must be that of a body: no moment may exceed the sum of the two others")
+    return tuple(
+        Scene(
+            half_size=half_size[world],
+            mass=mass[world],
+            target=boxes["pos_m"][world],
+            start_pos=boxes["pos_m"][world],
+            start_quat=boxes["quat_wxyz"][world],
+            friction=friction[world],
+            carrier=ground.carrier,
+            floor_friction=ground.friction,
+            floor_z=ground.floor_z,
+            inertia_box=equal[world],
+        )
+        for world in range(n)
+    )
+
+
+def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """(t,) the times, (2, t) the steps before and after each, the same one twice for the time of a step, and (t,) how
+    far a time is from the one to the other, from 0 to 1.
+
+    Raises:
+        InputError: they are no times, or do not rise.
+    """
+    times = array_of(times_s, "times_s", ())
+    if not len(times):
+        raise InputError("times_s must have at least one time")
+    if times[0] < 0 or times[-1] > LONGEST_S or not (np.diff(times) > 0).all():
+        raise InputError(f"times_s must rise, from 0 or later to {LONGEST_S:g} s at most")
+    count = times / timestep_s
+    nearest = np.round(count)
+    exact = abs(count - nearest) <= ON_STEP
+    before = np.where(exact, nearest, np.floor(count))
+    steps = np.stack([before, before + ~exact]).astype(np.int64)
+    return times, steps, np.where(exact, 0.0, count - before)
+
+
+def _interpolated_poses(before: FloatArray, after: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(…, t, 3) places and (…, t, 4) orientations between (…, t, 7) poses, by a (t,) share of the way: places on a
+    straight line, orientations along the shortest turn (Shoemake 1985, "slerp"); then each has the sign that is nearer
+    to the one before."""
+    share = share[:, None]
+    pos = before[..., :3] + share * (after[..., :3] - before[..., :3])
+    first, last = before[..., 3:], after[..., 3:]
+    cosine = (first * last).sum(axis=-1, keepdims=True)
+    last, cosine = np.where(cosine < 0, -last, last), abs(cosine)
+    angle = np.arccos(np.minimum(cosine, 1.0))
+    turns = angle > _SMALL_RAD
+    sine = np.where(turns, np.sin(angle), 1.0)
+    weights = (
+        np.where(turns, np.sin((1 - share) * angle) / sine, 1 - share),
+        np.where(turns, np.sin(share * angle) / sine, share),
+    )
+    quat = weights[0] * first + weights[1] * last
+    quat /= np.linalg.norm(quat, axis=-1, keepdims=True)
+    flips = (quat[..., 1:, :] * quat[..., :-1, :]).sum(axis=-1) < 0
+    sign = np.where(np.cumsum(flips, axis=-1) % 2, -1.0, 1.0)
+    quat[..., 1:, :] *= sign[..., None]
+    return pos, quat

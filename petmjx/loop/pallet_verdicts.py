@@ -1,0 +1,61 @@
+"""The verdict of a score, from where pallets stand already if their engine can go on from there to the last bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from petmjx.engines.open_worlds import OpenWorlds
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
+
+AT_ONCE = 4096
+"""Worlds that are finished side by side."""
+
+
+class SettledEngine(Engine):
+    """An engine that takes the first attempt at plans from open worlds that have them, and makes all others itself.
+
+    On ``mjx-warp`` a world does the same however its boxes were put in. On ``mujoco`` boxes that wait are in a world's
+    model, and with it in the last digits: there nothing is taken.
+
+    Args:
+        plans: open world → the plan whose boxes it has.
+    """
+
+    def __init__(self, engine: Engine, open_worlds: OpenWorlds, plans: Mapping[int, Plan], sim: Simulation) -> None:
+        self.name, self._engine, self._open, self._sim = engine.name, engine, open_worlds, sim
+        self._worlds: dict[bytes, int] = {}
+        if engine.name in ("mjx-warp", "mjx-warp-cpu"):
+            self._worlds = {_key(Job(build_scene(plan, sim))): world for world, plan in plans.items()}
+
+    @property
+    def device(self) -> str:
+        return self._engine.device
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        """As all engines."""
+        world_by_job: dict[int, int] = {}
+        if sim == self._sim:
+            named = {index: self._worlds.get(_key(job)) for index, job in enumerate(jobs) if job.record is None}
+            world_by_job = {index: world for index, world in named.items() if world is not None}
+        numbers = list(world_by_job)
+        for first in range(0, len(numbers), AT_ONCE):
+            some = numbers[first : first + AT_ONCE]
+            for outcome in self._open.finish([world_by_job[index] for index in some]):
+                outcome.job = some[outcome.job]
+                yield outcome
+        others = [index for index in range(len(jobs)) if index not in world_by_job]
+        if others:
+            for outcome in self._engine.run([jobs[index] for index in others], sim, progress):
+                outcome.job = others[outcome.job]
+                yield outcome
+
+
+def _key(job: Job) -> bytes:
+    """What tells the boxes of pallets of one carrier apart."""
+    scene = job.scene
+    return scene.mass.tobytes() + scene.half_size.tobytes() + scene.target.tobytes()

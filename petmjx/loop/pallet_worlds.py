@@ -1,0 +1,101 @@
+"""Pallets in the open worlds of an engine: which world has which pallet, now and before its last box came."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.engines.protocol import Engine
+from petmjx.loop.box_tables import BoxTable
+from petmjx.loop.placement_results import PlacementResults
+from petmjx.loop.placements import Placements
+from petmjx.options.simulation import Simulation
+from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes
+
+
+class PalletWorlds:
+    """n pallets that stand in worlds. Called by one thread at a time.
+
+    Attributes:
+        worlds: pallet i is world i; world n + i is pallet i before its last box came; the last one stays empty.
+        boxes: which boxes they have, as they were asked for.
+        dead: (n,) whether a pallet has fallen.
+        placing: whether an engine's thread lets pallets come to rest now: the worlds are its own until then.
+    """
+
+    def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
+        self._n, self._sim = n, sim
+        self.boxes = BoxTable(n)
+        self.dead: NDArray[np.bool_] = np.zeros(n, bool)
+        self.placing = False
+        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in the world before the last; -1: none
+        self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
+        self.worlds.go_on()
+
+    def next_boxes(self, asked: Placements) -> NextBoxes:
+        """As worlds have them."""
+        return NextBoxes.of(asked.size_mm, asked.corner_mm, asked.mass_kg, self._sim)
+
+    def place(self, asked: Placements, meanwhile: Callable[[], object] | None) -> PlacementResults:
+        """Put boxes onto pallets, one each, and wait until these rest; ``meanwhile`` is called while they do so."""
+        rows = asked.pallet
+        if len(rows):
+            self.worlds.fork(rows.tolist(), (self._n + rows).tolist())
+            self._before[rows] = self.boxes.count[rows]
+            self.worlds.put_next(rows.tolist(), self.next_boxes(asked))
+            self.boxes.add(asked)
+        if meanwhile is None:
+            return self._rested(rows)
+        self.placing = True
+        try:
+            with ThreadPoolExecutor(1) as pool:
+                future = pool.submit(self._rested, rows)
+                meanwhile()
+        finally:
+            self.placing = False
+        return future.result()
+
+    def _rested(self, rows: NDArray[np.int64]) -> PlacementResults:
+        if len(rows):
+            self.worlds.go_on()
+        outcomes = PlacementResults.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
+        self.dead[rows] = outcomes.ended
+        return outcomes
+
+    def take_back(self, rows: NDArray[np.int64]) -> None:
+        """Take the last boxes off pallets that have some."""
+        left = self.boxes.count[rows] - 1
+        kept = self._before[rows] == left
+        if kept.any():
+            self.worlds.fork((self._n + rows[kept]).tolist(), rows[kept].tolist())
+        self.boxes.cut(rows, left)
+        self.dead[rows], self._before[rows] = False, -1
+        if not kept.all():
+            self._build(rows[~kept])
+
+    def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
+        """Make pallets copies of others."""
+        these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
+        self.worlds.fork(these, copies)
+        self.boxes.copy(sources, into)
+        self._before[into], self.dead[into] = self._before[sources], self.dead[sources]
+
+    def empty(self, rows: NDArray[np.int64]) -> None:
+        """Pallets have no boxes."""
+        self._empty_worlds(rows)
+        self.boxes.cut(rows, np.zeros(len(rows), np.int64))
+
+    def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
+        self.worlds.fork([2 * self._n] * len(rows), rows.tolist())
+        self.dead[rows], self._before[rows] = False, -1
+
+    def _build(self, rows: NDArray[np.int64]) -> None:
+        """Place the boxes of some pallets anew, one after the other."""
+        self._empty_worlds(rows)
+        for number in range(int(self.boxes.count[rows].max(initial=0))):
+            some = rows[self.boxes.count[rows] > number]
+            self.worlds.put_next(some.tolist(), self.next_boxes(self.boxes.box(some, number)))
+            self.worlds.go_on()

@@ -1,0 +1,155 @@
+"""What physics says of placements (``PlacementResults``): a row each, in the order in which they were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.engines.mujoco.box_motion import has_dropped, shift, tilt_deg
+from petmjx.engines.open_worlds import Readings, joined_records, widened_rows
+from petmjx.engines.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margin_of
+from petmjx.options.simulation import Thresholds
+
+
+@dataclass(frozen=True, eq=False)
+class PlacementResults:
+    """m placements. Arrays of k boxes have a column for each box of the fullest pallet, in packing order, with NaN
+    beyond a pallet's own.
+
+    Attributes:
+        pallet: (m,) the pallet.
+        stable: (m,) whether all of its boxes stand.
+        verdict, reason: (m,) as in the column of ``worlds``: "stable", "unstable" or "invalid", and why not stable.
+        culprit: (m,) the box that shifted, tilted or fell first, counted from 0; -1: none.
+        margin: (m,) how far the nearest threshold is, as in the column ``margin``; NaN where invalid.
+        shift_mm: (m,) largest displacement of a box along an axis, from where the plan has it.
+        tilt_deg: (m,) largest tilt of a box since it was placed.
+        n_boxes: (m,) boxes, the asked one among them.
+        ended: (m,) whether the world has failed so that nothing can be put into it any more.
+        moving: (m,) whether boxes still moved when the world's time was up.
+        top_force_n: (m, k) force on each box's top, at rest in the last step, N.
+        middle_mm: (m, k, 3) where the boxes' middles are, mm; ``quat``: (m, k, 4) orientations (w, x, y, z).
+        share: (m,) share of the worlds with errors in which the pallet stands; NaN where it was not asked for.
+    """
+
+    pallet: NDArray[np.int64]
+    stable: NDArray[np.bool_]
+    verdict: NDArray[np.str_]
+    reason: NDArray[np.str_]
+    culprit: NDArray[np.int64]
+    margin: FloatArray
+    shift_mm: FloatArray
+    tilt_deg: FloatArray
+    n_boxes: NDArray[np.int64]
+    ended: NDArray[np.bool_]
+    moving: NDArray[np.bool_]
+    top_force_n: FloatArray
+    middle_mm: FloatArray
+    quat: FloatArray
+    share: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.pallet)
+
+    def __getitem__(self, rows: Any) -> PlacementResults:
+        """Some of them, by a slice, an array of row numbers, or a boolean array."""
+        which = np.atleast_1d(np.arange(len(self))[rows])
+        return PlacementResults(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+    def with_share(self, share: FloatArray) -> Self:
+        """The same with shares."""
+        return replace(self, share=share)
+
+    @classmethod
+    def joined(cls, parts: Sequence[PlacementResults]) -> PlacementResults:
+        """The rows of all parts, one part after the other."""
+        return cls(**joined_records(parts, max(part.top_force_n.shape[1] for part in parts)))
+
+    @classmethod
+    def of_readings(cls, pallet: NDArray[np.int64], found: Readings, thresholds: Thresholds) -> PlacementResults:
+        """Of worlds that have paused or ended."""
+        m, k = found.max_tilt_deg.shape
+        with np.errstate(invalid="ignore"):  # boxes that are not there, worlds with bad numbers
+            shifted = shift(found.pos, found.target, thresholds.shift_floor_m)
+            quat, middles, halves = (
+                values.reshape(-1, values.shape[2]) for values in (found.quat, found.pos, found.half_size)
+            )
+            tilted = np.fmax(found.max_tilt_deg, tilt_deg(quat).reshape(m, k))
+            dropped = found.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
+            verdict, reason = judge_all(found.flags, Signs(shifted, tilted, found.max_top_force_n, dropped), thresholds)
+            x, y, z = np.abs(np.moveaxis(shifted, 2, 0))
+            farthest = np.maximum(np.maximum(x, y), z)
+            over = np.maximum(farthest / thresholds.shift_m, tilted / thresholds.tilt_deg)
+            over = np.nan_to_num(np.maximum(over, DROPPED_EXCESS * dropped), nan=-np.inf)
+        stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)
+        worst = over.argmax(axis=1) if k else np.zeros(m, np.int64)
+        culprit = np.where(found.culprit >= 0, found.culprit, np.where(invalid, -1, worst))
+        margin = 1.0 - over.max(axis=1, initial=0.0)
+        eps = float(np.finfo(np.float64).eps)
+        margin = np.where(stable, np.maximum(margin, 0.0), np.minimum(margin, -eps))
+        return cls(
+            pallet=np.asarray(pallet, np.int64),
+            stable=stable,
+            verdict=verdict,
+            reason=reason,
+            culprit=np.where(stable, -1, culprit),
+            margin=np.where(invalid, np.nan, margin),
+            shift_mm=_largest(farthest * MM_PER_M),
+            tilt_deg=_largest(tilted),
+            n_boxes=found.placed,
+            ended=found.ended,
+            moving=(found.flags & int(Flag.MOVING)) != 0,
+            top_force_n=found.top_force_n,
+            middle_mm=found.pos * MM_PER_M,
+            quat=found.quat,
+            share=np.full(m, np.nan),
+        )
+
+    @classmethod
+    def of_outcomes(
+        cls, pallet: NDArray[np.int64], found: Sequence[Outcome], thresholds: Thresholds
+    ) -> PlacementResults:
+        """Of worlds that came to their ends, with a drive; forces are those at rest."""
+        width = max((outcome.n_boxes for outcome in found), default=0)
+
+        def padded(rows: Sequence[FloatArray]) -> FloatArray:
+            return np.concatenate([widened_rows(np.asarray(row, np.float64)[None], width) for row in rows])
+
+        def boxes(name: str) -> FloatArray:
+            rows = []
+            for outcome in found:
+                values = np.array(getattr(outcome.boxes, name), np.float64)
+                values[outcome.n_placed :] = np.nan
+                rows.append(values)
+            return padded(rows)
+
+        return cls(
+            pallet=np.asarray(pallet, np.int64),
+            stable=np.array([outcome.verdict is Verdict.STABLE for outcome in found], bool),
+            verdict=np.array([str(outcome.verdict) for outcome in found]),
+            reason=np.array([str(outcome.reason) for outcome in found]),
+            culprit=np.array([outcome.culprit for outcome in found], np.int64),
+            margin=np.array(
+                [margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, thresholds) for outcome in found]
+            ),
+            shift_mm=_largest(np.abs(boxes("shift_m")).max(axis=2) * MM_PER_M),
+            tilt_deg=_largest(boxes("max_tilt_deg")),
+            n_boxes=np.array([outcome.n_boxes for outcome in found], np.int64),
+            ended=np.array([outcome.verdict is not Verdict.STABLE for outcome in found], bool),
+            moving=np.array([bool(outcome.flags & Flag.MOVING) for outcome in found], bool),
+            top_force_n=boxes("rest_top_force_n"),
+            middle_mm=boxes("pos") * MM_PER_M,
+            quat=boxes("quat"),
+            share=np.full(len(found), np.nan),
+        )
+
+
+def _largest(values: FloatArray) -> FloatArray:
+    """(m,) largest of (m, k) numbers, without those that are NaN; 0 where there are none."""
+    largest: FloatArray = np.nan_to_num(values, nan=0.0).max(axis=1, initial=0.0)
+    return largest

@@ -1,0 +1,318 @@
+"""What boxes stand on: the carriers that petmjx has, and users' own, made of boards and read from a TOML file."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Final, Self
+
+from pydantic import BeforeValidator, Discriminator, Field, StrictFloat, Tag, ValidationInfo, model_validator
+
+from petmjx.common.checked_records import TABLE, VALUE, CheckedRecord, complaint, read_toml, shape, shown_value, similar
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable, printable_name
+from petmjx.common.units import MM_PER_M
+from petmjx.options.materials import WOOD
+
+
+class Carrier(StrEnum):
+    """What the boxes stand on."""
+
+    FOOTPRINT = "footprint"
+    EURO_PALLET = "euro-pallet"
+    ROLLCONTAINER = "rollcontainer"
+    EPAL_1 = "epal-1"
+    GMA_48X40 = "gma-48x40"
+    PET_EUR = "pet-eur"
+    ROLLCONTAINER_GRID = "rollcontainer-grid"
+
+
+CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
+    Carrier.FOOTPRINT: None,
+    Carrier.EURO_PALLET: (1.2, 0.8),
+    Carrier.ROLLCONTAINER: (0.8, 0.7),
+    Carrier.EPAL_1: (1.2, 0.8),
+    Carrier.GMA_48X40: (1.219, 1.016),
+    Carrier.PET_EUR: (1.2, 0.8),
+    Carrier.ROLLCONTAINER_GRID: (0.8, 0.7),
+}
+"""x–y extent of each carrier in metres. None: the plan's bounding box."""
+
+TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
+"""Carriers that are BED-BPP's targets."""
+
+MOST_BOARDS: Final = 64
+"""Engines look at each pair of a board and a box, and ``mjx-jax`` compiles code for it."""
+
+TOUCH_MM: Final = 0.5
+"""Boards that are no further apart touch, and no further in each other lie beside each other: half of the last digit of
+whole millimetres, as for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+
+_SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
+"""Of the longer side and the height. A half-size dolly has 400 mm, and a pallet in cm, inches or metres less than 200;
+a pallet is 100 to 170 mm high, the base of a roll container about 200."""
+_THINNEST_MM: Final = 0.001
+"""Largest size of a board for which metres are suspected: then the hint is about the whole carrier."""
+_LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
+"""A carrier of cardboard has 2 kg. What is lighter than its load by a factor of 1,000 sinks into its soft contacts."""
+_LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
+"""Foam has 15 kg/m³, wood 400 to 800, steel 7,850, lead 11,340."""
+_LEVEL_MM: Final = 10.0
+"""A board that bears no other one and ends within this below the top is meant to be part of it."""
+_ROUNDING_MM: Final = 1e-6
+_UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
+_USUAL_MM: Final = (300.0, 2500.0)
+"""Longer sides of carriers."""
+
+Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
+Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
+Mass = Annotated[StrictFloat, Field(gt=0, le=_HEAVIEST_KG)]
+Coefficient = Annotated[StrictFloat, Field(ge=0, le=100)]
+
+
+_MOST_NAME: Final = 100
+Name = Annotated[str, Field(max_length=_MOST_NAME)]
+
+
+class Board(CheckedRecord):
+    """A board, block, stringer or bar of a carrier: a solid box."""
+
+    name: Name = Field("", description="name of the board in messages")
+    corner_mm: tuple[Place, Place, Place] = Field(
+        description="its front-left-bottom corner; the carrier's front-left corner on the floor is the origin"
+    )
+    size_mm: tuple[Length, Length, Length] = Field(description="its extents along x, y and z")
+    mass_kg: Mass | None = Field(None, description="its mass; or mass_kg of the carrier, shared out by volume")
+    friction: Coefficient | None = Field(
+        None, description="coefficient of sliding friction between it and boxes; by default that of the carrier"
+    )
+    material: Name = Field("", description="what it is made of; by default what the carrier is")
+
+    @property
+    def volume_mm3(self) -> float:
+        return math.prod(self.size_mm)
+
+
+class OwnCarrier(CheckedRecord):
+    """A carrier of a user's own. Lengths are in mm, x and y from its front-left corner, z from the floor.
+
+    Carriers that could not stand or look mistaken are refused: boards that overlap or are separate from the others,
+    no board on the floor, a top that is not level, extents and masses that no carrier has.
+    """
+
+    name: Name = Field("", description="name of the carrier; by default the file's")
+    mass_kg: Mass | None = Field(None, description="the mass of all boards together, if they have none of their own")
+    friction: Coefficient | None = Field(
+        None, description="coefficient of sliding friction of boards without a value of their own"
+    )
+    material: Name = Field(WOOD, description="material of boards that name none, for friction by materials")
+    boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
+        description="[[boards]] tables with corner_mm, size_mm and mass_kg"
+    )
+
+    @property
+    def size_mm(self) -> tuple[float, float, float]:
+        """Extents along x, y and z: the last is the height of the top above the floor."""
+        return self._end(0), self._end(1), self._end(2)
+
+    def _end(self, axis: int) -> float:
+        return max(board.corner_mm[axis] + board.size_mm[axis] for board in self.boards)
+
+    @property
+    def masses_kg(self) -> tuple[float, ...]:
+        """Of each board."""
+        if self.mass_kg is None:
+            return tuple(board.mass_kg or 0.0 for board in self.boards)
+        volume = sum(board.volume_mm3 for board in self.boards)
+        return tuple(self.mass_kg * board.volume_mm3 / volume for board in self.boards)
+
+    @property
+    def frictions(self) -> tuple[float | None, ...]:
+        """Of each board; None: that of the physics' carrier."""
+        return tuple(self.friction if board.friction is None else board.friction for board in self.boards)
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Of each board."""
+        return tuple(board.material or self.material for board in self.boards)
+
+    @model_validator(mode="after")
+    def _can_be_a_carrier(self) -> Self:
+        for check in (_check_sizes, _check_masses, _check_origin, _check_one_piece, _check_top, _check_stand):
+            check(self)
+        return self
+
+
+# What is refused, with a line each.
+
+
+def _board_label(carrier: OwnCarrier, board: int) -> str:
+    name = carrier.boards[board].name
+    return f"boards[{board}]" + (f" ({printable_name(name)})" if name else "")
+
+
+def _check_sizes(carrier: OwnCarrier) -> None:
+    x, y, height = carrier.size_mm
+    extents = f": the boards together are {x:g} × {y:g} × {height:g} mm"
+    longer = max(x, y)
+    if longer < _SHORTEST_MM:
+        low, high = _USUAL_MM
+        units = " or ".join(name for factor, name in _UNITS if low <= factor * longer <= high)
+        note = f"is that in {units}? Lengths are in mm" if units else f"no side reaches {_SHORTEST_MM:g} mm"
+        raise complaint(f"{extents}: {note}")
+    if longer > _LONGEST_MM:
+        raise complaint(f"{extents}: no side may be longer than {_LONGEST_MM:g} mm")
+    if height > _HIGHEST_MM:
+        raise complaint(f"{extents}: a carrier is at most {_HIGHEST_MM:g} mm high")
+
+
+def _check_masses(carrier: OwnCarrier) -> None:
+    for number, board in enumerate(carrier.boards):
+        where = ("boards", number, "mass_kg")
+        if carrier.mass_kg is None and board.mass_kg is None:
+            raise complaint("is missing: the board's mass; or give the carrier's mass_kg", *where)
+        if carrier.mass_kg is not None and board.mass_kg is not None:
+            raise complaint("contradicts the carrier's mass_kg: drop one of them", *where)
+    for number, (board, mass_kg) in enumerate(zip(carrier.boards, carrier.masses_kg, strict=True)):
+        density = mass_kg / (board.volume_mm3 / MM_PER_M**3)
+        if not _LIGHTEST_KG_M3 <= density <= _HEAVIEST_KG_M3:
+            than = "heavier than lead; is the mass in grams?" if density > _HEAVIEST_KG_M3 else "lighter than foam"
+            raise complaint(
+                f": {_board_label(carrier, number)}: {mass_kg:.4g} kg in it are {density:.3g} kg/m³, {than}"
+            )
+    total = sum(carrier.masses_kg)
+    if not _LIGHTEST_KG <= total <= _HEAVIEST_KG:
+        limits = f"from {_LIGHTEST_KG:g} to {_HEAVIEST_KG:g} kg"
+        raise complaint(f": the boards together have {total:.4g} kg, and must have {limits}")
+
+
+def _check_origin(carrier: OwnCarrier) -> None:
+    for axis, name in enumerate("xyz"):
+        least = min(board.corner_mm[axis] for board in carrier.boards)
+        if least > _ROUNDING_MM:
+            why = "no board is on the floor, z = 0" if name == "z" else "the carrier's front-left corner is the origin"
+            raise complaint(f": the least {name} of all boards is {least:g} mm, and must be 0: {why}")
+
+
+def _check_one_piece(carrier: OwnCarrier) -> None:
+    n = len(carrier.boards)
+    joined = [{board} for board in range(n)]
+    for one, two in itertools.combinations(range(n), 2):
+        shared = min(_shared_mm(carrier.boards[one], carrier.boards[two]))
+        if shared > TOUCH_MM:
+            both = f"{_board_label(carrier, one)} and {_board_label(carrier, two)}"
+            raise complaint(f": {both} overlap by {shared:.3g} mm")
+        if shared >= -TOUCH_MM:
+            joined[one].add(two)
+            joined[two].add(one)
+    piece, more = {0}, [0]
+    while more:
+        near = joined[more.pop()] - piece
+        piece |= near
+        more += near
+    apart = sorted(set(range(n)) - piece)
+    if apart:
+        raise complaint(
+            f": {_board_label(carrier, apart[0])} is separate from {_board_label(carrier, 0)}: a carrier must be in "
+            "one piece"
+        )
+
+
+def _shared_mm(one: Board, two: Board) -> tuple[float, ...]:
+    """What two boards share along x, y and z, mm; negative: how far they are apart."""
+    return tuple(
+        min(one.corner_mm[k] + one.size_mm[k], two.corner_mm[k] + two.size_mm[k])
+        - max(one.corner_mm[k], two.corner_mm[k])
+        for k in range(3)
+    )
+
+
+def _check_top(carrier: OwnCarrier) -> None:
+    height = carrier.size_mm[2]
+    for number, board in enumerate(carrier.boards):
+        lower = height - board.corner_mm[2] - board.size_mm[2]
+        if _ROUNDING_MM < lower < _LEVEL_MM and not any(_bears(board, other) for other in carrier.boards):
+            level = f"a carrier's top is level, at {height:g} mm here"
+            raise complaint(f": {_board_label(carrier, number)} ends {lower:.3g} mm below the top: {level}")
+
+
+def _bears(lower: Board, upper: Board) -> bool:
+    *sides, gap = _shared_mm(lower, upper)
+    return min(sides) > TOUCH_MM and abs(gap) <= TOUCH_MM and upper.corner_mm[2] > lower.corner_mm[2]
+
+
+def _check_stand(carrier: OwnCarrier) -> None:
+    """The centre of mass lies over the hull of what is on the floor: its corners are seen from there all around."""
+    masses = carrier.masses_kg
+    x, y = (
+        sum(
+            mass * (board.corner_mm[k] + board.size_mm[k] / 2)
+            for mass, board in zip(masses, carrier.boards, strict=True)
+        )
+        / sum(masses)
+        for k in (0, 1)
+    )
+    on_floor = [board for board in carrier.boards if board.corner_mm[2] <= _ROUNDING_MM]
+    corners = [
+        (board.corner_mm[0] + i * board.size_mm[0] - x, board.corner_mm[1] + j * board.size_mm[1] - y)
+        for board in on_floor
+        for i, j in itertools.product((0, 1), repeat=2)
+    ]
+    angles = sorted(math.atan2(dy, dx) for dx, dy in corners)
+    widest = max(b - a for a, b in itertools.pairwise([*angles, angles[0] + 2 * math.pi]))
+    if widest >= math.pi:
+        where = f"its centre of mass, at x = {x:.4g} and y = {y:.4g} mm, is not over the boards on the floor"
+        raise complaint(f": the carrier tips over: {where}")
+
+
+# How it is named and read.
+
+
+def read_carrier(path: Path) -> OwnCarrier:
+    """A carrier from its TOML file.
+
+    Raises:
+        InputError: one line with the file, and the board and field that are wrong: "mine.toml: boards[3].size_mm[2]
+            must be > 0, got 0".
+    """
+    tables = read_toml(path)
+    try:
+        return OwnCarrier.read({"name": printable(path.stem)[:_MOST_NAME], **tables})
+    except InputError as error:
+        raise InputError(f"{printable(str(path))}: {error}") from None
+
+
+def carrier_given(value: Any, info: ValidationInfo) -> Any:
+    """A carrier as it may be given: its name, or the path of a TOML file; what else there is is checked later.
+
+    Files that a sweep file names are sought from its folder.
+    """
+    if isinstance(value, str) and value in set(Carrier):
+        return Carrier(value)
+    if isinstance(value, Path) or (isinstance(value, str) and value.lower().endswith(".toml")):
+        folder = info.context.parent if isinstance(info.context, Path) else Path()
+        return read_carrier(folder / value)
+    if isinstance(value, Mapping | OwnCarrier):
+        return value
+    names = ", ".join(f"'{name}'" for name in Carrier)
+    close = similar(value, Carrier) if isinstance(value, str) else ""
+    raise ValueError(f"must be {names} or a TOML file of boards, {shown_value(value)}{close}")
+
+
+AnyCarrier = Annotated[
+    Annotated[Carrier, Tag(VALUE)] | Annotated[OwnCarrier, Tag(TABLE)],
+    Discriminator(shape),
+    BeforeValidator(carrier_given),
+]
+"""A built-in carrier, or a user's own."""
+
+
+def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
+    """A carrier's extents along x and y, m; None: the plan's bounding box."""
+    if isinstance(carrier, Carrier):
+        return CARRIER_EXTENT_M[carrier]
+    x, y, _ = carrier.size_mm
+    return x / MM_PER_M, y / MM_PER_M

@@ -1,0 +1,195 @@
+"""A baseline packer: extreme points in three dimensions, lowest place first, with a support rule.
+
+Candidate corners are the extreme points of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for
+three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384. A box is lowered at a candidate's x and y
+until it rests on the carrier or on the boxes below, so every box can be placed from above, in packing order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
+from petmjx.plans.order_generator import Item
+
+MAX_HEIGHT_MM = 2000.0
+
+
+@dataclass(frozen=True)
+class PackRules:
+    """The rules for a placement, and the choices that differ from plan to plan.
+
+    Attributes:
+        min_support: least share of a box's base that rests on the carrier or on tops (0 to 1).
+        centre_supported: the centre of the base must be inside the convex hull of what it rests on; without this a box
+            may be placed so that it tips at once.
+        y_first: break ties of height by the smallest y, then x (else x, then y).
+        sort_noise: spread (natural log) of the sorting key, drawn once per article.
+        weight_exponent: how much weight counts beside base area in the sorting key.
+    """
+
+    min_support: float = 0.75
+    centre_supported: bool = True
+    max_height_mm: float = MAX_HEIGHT_MM
+    y_first: bool = True
+    sort_noise: float = 0.15
+    weight_exponent: float = 0.3
+
+
+@dataclass(frozen=True)
+class PlacedBox:
+    """One box where it stands: ``orientation`` 1 swaps length and width; ``corner_mm`` is front-left-bottom."""
+
+    item: Item
+    orientation: int
+    corner_mm: tuple[float, float, float]
+
+
+def pack_best(
+    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
+) -> list[PlacedBox]:
+    """The best of up to ``attempts`` packings: the one that places most boxes. They differ in the sorting noise."""
+    best: list[PlacedBox] = []
+    for _ in range(attempts):
+        placed = pack(items, extent_mm, rules, rng)
+        if len(placed) > len(best):
+            best = placed
+        if len(best) == len(items):
+            break
+    return best
+
+
+def pack(
+    items: Sequence[Item],
+    extent_mm: tuple[float, float],
+    rules: PackRules,
+    rng: np.random.Generator,
+    *,
+    as_they_come: bool = False,
+) -> list[PlacedBox]:
+    """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out.
+
+    Args:
+        as_they_come: in the sequence of ``items``, instead of large and heavy ones first.
+    """
+    pile = _Pile(len(items), extent_mm, rules)
+    placed = []
+    for item in items if as_they_come else _sorted_items(items, rules, rng):
+        place = pile.find(item)
+        if place is not None:
+            orientation, corner = place
+            pile.add(_base(item, orientation), item.height_mm, corner)
+            placed.append(PlacedBox(item, orientation, corner))
+    return placed
+
+
+def _sorted_items(items: Sequence[Item], rules: PackRules, rng: np.random.Generator) -> list[Item]:
+    """Large bases and heavy boxes first. The noise is drawn per article, so equal boxes stay together."""
+    key: dict[str, float] = {}
+    for item in items:
+        if item.item_id not in key:
+            base = item.length_mm * item.width_mm
+            noise = rules.sort_noise * float(rng.standard_normal())
+            key[item.item_id] = float(np.log(base) + rules.weight_exponent * np.log(item.weight_kg) + noise)
+    return sorted(items, key=lambda item: (-key[item.item_id], item.item_id))
+
+
+def _base(item: Item, orientation: int) -> tuple[float, float]:
+    return (item.length_mm, item.width_mm) if orientation == 0 else (item.width_mm, item.length_mm)
+
+
+class _Pile:
+    """The boxes placed so far, as arrays, and their extreme points (x and y in mm)."""
+
+    def __init__(self, capacity: int, extent_mm: tuple[float, float], rules: PackRules) -> None:
+        self.extent_mm = extent_mm
+        self.rules = rules
+        self.n = 0
+        self._low = np.zeros((capacity, 3))
+        self._high = np.zeros((capacity, 3))
+        self._points: dict[tuple[float, float], None] = {(0.0, 0.0): None}
+
+    def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
+        """The best place for an item: orientation and front-left-bottom corner, or None."""
+        points = np.array(list(self._points))
+        both = (0, 1) if item.length_mm != item.width_mm else (0,)
+        corners = np.concatenate([points] * len(both))
+        orientations = np.repeat(both, len(points))
+        bases = np.array([_base(item, o) for o in both])[orientations]
+        inside = (corners + bases <= np.array(self.extent_mm) + TOUCH_MM).all(axis=1)
+        corners, bases, orientations = corners[inside], bases[inside], orientations[inside]
+
+        z, share = self._rest(corners, bases)
+        least_share, y_first = self.rules.min_support - SHARE_SLACK, self.rules.y_first
+        legal = (z + item.height_mm <= self.rules.max_height_mm + TOUCH_MM) & (share >= least_share)
+        minor, major = (corners[:, 0], corners[:, 1]) if y_first else (corners[:, 1], corners[:, 0])
+        for i in np.lexsort((orientations, minor, major, z)):
+            if legal[i] and (not self.rules.centre_supported or self._centre_supported(corners[i], bases[i], z[i])):
+                return int(orientations[i]), (float(corners[i, 0]), float(corners[i, 1]), float(z[i]))
+        return None
+
+    def add(self, base_mm: tuple[float, float], height_mm: float, corner_mm: tuple[float, float, float]) -> None:
+        """Put a box down and record the extreme points it makes."""
+        x, y, z = corner_mm
+        x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
+        # Three corners of the box, each also moved towards the carrier's edges along the axes in which it can
+        # move. They need not move down: boxes are lowered anyway.
+        new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
+        new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
+        for point in new:
+            self._points.setdefault(point)
+        self._low[self.n] = corner_mm
+        self._high[self.n] = (x_end, y_end, top)
+        self.n += 1
+
+    def _slide(self, axis: int, start: float, across: float, level: float) -> float:
+        """Where a point that slides along −``axis`` from ``start`` meets a box, or 0 at the carrier's edge."""
+        low, high = self._low[: self.n], self._high[: self.n]
+        other = 1 - axis
+        in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
+        ends = high[in_way & (high[:, axis] <= start + TOUCH_MM), axis]
+        return float(ends.max()) if len(ends) else 0.0
+
+    def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Boxes lowered at (c, 2) corners with (c, 2) bases: height z at which they rest (c,), supported share (c,)."""
+        area, tops = self._overlap(corners, bases), self._high[: self.n, 2]
+        z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
+        carried = np.where(np.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)
+        share: FloatArray = np.where(z > 0, carried / bases.prod(axis=1), 1.0)
+        return z, share
+
+    def _overlap(self, corners: FloatArray, bases: FloatArray) -> FloatArray:
+        """(c, n) area in mm² that each base shares with each placed box, seen from above."""
+        low, high = self._low[: self.n], self._high[: self.n]
+        ends = corners + bases
+        x = np.minimum(ends[:, :1], high[:, 0]) - np.maximum(corners[:, :1], low[:, 0])
+        y = np.minimum(ends[:, 1:], high[:, 1]) - np.maximum(corners[:, 1:], low[:, 1])
+        area: FloatArray = np.where((x > TOUCH_MM) & (y > TOUCH_MM), x * y, 0.0)
+        return area
+
+    def _centre_supported(self, corner: FloatArray, base: FloatArray, z: float) -> bool:
+        """Whether the centre of a base is inside the convex hull of the tops it rests on."""
+        if z <= 0:
+            return True
+        under = (self._overlap(corner[None], base[None])[0] > 0) & (np.abs(self._high[: self.n, 2] - z) <= TOUCH_MM)
+        low = np.maximum(self._low[: self.n, :2][under], corner)
+        high = np.minimum(self._high[: self.n, :2][under], corner + base)
+        return in_hull_of_rectangles(corner + base / 2, low, high)
+
+
+def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
+    """Whether a (2,) point lies in the convex hull of rectangles, (n, 2) low and (n, 2) high corners.
+
+    It is outside if all corners are on one side of some line through it, that is if the directions to the corners
+    leave a gap of more than 180°.
+    """
+    corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
+    if not len(corners):
+        return False
+    angles = np.sort(np.arctan2(corners[:, 1], corners[:, 0]))
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    return bool(gaps.max() <= np.pi + 1e-9)

@@ -1,0 +1,181 @@
+"""Where each kind of box could go next: every corner point of a pile with every shape, as tables.
+
+The points are the extreme points of Crainic, Perboli, Tadei (2008), as in :mod:`petmjx.packers.baseline_packer`. A
+table is brought up to date when a box is placed, instead of being computed anew: that box is compared with all
+candidates, and the few new points with all boxes.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.packers.packing_tables import Count
+from petmjx.packers.pile_balance import TOUCH_MM
+
+_SLIDING = np.array([1, 0, 0, 1])
+_OTHER = 1 - _SLIDING
+"""Of each of four slides, the axis along which it goes, and the other one."""
+
+
+class Candidates:
+    """p points × s shapes; a shape is a kind of box in one orientation.
+
+    Attributes:
+        points: (p, 2) corners, mm.
+        base: (s, 2) sides along x and y, mm; ``area``: (s,) their product.
+        height: (s,) mm.
+        z: (p, s) where the shape's bottom would rest, mm.
+        carried: (p, s) area of its base that would rest there, mm².
+        open: (p, s) inside the carrier, and not refused since a box was last placed under it.
+    """
+
+    def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
+        self.base, self.height, self.area = base, height, base.prod(axis=1)
+        self.extent_mm = extent_mm
+        self.points = np.zeros((0, 2))
+        self.z = np.zeros((0, len(height)))
+        self.carried = np.zeros((0, len(height)))
+        self.open: NDArray[np.bool_] = np.zeros((0, len(height)), dtype=bool)
+        self._inside = self.open
+        self._low = np.zeros((most_boxes, 3))
+        self._high = np.zeros((most_boxes, 3))
+        self._n = 0
+        self._known: set[tuple[float, float]] = set()
+        self._add_points([(0.0, 0.0)])
+
+    def copy(self) -> Self:
+        """The same table, which goes its own way."""
+        twin = copy.copy(self)
+        twin.open, twin._known = self.open.copy(), set(self._known)
+        # the other tables are replaced when they change
+        twin._low, twin._high = _copied_rows(self._low, self._n), _copied_rows(self._high, self._n)
+        return twin
+
+    def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
+        """Write everything into :mod:`petmjx.packers.packing_tables`."""
+        points, shapes = self.z.shape
+        tables["counts"][Count.BOXES], tables["counts"][Count.POINTS] = self._n, points
+        tables["base"][:shapes], tables["area"][:shapes], tables["height"][:shapes] = self.base, self.area, self.height
+        tables["points"][:points] = self.points
+        for name, values in {"z": self.z, "carried": self.carried, "open": self.open, "inside": self._inside}.items():
+            tables[name][:points, :shapes] = values
+        tables["low"][: self._n], tables["high"][: self._n] = self.placed
+
+    @property
+    def placed(self) -> tuple[FloatArray, FloatArray]:
+        """(n, 3) low and high corners of the boxes placed so far, mm."""
+        return self._low[: self._n], self._high[: self._n]
+
+    def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
+        """Forget shapes without remaining boxes."""
+        self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
+        self.z, self.carried = self.z[:, kept], self.carried[:, kept]
+        self.open, self._inside = self.open[:, kept], self._inside[:, kept]
+
+    def place(self, point: int, shape: int) -> None:
+        """A box stands at a candidate now."""
+        (x, y), z = self.points[point].tolist(), float(self.z[point, shape])
+        (width, depth), height = self.base[shape].tolist(), float(self.height[shape])
+        ends = (x + width, y + depth, z + height)
+        self._low[self._n], self._high[self._n] = (x, y, z), ends
+        self._n += 1
+        self._cover((x, y), ends)
+        points = corner_points(self._low[None, : self._n], self._high[None, : self._n])
+        self._add_points([(x, y) for x, y in points[:, 0].tolist()])
+
+    def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
+        """Lift the candidates that the newest box lies under, as far as it is their highest one."""
+        area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
+        hit, top = area > 0, ends[2]
+        higher = hit & (top > self.z + TOUCH_MM)
+        level = hit & ~higher & (top >= self.z - TOUCH_MM)
+        self.carried = np.where(higher, area, np.where(level, self.carried + area, self.carried))
+        self.z = np.where(higher, top, self.z)
+        self.open |= (higher | level) & self._inside
+
+    def _add_points(self, corners: Sequence[tuple[float, float]]) -> None:
+        """Add those that are new and at which some shape is inside the carrier."""
+        fresh = [point for point in dict.fromkeys(corners) if point not in self._known]
+        self._known.update(fresh)
+        points = np.array(fresh, dtype=np.float64).reshape(-1, 2)
+        fits = points[:, None] + self.base <= np.array(self.extent_mm) + TOUCH_MM
+        inside: NDArray[np.bool_] = np.logical_and(fits[:, :, 0], fits[:, :, 1])
+        useful = inside.any(axis=1)
+        if not useful.any():
+            return
+        points, inside = points[useful], inside[useful]
+        area = overlap(points, self.base, self._low[: self._n, :2], self._high[: self._n, :2])
+        z, carried = let_down(area, self._high[: self._n, 2])
+        self.points = np.concatenate([self.points, points])
+        self.z = np.concatenate([self.z, z])
+        self.carried = np.concatenate([self.carried, np.where(z > 0, carried, self.area)])
+        self.open = np.concatenate([self.open, inside])
+        self._inside = np.concatenate([self._inside, inside])
+
+
+def _copied_rows(rows: FloatArray, n: int) -> FloatArray:
+    """The first n rows, in an array with room for as many."""
+    twin = np.empty_like(rows)
+    twin[:n] = rows[:n]
+    return twin
+
+
+def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(7, m, 2) points of the newest box of each of m piles, mm: three corners of it, and the same corners slid towards
+    x = 0 and y = 0 until they meet a box, beside the box and on it.
+
+    Args:
+        low, high: (m, n, 3) corners of the boxes of each pile, mm; the newest box is the last.
+    """
+    (x, y, z), (x_end, y_end, top) = low[:, -1].T, high[:, -1].T
+    # slides along −y from the ends of x beside the box and from x on it, along −x from the ends of y likewise
+    start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
+    south, west, west_on_top, south_on_top = _slid(low, high, start, across, np.array([z, z, top, top]))
+    beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]
+    return np.array([*beside, (x, y), (west_on_top, y), (x, south_on_top)]).swapaxes(1, 2)
+
+
+def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArray, level: FloatArray) -> FloatArray:
+    """(4, m) where four points of each of m piles meet a box as they slide along −y, −x, −x and −y, or 0 at the
+    carrier's edge.
+
+    Args:
+        low, high: (m, n, 3) corners of boxes.
+        start, across: (4, m) where points are along the axis in which they slide, and along the other one.
+        level: (4, m) their heights.
+    """
+    low, high = low.transpose(2, 0, 1), high.transpose(2, 0, 1)
+    across, level = across[..., None], level[..., None]
+    in_way = (low[_OTHER] <= across) & (across < high[_OTHER]) & (low[2] <= level) & (level < high[2])
+    ends = high[_SLIDING]
+    reached: FloatArray = np.where(in_way & (ends <= start[..., None] + TOUCH_MM), ends, 0.0).max(axis=2)
+    return reached
+
+
+def let_down(area: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How high the bottoms of boxes come to rest on n boxes, mm, and the area that carries them there, mm².
+
+    Args:
+        area: (…, n) that each shares with each of them, seen from above; ``tops``: (n,) mm.
+    """
+    z = np.where(area > 0, tops, 0.0).max(axis=-1, initial=0.0)
+    carried: FloatArray = np.where(np.abs(tops - z[..., None]) <= TOUCH_MM, area, 0.0).sum(axis=-1)
+    return z, carried
+
+
+def overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """(p, s, n) area in mm² that shapes at points share with n boxes, seen from above; (n, 2) low and high corners."""
+    sides = []
+    for axis in (0, 1):
+        start = points[:, None, axis]
+        end = np.minimum((start + base[:, axis])[:, :, None], high[:, axis])
+        sides.append(end - np.maximum(start, low[:, axis])[:, None])
+    x, y = sides
+    area: FloatArray = np.where((x > TOUCH_MM) & (y > TOUCH_MM), x * y, 0.0)
+    return area

@@ -1,0 +1,199 @@
+"""Candidates beside the boxes and edges on all four sides.
+
+Extreme points (Crainic, Perboli, Tadei 2008) are where a box touches its neighbours with the corner at the origin. A
+pile that grows from one corner only leaves its free space in slivers along the other edges. Here the points are also
+those of the pile seen from the target's three other corners, as in a mirror.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.packers.baseline_packer import MAX_HEIGHT_MM
+from petmjx.packers.candidate_points import Candidates, corner_points, let_down, overlap
+from petmjx.packers.height_map import HeightMap
+from petmjx.packers.item_stream import ItemStream, Places
+from petmjx.packers.packing_state import NextCandidate
+from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
+from petmjx.plans.order_generator import Item
+
+LEAST_SUPPORT: Final = 0.2
+"""Least share of a base that rests on something. The balance is the rule that counts; a box that is borne so little
+must also be likely to stand, says the stability head."""
+
+COARSE_MM: Final = 50.0
+
+OVERHANG_MM: Final = 40.0
+"""What a base costs that hangs over as a whole."""
+
+MIRRORS: Final = ((False, False), (True, False), (False, True), (True, True))
+"""Whether x and y are mirrored, for each corner of the target."""
+
+_DECIMALS: Final = 9
+"""Corners and costs in mm are rounded to so many decimals: sums in another sequence end in other digits."""
+
+
+class MirroredCandidates(Candidates):
+    """Corner points seen from all four corners of the target, as a table that a ``Packing`` can use.
+
+    Nothing is kept by shapes: ``found`` computes what is asked for.
+
+    Attributes:
+        corners: (c, 2) of what ``found`` found last; ``rests``: (c,) heights of their bottoms, mm.
+    """
+
+    def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
+        super().__init__(base, height, extent_mm, most_boxes)
+        self.corners, self.rests = np.zeros((0, 2)), np.zeros(0)
+        # the pile in each of the mirrors; the points in all of them, and in which
+        self._lows, self._highs = np.zeros((2, len(MIRRORS), most_boxes, 3))
+        self._points = np.zeros((len(MIRRORS), 2))
+        self._in = np.array(MIRRORS)
+
+    def copy(self) -> Self:
+        """The same table, which goes its own way."""
+        twin = super().copy()
+        twin._lows, twin._highs = self._lows.copy(), self._highs.copy()
+        return twin
+
+    def found(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
+        """The candidates of some shapes: (c,) the shape of each, (c, 2) corners, (c,) heights of the bottom, all in mm,
+        and (c,) shares of the base that would rest there."""
+        extent, (low, high) = np.array(self.extent_mm), self.placed
+        parts = []
+        for shape in shapes.tolist():
+            base = self.base[shape]
+            at = np.round(np.where(self._in, extent - self._points - base, self._points), _DECIMALS) + 0.0
+            at = at[((at >= 0) & (at + base <= extent + TOUCH_MM)).all(axis=1)]
+            once = np.unique(at[:, 0] + 1j * at[:, 1])
+            corner = np.stack([once.real, once.imag], axis=1)
+            area = overlap(corner, base[None], low[:, :2], high[:, :2])[:, 0]
+            z, carried = let_down(area, high[:, 2])
+            parts.append((np.full(len(z), shape), corner, z, np.where(z > 0, carried / self.area[shape], 1.0)))
+        some: list[Any] = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        shape, self.corners, self.rests, support = some
+        return shape, self.corners, self.rests, support
+
+    def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
+        """Forget shapes without remaining boxes."""
+        self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
+
+    def place(self, point: int, shape: int) -> None:
+        """A box stands at a candidate that was found last."""
+        (x, y), z = self.corners[point].tolist(), float(self.rests[point])
+        (length, width), height = self.base[shape].tolist(), float(self.height[shape])
+        low, high, n = np.array([x, y, z]), np.array([x + length, y + width, z + height]), self._n
+        self._low[n], self._high[n] = low, high
+        mirrored, extent = np.array(MIRRORS), np.array(self.extent_mm)
+        self._lows[:, n], self._highs[:, n] = low, high
+        self._lows[:, n, :2] = np.where(mirrored, extent - high[:2], low[:2])
+        self._highs[:, n, :2] = np.where(mirrored, extent - low[:2], high[:2])
+        self._n += 1
+        self._add_corners()
+
+    def _add_corners(self) -> None:
+        """Corner points of the newest box in all mirrors."""
+        points = corner_points(self._lows[:, : self._n], self._highs[:, : self._n])
+        inside = (points < np.array(self.extent_mm)).all(axis=2)
+        self._points = np.concatenate([self._points, points[inside]])
+        self._in = np.concatenate([self._in, np.broadcast_to(np.array(MIRRORS), points.shape)[inside]])
+
+
+class FourSidedStream(ItemStream):
+    """A stream whose boxes may go beside others on all four sides.
+
+    Attributes:
+        coarse: heights of the pile over cells of ``COARSE_MM``.
+    """
+
+    _Table = MirroredCandidates
+    _table: MirroredCandidates
+
+    def __init__(
+        self, items: Sequence[Item], extent_mm: tuple[float, float], clearance_mm: float = 0.0, look_ahead: int = 1
+    ) -> None:
+        super().__init__(items, extent_mm, clearance_mm, look_ahead)
+        self.coarse = HeightMap(self.extent_mm, COARSE_MM)
+        self._refused: set[int] = set()
+
+    def copy(self) -> Self:
+        """The same stream, which goes its own way."""
+        twin = super().copy()
+        twin.coarse, twin._refused = self.coarse.copy(), set(self._refused)
+        return twin
+
+    def places(self, least_support: float = LEAST_SUPPORT) -> Places:
+        """All candidates for the boxes that are seen, as far as height and support allow them; balance is looked at by
+        ``keeps_balance``.
+
+        Args:
+            least_support: least share of a base that rests on something.
+        """
+        table, kinds = self._table, set(self.seen)
+        seen = np.array([column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp)
+        shape, corner, z, support = table.found(seen)
+        fits = (z + table.height[shape] <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= least_support - SHARE_SLACK)
+        fits[list(self._refused)] = False
+        rows = np.flatnonzero(fits)
+        shape = shape[rows]
+        return Places(
+            rows,
+            shape,
+            self._kind_of[shape],
+            np.concatenate([corner[rows], z[rows, None]], axis=1),
+            np.concatenate([table.base[shape], table.height[shape, None]], axis=1),
+            self._weight[shape],
+            support[rows],
+            self._base[shape].prod(axis=1),
+        )
+
+    def keeps_balance(self, places: Places, row: int) -> NextCandidate | None:
+        """A candidate that may be placed; None: a box would lose its balance."""
+        point, shape = int(places.point[row]), int(places.shape[row])
+        x, y, z = places.corner_mm[row].tolist()
+        length, width = self._base[shape].tolist()
+        rest = self._pile.rest((x, y, z), (length, width), float(places.mass_kg[row]))
+        if rest is None:
+            self._refused.add(point)
+            return None
+        return NextCandidate(point, shape, (x, y, z), rest)
+
+    def still_open(self, places: Places) -> NDArray[np.bool_]:
+        """(c,) which candidates have not been found to lose the balance."""
+        return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
+
+    def put(self, chosen: NextCandidate) -> None:
+        """Place a candidate."""
+        super().put(chosen)
+        low, high = self.boxes
+        self.coarse.put(low[-1], high[-1])
+        self._refused.clear()
+
+    def skip(self) -> None:
+        """Leave out the box that comes first."""
+        super().skip()
+        self._refused.clear()
+
+
+def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
+    """(c,) how high places are, with an overhang and the way to the nearest edges as what they cost more."""
+    start, size = places.corner_mm[:, :2], places.size_mm[:, :2]
+    aside = np.minimum(start, np.array(stream.extent_mm) - start - size).sum(axis=1)
+    cost: FloatArray = places.corner_mm[:, 2] + OVERHANG_MM * (1 - places.support) + 0.01 * aside
+    return np.round(cost, _DECIMALS)
+
+
+def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
+    """The rule with these candidates: the lowest place that keeps the balance; of several boxes the one that
+    ``balanced`` would take."""
+    places = stream.places()
+    cost = cost_mm(stream, places) - stream.worth(places)
+    for row in np.argsort(cost, kind="stable").tolist():
+        if (candidate := stream.keeps_balance(places, row)) is not None:
+            return candidate
+    return None

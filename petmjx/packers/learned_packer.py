@@ -1,0 +1,180 @@
+"""The packer ``learned``: learned weights say which candidate is best, a small network which of them stand.
+
+It was trained on drawn orders alone (examples/train_packer), with physics in the loop. At use there is no simulation,
+and nothing is drawn at random: an order has one plan.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import IO, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.packers.baseline_packer import PlacedBox
+from petmjx.packers.item_stream import Places, pack_stream
+from petmjx.packers.learned_candidates import FourSidedStream, cost_mm
+from petmjx.packers.learned_features import features
+from petmjx.packers.packing_state import NextCandidate
+from petmjx.packers.pile_balance import Rest
+from petmjx.packers.placement_stability import PlacementState, likely, placement_state, stability_features
+from petmjx.packers.policy_network import Network
+from petmjx.plans.order_generator import Item
+
+LEARNED: Final = "learned"
+"""The packer's name."""
+
+CLEARANCE_MM: Final = 4.0
+"""Free space between neighbours: with it plans stand as a robot places them (docs/packers.md)."""
+
+MOST_PLACES: Final = 32
+LEAST_PLACES: Final = 6
+"""The lowest candidates are looked at: so many in all, and at least so many of each kind of box that is seen."""
+
+SURE: Final = 0.98
+"""A candidate that is as likely to stand is taken if it is the best one."""
+
+LEAST_SURE: Final = 0.5
+"""If none is sure, the surest is taken, but none that is more likely to fall."""
+
+MOST_TRIED: Final = 16
+"""Candidates whose chance is computed until one is sure."""
+
+SCORE_DECIMALS: Final = 6
+"""Scores that differ by less are the same, so that processors that round in another way choose the same places."""
+
+
+class ChosenCandidate(NamedTuple):
+    """A candidate that is taken.
+
+    Attributes:
+        row: of the places.
+        chance: that it stands when a robot places it inexactly.
+    """
+
+    row: int
+    next: NextCandidate
+    chance: float
+
+
+class Decision(NamedTuple):
+    """A step: the candidates that were looked at, their features, and the one that is taken."""
+
+    places: Places
+    rows: FloatArray
+    chosen: ChosenCandidate
+
+
+@dataclass(frozen=True, eq=False)
+class Policy:
+    """What was learned.
+
+    Attributes:
+        taste: a network, or only its linear part; gives candidates their scores, from ``features``.
+        head: gives placements their chances to stand, from ``stability_features``.
+    """
+
+    taste: Network
+    head: Network
+
+    def with_linear(self, weights: FloatArray) -> Policy:
+        """The same with other linear weights of its taste."""
+        return replace(self, taste=replace(self.taste, linear=weights))
+
+    def seen(self, stream: FourSidedStream) -> tuple[Places, FloatArray] | None:
+        """The candidates that are looked at, with their features; None: there are none."""
+        places = lowest(stream, stream.places())
+        return (places, features(stream, places)) if len(places) else None
+
+    def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
+        """The best candidate that keeps the balance and is sure to stand; if none is sure, the surest."""
+        surest: ChosenCandidate | None = None
+        tried = 0
+        for row in np.argsort(-scores, kind="stable").tolist():
+            candidate = stream.keeps_balance(places, row)
+            if candidate is None:
+                continue
+            chance = float(
+                likely(self.head, stability_features(placing_of(stream, places, row, candidate.rest))[None])[0]
+            )
+            if surest is None or chance > surest.chance:
+                surest = ChosenCandidate(row, candidate, chance)
+            tried += 1
+            if chance >= SURE or tried == MOST_TRIED:
+                break
+        return surest if surest is not None and surest.chance >= LEAST_SURE else None
+
+    def decide(self, stream: FourSidedStream) -> Decision | None:
+        """What the packer does in one step; None: no box that is seen has a place."""
+        while (view := self.seen(stream)) is not None:
+            places, rows = view
+            chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
+            if chosen is not None:
+                return Decision(places, rows, chosen)
+            if stream.still_open(places).any():  # they keep the balance, but are not sure
+                return None
+        return None
+
+    def choose(self, stream: FourSidedStream) -> NextCandidate | None:
+        """The candidate that is taken in one step."""
+        decision = self.decide(stream)
+        return None if decision is None else decision.chosen.next
+
+    def save(self, file: Path | IO[bytes]) -> None:
+        """Write the weights, in single precision."""
+        arrays = {**self.taste.arrays("taste"), **self.head.arrays("head")}
+        np.savez_compressed(
+            file, allow_pickle=False, **{name: values.astype(np.float32) for name, values in arrays.items()}
+        )
+
+    @classmethod
+    def load(cls, file: Path | IO[bytes]) -> Policy:
+        """Weights of a file."""
+        with np.load(file, allow_pickle=False) as arrays:
+            named = dict(arrays)
+        return cls(Network.of_arrays("taste", named), Network.of_arrays("head", named))
+
+
+def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
+    """A candidate as a placement, without the free space around boxes."""
+    low, high = stream.bare_boxes
+    corner, size = places.corner_mm[row], places.size_mm[row] - stream.clearance
+    return placement_state(stream.pile, low, high, stream.masses, corner, size, float(places.mass_kg[row]), rest)
+
+
+def lowest(stream: FourSidedStream, places: Places) -> Places:
+    """The lowest candidates of each kind of box."""
+    cost = cost_mm(stream, places) + places.size_mm[:, 2]
+    kinds = np.unique(places.kind)
+    most = max(MOST_PLACES // max(len(kinds), 1), LEAST_PLACES)
+    order: NDArray[np.intp] = np.argsort(cost, kind="stable")
+    kept = [order[places.kind[order] == kind][:most] for kind in kinds.tolist()]
+    return places.take(np.concatenate(kept)) if kept else places
+
+
+@functools.cache
+def published_policy() -> Policy:
+    """The weights that petmjx comes with."""
+    with files(__package__).joinpath("learned.npz").open("rb") as file:
+        return Policy.load(file)
+
+
+def pack_learned(
+    items: Sequence[Item], extent_mm: tuple[float, float], look_ahead: int = 1, policy: Policy | None = None
+) -> list[PlacedBox]:
+    """Place the items on a target of ``extent_mm``, in the sequence in which they come; those without a place are left
+    out.
+
+    Args:
+        look_ahead: how many of the next boxes are seen; any of them may be placed next.
+        policy: another one than the published one.
+    """
+    return pack_stream(
+        FourSidedStream(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published_policy()).choose
+    )

@@ -1,0 +1,191 @@
+"""``petmjx.pack``: orders packed so that their plans stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import pandas as pd
+
+from petmjx.common.argument_checks import integer_of, path_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+from petmjx.options.run_options import MOST_WORKERS, Confidence, RunOptions, sorted_options
+from petmjx.options.simulation import Simulation
+from petmjx.packers.item_stream import MOST_LOOK_AHEAD
+from petmjx.packers.learned_packer import LEARNED
+from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
+from petmjx.packers.packed_orders import PackedOrder
+from petmjx.packers.physical_packer import pack_physical
+from petmjx.packers.sample_plans import MOST_SAMPLES
+from petmjx.plans.file_formats import is_csv, is_parquet_name
+from petmjx.plans.json_writer import write_plans
+from petmjx.plans.order_generator import Order, draw_order
+from petmjx.plans.order_reader import read_orders
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PathArgument
+from petmjx.plans.plan_writer import save_plans
+from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
+
+OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
+"""Of ``RunOptions``, those that say how packings are simulated."""
+
+SHOWN: Final = (
+    ShownColumn("plan_id", "order"),
+    ShownColumn("boxes", "boxes placed"),
+    ShownColumn("left_out", "left out"),
+    ShownColumn("utilisation", "utilisation", 3),
+    ShownColumn("height_mm", "height mm"),
+    ShownColumn("clearance_mm", "clearance mm"),
+    ShownColumn("verdict", "placed exactly"),
+    ShownColumn("share", "with errors %", 1, 100.0),
+)
+"""Columns of ``orders`` in a notebook."""
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Orders that were packed.
+
+    Attributes:
+        each: what came of each order, in the order given.
+    """
+
+    each: tuple[PackedOrder, ...]
+
+    @property
+    def plans(self) -> list[Plan]:
+        """The plans, of orders of which a box has a place: ``petmjx.score`` and ``petmjx.save_plans`` take them."""
+        return [packed.plan for packed in self.each if packed.plan is not None]
+
+    @property
+    def orders(self) -> pd.DataFrame:
+        """A row an order: ``plan_id``; ``order_boxes``, of which ``boxes`` are placed and ``left_out`` are not (``why``
+        says for what reason); ``utilisation`` (volume over area of the target × height), ``height_mm``,
+        ``clearance_mm``; ``verdict``, placed exactly; of ``n_worlds`` with errors ``n_standing`` stand, a ``share``
+        with its Wilson 95 % interval ``low``, ``high``; ``tried``: packings simulated; ``good``: whether it stands as
+        often as asked for."""
+        return pd.DataFrame([packed.row() for packed in self.each])
+
+    def __repr__(self) -> str:
+        orders = self.orders
+        sure = f", {100 * orders['share'].mean():.1f} % of worlds with errors stand" if orders["n_worlds"].any() else ""
+        return f"Packed({count_text(len(orders), 'order')}, utilisation {orders['utilisation'].mean():.3f}{sure})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the mean, and a row for each order."""
+        return block_as_html([repr(self)], [table_as_html(self.orders, SHOWN, "orders")])
+
+    def save(self, path: PathArgument) -> None:
+        """Write the plans to a file: BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``; gzipped
+        if it ends in ``.gz``. A file that is there is replaced.
+
+        Raises:
+            InputError: there is no plan, or the file cannot be written.
+        """
+        file = path_of(path, "path")
+        if is_csv(file) or is_parquet_name(file):
+            save_plans(self.plans, file)
+        else:
+            write_plans(file, ((packed.order_id, packed.placements) for packed in self.each if packed.taken))
+
+
+def pack(
+    orders: PathArgument | None = None,
+    *,
+    n: int | None = None,
+    seed: int = 0,
+    packer: str = PHYSICAL,
+    look_ahead: int | None = None,
+    workers: int = 1,
+    on_bad_order: Callable[[InputError], None] | None = None,
+    **options: Any,
+) -> Packed:
+    """Pack orders with the packer ``physical``: densely, and so that the plans stand in simulation, placed exactly and
+    with the errors of a robot. Or with ``learned``, which takes boxes as they come; its plans are simulated as well.
+
+    ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
+
+    Nothing is drawn at random but the errors, which depend on plan ids alone: an order has one plan on an engine.
+
+    Args:
+        orders: file of BED-BPP orders; None: ``n`` drawn ones, as in ``petmjx samples``.
+        n, seed: how many drawn orders, and of which seed.
+        packer: ``physical`` or ``learned``.
+        look_ahead: of ``learned``: how many of the boxes that come next it sees; None: 1.
+        workers: processes that search; they change no plan. Scripts that ask for more than one need
+            ``if __name__ == "__main__":``.
+        on_bad_order: called with the error of an unusable order, which is then skipped.
+        options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
+            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``.
+
+    Raises:
+        InputError: unusable orders or options.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+    packed_orders = pack_each(
+        orders_of(orders, n, seed, on_bad_order), packer=packer, look_ahead=look_ahead, workers=workers, **options
+    )
+    return Packed(tuple(packed_orders))
+
+
+def pack_each(
+    orders: Iterable[tuple[str, Order]],
+    *,
+    packer: str = PHYSICAL,
+    look_ahead: int | None = None,
+    workers: int = 1,
+    **options: Any,
+) -> Iterator[PackedOrder]:
+    """What ``pack`` makes of each order, as soon as it is known.
+
+    Args:
+        orders: id and order.
+        options: as in ``pack``. They are checked before the first order is taken.
+    """
+    packer_options, how = _split_options(options)
+    if packer not in (PHYSICAL, LEARNED):
+        raise InputError(f"packer must be {PHYSICAL} or {LEARNED}, {shown_value(packer)}")
+    if packer == PHYSICAL and look_ahead is not None:
+        raise InputError(f"look_ahead needs the packer {LEARNED}")
+    ahead = integer_of(1 if look_ahead is None else look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD)
+    sees = ahead if packer == LEARNED else None
+    return pack_physical(orders, packer_options, how, integer_of(workers, "workers", 1, MOST_WORKERS), sees)
+
+
+def orders_of(
+    orders: PathArgument | None,
+    n: int | None,
+    seed: int,
+    on_bad_order: Callable[[InputError], None] | None = None,
+) -> Iterator[tuple[str, Order]]:
+    """Orders of a file, or drawn ones."""
+    integer_of(seed, "seed", 0)
+    if orders is not None:
+        if n is not None:
+            raise InputError("n is for drawn orders, and there is a file of orders")
+        return read_orders(path_of(orders, "orders"), on_bad_order)
+    count = integer_of(100 if n is None else n, "n", 1, MOST_SAMPLES)
+    return ((f"s{seed}-{index:06d}", draw_order(seed, index)) for index in range(count))
+
+
+def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:
+    """The packer's options, and those of its simulations."""
+    sim, run, sure, of_packer = sorted_options(options, Confidence, PhysicalOptions)
+    if other := next((name for name in run if name not in OF_RUN), None):
+        raise InputError(f"{other}: a packer has no such option; of run options it has {', '.join(OF_RUN)}")
+    if "confidence" in sure:
+        raise InputError("confidence: a packer has worlds, the number of worlds with errors")
+    if "exact_too" in sure:
+        raise InputError("exact_too is for scores with confidence: a packer has one way to place boxes")
+    packer_options = PhysicalOptions(**of_packer)
+    if not packer_options.worlds and (
+        idle := next((name for name in ("errors", "least_share") if name in sure | of_packer), None)
+    ):
+        raise InputError(f"{idle} needs worlds > 0")
+    if not packer_options.worlds and packer_options.maximise == "share":
+        raise InputError("maximise share needs worlds > 0")
+    Simulation(**sim), RunOptions(**run)
+    return packer_options, {**sim, **run, **sure}

@@ -1,0 +1,89 @@
+"""The packers by name. Each takes the items of one order and gives placements in packing order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Final, Protocol
+
+import numpy as np
+
+from petmjx.common.argument_checks import integer_of
+from petmjx.common.checked_records import hint, shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.packers.balanced_packer import pack_balanced
+from petmjx.packers.baseline_packer import PackRules, PlacedBox, pack_best
+from petmjx.packers.item_stream import MOST_LOOK_AHEAD
+from petmjx.packers.learned_packer import LEARNED, pack_learned
+from petmjx.plans.order_generator import Item
+
+BASELINE: Final = "baseline"
+BALANCED: Final = "balanced"
+
+
+class Packer(Protocol):
+    """Packs one order: items with a place, from below upwards, each let down from above. The others are left out."""
+
+    def __call__(
+        self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
+    ) -> list[PlacedBox]:
+        """Place items on a target of ``extent_mm`` (x, y), as objects of ``items``.
+
+        Args:
+            rules: of the packer ``baseline``; None: its own.
+            rng: the random numbers of this order. A packer may leave them alone.
+        """
+
+
+def _baseline(
+    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
+) -> list[PlacedBox]:
+    return pack_best(items, extent_mm, rules or PackRules(), rng)
+
+
+def _balanced_packer(
+    items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
+) -> list[PlacedBox]:
+    return pack_balanced(items, extent_mm)
+
+
+def _learned_packer(
+    items: Sequence[Item],
+    extent_mm: tuple[float, float],
+    rules: PackRules | None,
+    rng: np.random.Generator,
+    look_ahead: int = 1,
+) -> list[PlacedBox]:
+    return pack_learned(items, extent_mm, look_ahead)
+
+
+PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
+    {BASELINE: _baseline, BALANCED: _balanced_packer, LEARNED: _learned_packer}
+)
+
+WHY: Final[Mapping[str, str]] = MappingProxyType(
+    {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
+)
+"""Packers that leave boxes out for reasons of their own."""
+
+
+def packer_named(name: str, look_ahead: int | None = None) -> Packer:
+    """The packer of that name.
+
+    Args:
+        look_ahead: of the packer ``learned``: how many of the next boxes it sees; None: 1.
+
+    Raises:
+        InputError: there is none, or it has no look-ahead.
+    """
+    if not isinstance(name, str):
+        raise InputError(f"packer must be text, {shown_value(name)}")
+    if name not in PACKERS:
+        raise InputError(f"unknown packer {printable_name(name)}; {hint(name, list(PACKERS))}")
+    if look_ahead is None:
+        return PACKERS[name]
+    if name != LEARNED:
+        raise InputError(f"look_ahead needs the packer {LEARNED}")
+    return partial(_learned_packer, look_ahead=integer_of(look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD))

@@ -1,0 +1,258 @@
+"""A packing as it grows: the pile, the items that are left, and which box could go where next.
+
+A packing can be copied, so that a search follows several ways on from it.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import inf
+from typing import Any, ClassVar, Final, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.packers.baseline_packer import MAX_HEIGHT_MM, PlacedBox
+from petmjx.packers.candidate_points import Candidates
+from petmjx.packers.packing_tables import Count, Number
+from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
+from petmjx.plans.order_generator import Item
+
+LEAST_SUPPORT: Final = 0.5
+"""Least share of a base that rests on something. The balance is the rule that counts; this one keeps overhangs few."""
+
+
+@dataclass(frozen=True)
+class Taste:
+    """What the features of a candidate are worth, in mm of height of its place.
+
+    Attributes:
+        per_base_side: per mm of the square root of the base area.
+        per_log_weight: per unit of the natural logarithm of the weight.
+        per_height: per mm of the box's own height.
+        per_overhang: what a base loses that hangs over as a whole.
+        per_distance: what a place loses per mm of x + y: of places equally good, the one nearest to the corner.
+    """
+
+    per_base_side: float = 1.4
+    per_log_weight: float = 40.0
+    per_height: float = 0.25
+    per_overhang: float = 40.0
+    per_distance: float = 0.01
+
+
+class NextCandidate(NamedTuple):
+    """A box that could come next: the row and column of a candidate, its corner in mm, and what it would do to the
+    balance."""
+
+    point: int
+    shape: int
+    corner_mm: tuple[float, float, float]
+    rest: Rest
+
+
+class FullPacking(NamedTuple):
+    """A packing on which nothing more has a place. ``placed`` and the other fields are those of ``Packing``."""
+
+    placed: tuple[PlacedBox, ...]
+    top_mm: float
+    volume_m3: float
+    moment_kg_mm: float
+
+
+class Packing:
+    """Boxes on a target, and items that are left.
+
+    Attributes:
+        n_items: boxes of the order.
+        extent_mm: of the target, with the free space of the last box.
+        placed: boxes in packing order, as objects of the items.
+        top_mm: highest top.
+        volume_m3: of the boxes.
+        moment_kg_mm: Σ mass × height of the middle: of packings equally high, the one with less stands better.
+
+    Args:
+        items: of one order.
+        extent_mm: of the target, along x and y.
+        clearance_mm: free space that each box keeps to its neighbours along x and y.
+    """
+
+    _Table: ClassVar[type[Candidates]] = Candidates
+
+    def __init__(
+        self, items: Sequence[Item], extent_mm: tuple[float, float], taste: Taste, clearance_mm: float = 0.0
+    ) -> None:
+        kinds: dict[Item, list[Item]] = {}
+        for item in items:
+            kinds.setdefault(item, []).append(item)
+        self.n_items = len(items)
+        self.placed: list[PlacedBox] = []
+        self.top_mm = self.volume_m3 = self.moment_kg_mm = 0.0
+        self._stock = [list(reversed(same)) for same in kinds.values()]
+        shapes = [
+            (kind, orientation)
+            for kind, item in enumerate(kinds)
+            for orientation in ((0, 1) if item.length_mm != item.width_mm else (0,))
+        ]
+        firsts = list(kinds)
+        self._kind_of, self._turned = np.array(shapes, dtype=np.intp).reshape(-1, 2).T
+        sizes = np.array([_size(firsts[kind], turned) for kind, turned in shapes], dtype=np.float64).reshape(-1, 3)
+        self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
+        self._worth = _worth(sizes, self._weight, taste)
+        self._taste = taste
+        # each takes up its free space too, on a target that has room for the last one's; it is borne by the box alone
+        self._base = sizes[:, :2]
+        length, width = extent_mm
+        self.extent_mm = (length + clearance_mm, width + clearance_mm)
+        self._table = self._Table(self._base + clearance_mm, sizes[:, 2], self.extent_mm, len(items))
+        self._pile = Balance(len(items))
+
+    def copy(self) -> Self:
+        """The same packing, which goes its own way."""
+        twin = copy.copy(self)
+        twin.placed, twin._stock = list(self.placed), [list(same) for same in self._stock]
+        twin._table, twin._pile = self._table.copy(), self._pile.copy()
+        return twin
+
+    @property
+    def n_shapes(self) -> int:
+        """Kinds of boxes that are left, in each orientation."""
+        return len(self._kind_of)
+
+    @property
+    def grain_mm(self) -> float:
+        """The largest power of two, at most 1 mm, of which all sides and the free space are multiples."""
+        sizes = np.concatenate([self._base.ravel(), self._table.base.ravel(), self._table.height])
+        grain = 1.0
+        while grain > 0 and (sizes % grain).any():
+            grain /= 2
+        return grain
+
+    def next(self, count: int = 1, kinds: Sequence[int] | None = None) -> list[NextCandidate]:
+        """The best candidates that keep the pile in balance, at most ``count``, the best first.
+
+        Args:
+            kinds: only boxes of these kinds, numbered as they first come in the items; None: of all.
+        """
+        table, weight = self._table, self._weight
+        support = table.carried / table.area
+        cost = table.z - self._worth + self._taste.per_overhang * (1 - support)
+        cost += self._taste.per_distance * table.points.sum(axis=1)[:, None]
+        fits = (table.z + table.height <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= LEAST_SUPPORT - SHARE_SLACK)
+        if kinds is not None:
+            fits = fits & np.isin(self._kind_of, kinds)
+        cost = np.where(table.open & fits, cost, np.inf)
+        candidates: list[NextCandidate] = []
+        while cost.size and len(candidates) < count:
+            point, shape = divmod(int(cost.argmin()), len(weight))
+            if cost[point, shape] == np.inf:
+                break
+            cost[point, shape] = np.inf
+            corner = (*table.points[point].tolist(), float(table.z[point, shape]))
+            width, depth = self._base[shape].tolist()
+            rest = self._pile.rest(corner, (width, depth), float(weight[shape]))
+            if rest is None:
+                table.open[point, shape] = False
+            else:
+                candidates.append(NextCandidate(point, shape, corner, rest))
+        return candidates
+
+    def box(self, chosen: NextCandidate) -> PlacedBox:
+        """A candidate that ``next`` found last, as it would be placed."""
+        item = self._stock[int(self._kind_of[chosen.shape])][-1]
+        return PlacedBox(item, int(self._turned[chosen.shape]), chosen.corner_mm)
+
+    def put(self, chosen: NextCandidate) -> None:
+        """Place one of the candidates that ``next`` found last."""
+        point, shape, corner, rest = chosen
+        kind, height = int(self._kind_of[shape]), float(self._table.height[shape])
+        self._pile.add(corner, (*self._base[shape].tolist(), height), rest)
+        box = self.box(chosen)
+        item = self._stock[kind].pop()
+        self.placed.append(box)
+        self.top_mm = max(self.top_mm, corner[2] + height)
+        self.volume_m3 += item.volume_m3
+        self.moment_kg_mm += item.weight_kg * (corner[2] + height / 2)
+        self._table.place(point, shape)
+        if not self._stock[kind]:
+            self._keep_shapes(self._kind_of != kind)
+
+    def fill(self, highest_mm: float = inf, most: float = inf) -> bool:
+        """Place one best candidate after the other until none is left.
+
+        Args:
+            highest_mm: given up, with False, as soon as a top is higher.
+            most: boxes that are placed.
+        """
+        end = len(self.placed) + most
+        while self.top_mm <= highest_mm:
+            best = self.next() if len(self.placed) < end else []
+            if not best:
+                return True
+            self.put(best[0])
+        return False
+
+    def filled(self, first: NextCandidate | None = None, highest_mm: float = inf) -> FullPacking | None:
+        """What this packing is when it is filled up; it stays as it is. None: a top would be higher than that.
+
+        Args:
+            first: the candidate, of those that ``next`` found last, that is placed first; None: the best one.
+        """
+        twin = self.copy()
+        if first is not None:
+            twin.put(first)
+        if not twin.fill(highest_mm):
+            return None
+        return FullPacking(tuple(twin.placed), twin.top_mm, twin.volume_m3, twin.moment_kg_mm)
+
+    def filled_with(self, shapes: Sequence[int], corners_mm: Sequence[Sequence[float]]) -> FullPacking:
+        """This packing, filled up by the boxes of these shapes at these corners, in this sequence."""
+        placed, top, volume, moment = list(self.placed), self.top_mm, self.volume_m3, self.moment_kg_mm
+        kinds, turned, heights = self._kind_of.tolist(), self._turned.tolist(), self._table.height.tolist()
+        left = [len(same) for same in self._stock]
+        for shape, (x, y, z) in zip(shapes, corners_mm, strict=True):
+            kind, height = kinds[shape], heights[shape]
+            left[kind] -= 1
+            item = self._stock[kind][left[kind]]
+            placed.append(PlacedBox(item, turned[shape], (x, y, z)))
+            top = max(top, z + height)
+            volume += item.volume_m3
+            moment += item.weight_kg * (z + height / 2)
+        return FullPacking(tuple(placed), top, volume, moment)
+
+    def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
+        """Write everything into :mod:`petmjx.packers.packing_tables`."""
+        shapes = self.n_shapes
+        tables["own_base"][:shapes] = self._base
+        tables["weight"][:shapes] = self._weight
+        tables["worth"][:shapes] = self._worth
+        tables["kind"][:shapes] = self._kind_of
+        tables["stock"][: len(self._stock)] = [len(same) for same in self._stock]
+        taste = self._taste
+        numbers = tables["numbers"]
+        numbers[Number.TOP], tables["counts"][Count.SHAPES] = self.top_mm, shapes
+        numbers[Number.PER_OVERHANG], numbers[Number.PER_DISTANCE] = taste.per_overhang, taste.per_distance
+        self._table.write(tables)
+        self._pile.write(tables)
+
+    def _keep_shapes(self, kept: NDArray[np.bool_]) -> None:
+        self._table.keep_shapes(kept)
+        self._kind_of, self._turned, self._base = self._kind_of[kept], self._turned[kept], self._base[kept]
+        self._weight, self._worth = self._weight[kept], self._worth[kept]
+
+
+def _size(item: Item, orientation: int) -> tuple[float, float, float]:
+    base = (item.length_mm, item.width_mm)
+    return (*(base if orientation == 0 else base[::-1]), item.height_mm)
+
+
+def _worth(sizes: FloatArray, weight: FloatArray, taste: Taste) -> FloatArray:
+    """(s,) what shapes are worth wherever they go, in mm; (s, 3) sizes, (s,) weights."""
+    side = np.sqrt(sizes[:, 0] * sizes[:, 1])
+    worth: FloatArray = (
+        taste.per_base_side * side + taste.per_log_weight * np.log(weight) + taste.per_height * sizes[:, 2]
+    )
+    return worth

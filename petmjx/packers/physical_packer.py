@@ -1,0 +1,69 @@
+"""The packer ``physical``: dense packings, found by rules, of which physics takes one.
+
+Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with more or less free space
+between neighbours. Simulation says which of them stand, exactly placed and as a robot places them. Orders are searched
+in processes of their own. One engine simulates the packings of all orders, and gets those of an order as soon as they
+are known: worlds side by side are what engines are fast at, and no order waits for another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+from typing import Any
+
+from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.common.parallel_map import UnorderedResults
+from petmjx.engines.run_engine import engine_for
+from petmjx.options.run_options import AUTO
+from petmjx.packers.pack_candidates import finalists, learned_finalists
+from petmjx.packers.pack_flow import CPU, GPU, Flow, Searched
+from petmjx.packers.pack_options import PhysicalOptions
+from petmjx.packers.pack_worlds import WorldsOfPlans
+from petmjx.packers.packed_orders import PackedOrder
+from petmjx.plans.order_generator import Order
+
+
+def pack_physical(
+    orders: Iterable[tuple[str, Order]],
+    options: PhysicalOptions,
+    how: Mapping[str, Any],
+    workers: int,
+    look_ahead: int | None = None,
+) -> Iterator[PackedOrder]:
+    """Pack orders, in the order given.
+
+    Args:
+        orders: id and order.
+        how: options of ``petmjx.score`` for the simulation.
+        workers: processes that search; they change no plan.
+        look_ahead: instead of searching, pack by ``learned``, which sees so many boxes; physics judges that packing.
+
+    Raises:
+        InputError: unusable options.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+    engine = how.get("engine", AUTO)
+    if engine == AUTO:
+        engine = fastest()
+    worlds = WorldsOfPlans(options.worlds, {**how, "engine": engine})
+    searching = partial(_order_search, options=options, look_ahead=look_ahead)
+    with (
+        UnorderedResults(searching, orders, workers) as searched,
+        engine_for(worlds.run, worlds.work) as (simulator, _),
+    ):
+        yield from Flow(searched, options, worlds, GPU if engine == "mjx-warp" else CPU).packed(simulator)
+
+
+def fastest() -> str:
+    """The engine that is fastest on this machine for many worlds. ``auto`` would take another one for few orders than
+    for many, and an order's plan must not depend on the others."""
+    if why_no_warp() is None:
+        return "mjx-warp"
+    return "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
+
+
+def _order_search(numbered: tuple[str, Order], options: PhysicalOptions, look_ahead: int | None) -> Searched:
+    order_id, order = numbered
+    packings = finalists(order, options) if look_ahead is None else learned_finalists(order, look_ahead)
+    return order_id, order, packings

@@ -1,1 +1,0 @@
-"""Orders packed by packers that ask physics."""

@@ -1,0 +1,11 @@
+"""The bundled plans: where their file is."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+
+def bundled_path() -> Path:
+    """The file of the bundled plans. :mod:`petmjx.packers.bundled_plans` says which they are, and makes the file."""
+    return Path(str(files(__package__) / "bundled.json"))

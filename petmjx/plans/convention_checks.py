@@ -1,0 +1,395 @@
+"""Plans that look as if they followed another convention: centres for corners, metres for millimetres, z and y swapped.
+
+A plan that is odd as it is given (boxes float or overlap) is read in other ways, and a way in which nothing is odd any
+more is what it looks like. Real plans with odd boxes stay odd in every other way. Units that leave everything in its
+place are recognised by the density of the boxes.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import PlanWarning
+from petmjx.common.text import box_in_words, count_text, printable_name, three_digits
+from petmjx.common.units import LENGTHS_MM, MASSES_KG, FloatArray
+from petmjx.plans.input_conventions import ANCHORS
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, PlanWarnings, check_layout, gaps_mm, overlaps_mm
+
+MOST_UNEXPLAINED: Final = 100
+ONE_IN: Final = 50
+"""After so many odd plans that no convention explains, one in so many is read in all ways, which takes 2 ms, the others
+only as plans before them seemed to be."""
+
+LIGHTEST_KG_M3: Final = 2.0
+HEAVIEST_KG_M3: Final = 20_000.0
+"""Densities of whole plans: air has 1.2 kg/m³, crisps in cartons 30, gold 19,300."""
+_USUAL_KG_M3: Final = 300.0
+_USUAL_M3: Final = 0.015
+"""A carton's density and volume, as in BED-BPP's orders. They tell grams from centimetres, both of which make plans a
+thousand times too dense."""
+
+LEAST_SHARE: Final = 0.25
+"""Of the plans with an odd layout, those that one convention explains are at least this share: a mistake is made in all
+plans of a packer, and one in 300 plans of which three boxes float looks by chance as if y and z were swapped."""
+
+_LEAST_FILLED: Final = 0.3
+"""Least share of a plan's bounding box that is filled. Coordinates that are multiplied part boxes that overlap, too."""
+
+_MM3_PER_M3: Final = 1e9
+
+_MOST_ROUNDS: Final = 5
+"""Times that turned boxes are gone through; most rows are read rightly after two."""
+
+_Layout = tuple[FloatArray, FloatArray]
+"""Corners and sizes, (n, 3) each, mm, in packing order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Convention:
+    """One other way to read a plan.
+
+    Attributes:
+        looks: what plans look like that follow it.
+        advice: what to do about it. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}`` for the
+            middle of the carrier, mm.
+        read: corners and sizes as petmjx has them. None: they are not what differs.
+        least_odd: floating boxes and overlaps that a plan has at least, if its lowest box does not float.
+        of_turned: ``read`` is about boxes that an orientation says are turned; the others are as petmjx has them.
+        of_some: only about those of which it takes overlaps away.
+        least_share: share of the boxes above the carrier that float or overlap at least, by more than ``_SMALL_MM`` one
+            of them.
+    """
+
+    looks: str
+    advice: str
+    read: Callable[[FloatArray, FloatArray], _Layout] | None = None
+    least_odd: int = 2
+    of_turned: bool = False
+    of_some: bool = False
+    least_share: float = 0.0
+
+    def layout_of(self, plan: Plan) -> _Layout:
+        """The plan's corners and sizes in this reading."""
+        assert self.read is not None
+        corner, size = self.read(plan.corner_mm, plan.size_mm)
+        if not self.of_turned:
+            return corner, size
+        turned = _overlapping_less(plan, size) if self.of_some else plan.turned
+        return np.where(turned[:, None], corner, plan.corner_mm), np.where(turned[:, None], size, plan.size_mm)
+
+
+def _scale_convention(unit: str, sizes: bool) -> Convention:
+    """Coordinates, or sizes, in a unit of their own."""
+    factor, name = LENGTHS_MM[unit]
+    subject, other = ("sizes", "coordinates") if sizes else ("coordinates", "sizes")
+    return Convention(
+        f"{subject} look as if they were in {name}, unlike {other}",
+        f"multiply {subject} by {factor:g}",
+        lambda corner, size: (corner, size * factor) if sizes else (corner * factor, size),
+    )
+
+
+def _anchor_convention(anchor: str, looks: str) -> Convention:
+    share = np.array({str(name): shares for name, shares in ANCHORS.items()}[anchor])
+    return Convention(looks, f"give anchor {anchor}", lambda corner, size: (corner - share * size, size))
+
+
+CENTRES: Final = _anchor_convention("centre", "coordinates look like those of centres, not of corners")
+_TURNED: Final = (
+    "lengths and widths of boxes that an orientation says are turned look swapped",
+    "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
+)
+_YZ: Final = ("y and z look swapped", "give heights as z")
+_MOST: Final = 0.5
+"""If y and z are swapped, at least this share of the boxes above the carrier float or overlap. Where rows are flush in
+y nothing floats or overlaps after they are swapped, so a few boxes of a right plan that do say nothing."""
+_SMALL_MM: Final = 20.0
+"""Gaps and overlaps up to this are of sheets, rounded heights or careless packers, and of no convention."""
+
+LAYOUTS: Final[tuple[Convention, ...]] = (
+    Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
+    Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), of_turned=True, of_some=True),
+    CENTRES,
+    _anchor_convention("base-centre", "x and y look like those of centres, not of corners"),
+    _anchor_convention("far-corner", "coordinates look like those of the corners with the largest x, y and z"),
+    Convention(
+        "z looks counted from the floor, not from the top of the carrier",
+        "subtract {lowest:g} mm from each z",
+        lambda corner, size: (corner - [0.0, 0.0, corner[:, 2].min()], size),
+    ),
+    Convention(
+        "the packing order looks reversed",
+        "begin with what is placed first",
+        lambda corner, size: (corner[::-1], size[::-1]),
+        least_odd=1,
+    ),
+    Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size), least_share=_MOST),
+    Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_odd=3, least_share=_MOST),
+    Convention(
+        "length and width look swapped",
+        "give extents along x and y as the boxes stand, or with the orientation",
+        lambda corner, size: (corner, size[:, [1, 0, 2]]),
+    ),
+    *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),
+    *(_scale_convention(unit, sizes=True) for unit in ("cm", "in", "m")),
+)
+"""Ways to read an odd plan; of several that fit the first one is taken."""
+
+_SIZES_ALONE: Final = LAYOUTS[-3:]
+
+MIDDLE: Final = Convention(
+    "the origin looks like the middle of the carrier", "add {x:g} mm to each x and {y:g} mm to each y"
+)
+
+
+def _all_lengths(unit: str) -> tuple[float, Convention]:
+    factor, name = LENGTHS_MM[unit]
+    looks, advice = f"lengths look as if they were in {name}", f"give units {unit}"
+    return factor, Convention(looks, advice, lambda corner, size: (corner * factor, size * factor))
+
+
+_LENGTHS: Final = tuple(_all_lengths(unit) for unit in ("cm", "in", "m"))
+GRAMS: Final = Convention("masses look as if they were in grams", "give units g")
+TONNES: Final = Convention("masses look as if they were in tonnes", "give units t")
+
+
+@dataclass
+class _ConventionMatch:
+    """Plans that follow one convention: the line about the first of them, and how many they are."""
+
+    example: str
+    advice: str
+    of_layout: bool
+    count: int = 0
+
+
+@dataclass
+class _Search:
+    """Conventions found so far in a set of plans."""
+
+    extent_mm: tuple[float, float] | None
+    found: dict[str, _ConventionMatch] = field(default_factory=dict)
+    last: Convention | None = None
+    n_odd: int = 0
+    unexplained: int = 0
+
+    def look_at(self, plan: Plan, odd: PlanWarnings | None, unit: tuple[Convention, str] | None) -> None:
+        """Look at a plan with something odd in its layout, or with an odd density, which ``unit`` explains."""
+        way = None
+        if unit is not None and odd is not None:
+            way = self._layout_of(plan, odd, _SIZES_ALONE)
+        if unit is not None and way is None:
+            self._add(unit[0], plan, unit[1])
+            if unit[0].read is not None:
+                corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
+                plan = replace(plan, corner_mm=corner, size_mm=size)
+                odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
+        if odd is None:
+            return
+        self.n_odd += bool(odd.n_floating or odd.n_overlapping_pairs)
+        way = way or self._layout_of(plan, odd, LAYOUTS)
+        if way is not None:
+            self._add(way, plan, _first_oddity(plan, odd, way))
+        if odd.n_outside and self.extent_mm is not None and _from_the_middle(plan, way, self.extent_mm):
+            self._add(MIDDLE, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
+
+    def _layout_of(self, plan: Plan, odd: PlanWarnings, ways: Sequence[Convention]) -> Convention | None:
+        """The convention that explains what is odd about a plan's layout; the last one that did is tried first."""
+        n_odd = odd.n_floating + odd.n_overlapping_pairs
+        if not n_odd:
+            return None
+        everything = self.unexplained < MOST_UNEXPLAINED or self.unexplained % ONE_IN == 0
+        for way in sorted(ways, key=lambda way: way is not self.last):
+            if (everything or self.common(way.looks)) and _explains(way, plan, n_odd):
+                self.last = way
+                return way
+        self.unexplained += ways is LAYOUTS
+        return None
+
+    def common(self, looks: str) -> bool:
+        """Whether enough plans are explained by the convention of that name."""
+        finding = self.found.get(looks)
+        return finding is not None and (not finding.of_layout or finding.count >= LEAST_SHARE * self.n_odd)
+
+    def _add(self, convention: Convention, plan: Plan, evidence: str) -> None:
+        if convention.looks not in self.found:
+            x, y = (length / 2 for length in self.extent_mm or (0.0, 0.0))
+            advice = convention.advice.format(lowest=plan.corner_mm[:, 2].min(), x=x, y=y)
+            example = f"{convention.looks}: in plan {printable_name(plan.plan_id)} {evidence}"
+            self.found[convention.looks] = _ConventionMatch(example, advice, convention in LAYOUTS)
+        self.found[convention.looks].count += 1
+
+
+def with_conventions(
+    plan_set: PlanSet, extent_mm: tuple[float, float] | None, known: Mapping[str, PlanWarnings | None] | None = None
+) -> PlanSet:
+    """The same plans with what is odd about them, and what that looks like.
+
+    Args:
+        known: plan id → what is odd about its layout (None: nothing), where that is known.
+    """
+    known = known or {}
+
+    def layout_of(plan: Plan) -> PlanWarnings | None:
+        if plan.plan_id in known:
+            return known[plan.plan_id]
+        return check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm)
+
+    odd = [layout for plan in plan_set if (layout := layout_of(plan)) is not None and layout.any]
+    return replace(plan_set, warnings=odd, conventions=_find_conventions(plan_set.plans, odd, extent_mm))
+
+
+def _find_conventions(
+    plans: Sequence[Plan], odd: Iterable[PlanWarnings], carrier_extent_mm: tuple[float, float] | None = None
+) -> list[str]:
+    """A line for each convention that plans seem to follow instead of petmjx's.
+
+    Args:
+        plans: each id once.
+        odd: what is odd about them, where something is.
+        carrier_extent_mm: x–y extent of the carrier; None: the plan's bounding box.
+    """
+    search = _Search(carrier_extent_mm)
+    layouts = {layout.plan_id: layout for layout in odd}
+    units = _odd_densities(plans)
+    for plan in plans if layouts or units else ():
+        layout, unit = layouts.get(plan.plan_id), units.get(plan.plan_id)
+        if layout is not None or unit is not None:
+            search.look_at(plan, layout, unit)
+    total = count_text(len(plans), "plan")
+    return [
+        f"{finding.example} ({finding.count:,} of {total}); if that is so, {finding.advice}"
+        for looks, finding in search.found.items()
+        if search.common(looks)
+    ]
+
+
+def warn(lines: Iterable[str]) -> None:
+    """A ``PlanWarning`` for each line, at the place outside petmjx that called it."""
+    frame, depth = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "petmjx":
+        frame, depth = frame.f_back, depth + 1
+    for line in lines:
+        warnings.warn(line, PlanWarning, stacklevel=depth)
+
+
+def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
+    """Whether a tenth of what is odd, or less, is left when a plan is read in another way."""
+    if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
+        return False
+    if way.of_turned and not plan.turned.any():
+        return False
+    if way.least_share and not _is_mostly_odd(plan, way.least_share):
+        return False
+    corner, size = way.layout_of(plan)
+    if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # read rightly, something stands on the carrier
+        return False
+    bounds = (corner + size).max(axis=0) - corner.min(axis=0)
+    if size.prod(axis=1).sum() < _LEAST_FILLED * bounds.prod():
+        return False
+    left = check_layout(plan.plan_id, plan.source, corner, size)
+    return left.n_floating + left.n_overlapping_pairs <= n_odd // 10
+
+
+def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
+    """(n,) turned boxes that overlap fewer others with another size, (n, 3) mm: one after the other, as long as some
+    do."""
+    chosen, sizes, low = np.zeros(plan.n_boxes, bool), plan.size_mm.copy(), plan.corner_mm
+    turned = np.flatnonzero(plan.turned & (plan.size_mm != size).any(axis=1))
+
+    def overlaps(box: int, extent: FloatArray) -> int:
+        common = np.minimum(low + sizes, low[box] + extent) - np.maximum(low, low[box])
+        reaches = (common > DEFAULT_TOLERANCE_MM).all(axis=1)
+        reaches[box] = False
+        return int(np.count_nonzero(reaches))
+
+    for _ in range(_MOST_ROUNDS):
+        before = chosen.copy()
+        for box in turned.tolist():
+            other = plan.size_mm[box] if chosen[box] else size[box]
+            if overlaps(box, other) < overlaps(box, sizes[box]):
+                chosen[box], sizes[box] = not chosen[box], other
+        if np.array_equal(before, chosen):
+            break
+    return chosen
+
+
+def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
+    """Whether so many of the boxes above the carrier float or overlap, and not all by little."""
+    gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
+    above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
+    odd = np.maximum(gap, overlap)
+    share = int((above & (odd > DEFAULT_TOLERANCE_MM)).sum()) / max(int(above.sum()), 1)
+    return bool(share >= least_share and odd.max() > _SMALL_MM)
+
+
+def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:
+    """Whether all boxes are on the carrier if its middle is the origin."""
+    corner, size = plan.corner_mm, plan.size_mm
+    if way is not None and way.read is not None:
+        corner, size = way.layout_of(plan)
+    half = np.array(extent_mm) / 2 + DEFAULT_TOLERANCE_MM
+    on_it = (corner[:, :2] >= -half).all() and ((corner + size)[:, :2] <= half).all()
+    return bool(on_it and (corner[:, :2] < -DEFAULT_TOLERANCE_MM).any())
+
+
+def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
+    """Plan id → what explains a density that no goods have, and the box that shows it best, in words."""
+    if not plans:
+        return {}
+    begins = np.cumsum([0, *(plan.n_boxes for plan in plans[:-1])])
+    volumes = np.concatenate([plan.size_mm for plan in plans]).prod(axis=1) / _MM3_PER_M3
+    volume = np.add.reduceat(volumes, begins)
+    mass = np.add.reduceat(np.concatenate([plan.mass_kg for plan in plans]), begins)
+    density = mass / volume
+    reasons = {}
+    for index in np.flatnonzero((density < LIGHTEST_KG_M3) | (density > HEAVIEST_KG_M3)).tolist():
+        plan, light = plans[index], density[index] < LIGHTEST_KG_M3
+        of_boxes = plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3)
+        box = int(of_boxes.argmin() if light else of_boxes.argmax())
+        why = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
+        reasons[plan.plan_id] = why, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
+    return reasons
+
+
+def _why_dense(density: float, volume_m3: float) -> Convention:
+    """The convention in which a plan's density and its boxes' mean volume are most usual."""
+
+    def unusual(length: float, mass: float) -> float:
+        of_volume = length**3
+        denser = density * mass / of_volume / _USUAL_KG_M3
+        return abs(math.log(denser)) + abs(math.log(volume_m3 * of_volume / _USUAL_M3))
+
+    ways = [*((unusual(factor, 1.0), way) for factor, way in _LENGTHS), (unusual(1.0, MASSES_KG["g"][0]), GRAMS)]
+    return min(ways, key=lambda way: way[0])[1]
+
+
+def _first_oddity(plan: Plan, odd: PlanWarnings, way: Convention) -> str:
+    """The first odd box of a plan, in words."""
+    lowest = int(plan.corner_mm[:, 2].argmin())
+    bottom = plan.corner_mm[lowest, 2]
+    if bottom > DEFAULT_TOLERANCE_MM:
+        share = "half its height, " if way is CENTRES else ""
+        return f"the lowest box, {_box(plan, lowest)}, floats by {share}{three_digits(bottom)} mm"
+    if odd.n_overlapping_pairs:
+        return f"{count_text(odd.n_overlapping_pairs, 'pair')} of boxes overlap, such as {odd.overlapping[0]}"
+    gap = gaps_mm(plan.corner_mm, plan.size_mm)
+    box = int(gap.argmax())
+    return (
+        f"{count_text(odd.n_floating, 'box floats', 'boxes float')}, {_box(plan, box)} by {three_digits(gap[box])} mm"
+    )
+
+
+def _box(plan: Plan, box: int) -> str:
+    """ "box 22 (candy-00100723)"; boxes count from 0 in packing order."""
+    return box_in_words(box, plan.articles[box])

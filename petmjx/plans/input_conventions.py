@@ -1,0 +1,96 @@
+"""How the numbers of plans are given: in which units, and the coordinates of which point of a box."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from petmjx.common.argument_checks import text_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.units import LENGTHS_MM, MASSES_KG, PLAN_UNITS, FloatArray, plan_units
+from petmjx.options.run_options import Anchor
+from petmjx.plans.plan_fields import FARTHEST_MM, LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
+
+ANCHORS: Final[Mapping[Anchor, tuple[float, float, float]]] = {
+    "corner": (0.0, 0.0, 0.0),
+    "centre": (0.5, 0.5, 0.5),
+    "base-centre": (0.5, 0.5, 0.0),
+    "far-corner": (1.0, 1.0, 1.0),
+}
+"""Where each point is, from the front-left-bottom corner, as shares of the box's extents."""
+
+
+class Limits(NamedTuple):
+    """The range of a value in the unit in which it is given, and the unit's name."""
+
+    smallest: float
+    largest: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class InputConventions:
+    """Units and point of all numbers of some plans.
+
+    Attributes:
+        units: of lengths and masses, such as "cm,g".
+        anchor: a name of ``ANCHORS``.
+    """
+
+    units: str = PLAN_UNITS
+    anchor: Anchor = "corner"
+
+    @classmethod
+    def checked(cls, units: Any, anchor: Any) -> InputConventions:
+        """Raises InputError: there are no such units or anchor."""
+        text_of(units, "units")
+        known = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
+        if known is None:
+            raise InputError(f"anchor must be one of {', '.join(ANCHORS)}, {shown_value(anchor)}")
+        try:
+            return cls(",".join(plan_units(units)), known)
+        except ValueError as error:
+            raise InputError(f"units {error}, {shown_value(units)}") from None
+
+    @property
+    def length_mm(self) -> float:
+        """One unit of length, mm."""
+        return LENGTHS_MM[plan_units(self.units)[0]][0]
+
+    @property
+    def mass_kg(self) -> float:
+        """One unit of mass, kg."""
+        return MASSES_KG[plan_units(self.units)[1]][0]
+
+    @property
+    def sizes(self) -> Limits:
+        """Of sizes."""
+        factor, name = LENGTHS_MM[plan_units(self.units)[0]]
+        return Limits(SMALLEST_MM / factor, LARGEST_MM / factor, name)
+
+    @property
+    def weights(self) -> Limits:
+        """Of masses."""
+        factor, name = MASSES_KG[plan_units(self.units)[1]]
+        return Limits(SMALLEST_KG / factor, LARGEST_KG / factor, name)
+
+    @property
+    def coordinates(self) -> Limits:
+        """Of coordinates."""
+        factor, name = LENGTHS_MM[plan_units(self.units)[0]]
+        return Limits(-FARTHEST_MM / factor, FARTHEST_MM / factor, name)
+
+    def corner_mm(self, coordinates_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
+        """(n, 3) front-left-bottom corners, from the given points and the extents as the boxes stand, mm."""
+        if self.anchor == "corner":
+            return coordinates_mm
+        corner: FloatArray = coordinates_mm - np.array(ANCHORS[self.anchor]) * size_mm
+        return corner
+
+
+USUAL: Final = InputConventions()
+"""Millimetres and kilograms, and front-left-bottom corners."""

@@ -1,0 +1,254 @@
+"""JSON files of plans and orders: unpacked within bounds, decoded one entry at a time."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from petmjx.common.errors import InputError
+from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, MOST_RATIO, read_regular, size
+from petmjx.common.text import printable_name
+from petmjx.plans.file_formats import foreign_kind
+
+_GZIP_MAGIC: Final = b"\x1f\x8b\x08"
+_GZIP_CHUNK: Final = 1 << 14
+_WBITS_GZIP: Final = 31
+_UTF16_MARKS: Final = (b"\xff\xfe", b"\xfe\xff")
+_UTF8_MARK: Final = b"\xef\xbb\xbf"
+
+
+def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
+    """A file's text as bytes, and what is wrong with the file as a whole (None: nothing).
+
+    Gzip is recognised by content, not by name. Memory: the packed and the plain bytes, once each.
+
+    Raises:
+        OSError: it cannot be read, is no regular file, or is too large.
+        ValueError: a name that no file can have.
+    """
+    data, fault = read_regular(path, MOST_BYTES), None
+    if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":  # no reserved flag is set (RFC 1952)
+        data, fault = _gunzip(data)
+    if data.startswith(_UTF16_MARKS) and b"\0" in data[2:4]:
+        return bytearray(), "is UTF-16 text; plans must be UTF-8"
+    if (kind := foreign_kind(data)) is not None:
+        return bytearray(), kind
+    if data.startswith(_UTF8_MARK):
+        del data[: len(_UTF8_MARK)]
+    return data, fault
+
+
+def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
+    """Unpack the sound part of a gzip stream (of one or more members), and say what is wrong if that is not all."""
+    most = min(MOST_BYTES, max(FREE_BYTES, MOST_RATIO * len(packed)))
+    view = memoryview(packed)
+    plain = bytearray()
+    position = 0
+    while position < len(view):
+        inflate = zlib.decompressobj(wbits=_WBITS_GZIP)
+        while not inflate.eof:
+            chunk = view[position : position + _GZIP_CHUNK]
+            if not chunk:
+                return plain, "the gzip data is cut off; plans up to there are read"
+            before = inflate.copy()
+            try:
+                plain += inflate.decompress(chunk)
+            except zlib.error as error:
+                _inflate_bytewise(before, chunk, plain)
+                return plain, f"the gzip data is damaged ({error}); plans up to there are read"
+            if len(plain) > most:
+                return bytearray(), f"the gzip data unpacks to more than {size(most)}, too much for a plan file"
+            position += len(chunk) - len(inflate.unused_data)
+        if not any(view[position : position + _GZIP_CHUNK]):
+            break  # gzip members may be followed by padding
+    return plain, None
+
+
+def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytearray) -> None:
+    """Add the sound beginning of a chunk with an error in it: a failing call returns none of its output."""
+    for position in range(len(chunk)):
+        try:
+            plain += inflate.decompress(chunk[position : position + 1])
+        except zlib.error:
+            return
+
+
+# JSON's white space is less than \s. Possessive quantifiers keep every match linear, also in malicious text.
+_SPACE: Final = re.compile(rb"[ \t\n\r]*+")
+_KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+")[ \t\n\r]*+:[ \t\n\r]*+', re.DOTALL)
+_CUT_KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+(\\|"[ \t\n\r]*+)?)?\Z', re.DOTALL)
+_OTHER_VALUES: Final = {
+    rb"\[": "a list",
+    rb'"': "a string",
+    rb"(true|false)\b": "a boolean",
+    rb"null\b": "null",
+    rb"-?\d": "a number",
+}
+
+_SHOWN_ID: Final = 1000
+"""Bytes of a damaged plan's id that are shown."""
+LONGEST_VALUE: Final = 4 << 20
+"""Bytes of one plan's text. A plan of BED-BPP takes 10,000 to 25,000; decoded it takes up to 30 times its text."""
+_FIRST_WINDOW: Final = 1 << 15
+_SMALLEST_WINDOW: Final = 1 << 10
+_LONGEST_TOKEN: Final = 12
+"""Characters of a token other than a string or a number (``-Infinity``, an escape) that a window's end may cut."""
+
+
+class DuplicateFieldObject(dict[str, Any]):
+    """A JSON object in which a field stands twice, and its last value.
+
+    Attributes:
+        field: the first one that does.
+    """
+
+    def __init__(self, pairs: list[tuple[str, Any]]) -> None:
+        super().__init__(pairs)
+        names = [name for name, _ in pairs]
+        self.field = next(name for number, name in enumerate(names) if name in names[:number])
+
+
+class MalformedPlans(InputError):
+    """Text that is no JSON, or no object. Says in which plan, at which line and column (in bytes, both from 1)."""
+
+
+class Entry(NamedTuple):
+    """One id and what JSON holds under it, not yet validated."""
+
+    plan_id: str
+    value: object
+
+
+def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun: str = "plan") -> Iterator[Entry]:
+    """Yield every entry of a file's bytes, in order.
+
+    Args:
+        of: what the file should be an object of, for messages.
+        noun: what an entry is called there.
+
+    Raises:
+        NotPlans: the text is not JSON from some point on (raised after the entries before it), or the file is empty
+            or holds something else. The text does not name the file.
+    """
+    at = _after_space(data, 0)
+    if at == len(data):
+        raise MalformedPlans("the file is empty")
+    for pattern, kind in _OTHER_VALUES.items():
+        if re.compile(pattern).match(data, at):
+            raise MalformedPlans(f"the top level must be an object of {of}, got {kind}")
+    if data[at : at + 1] != b"{":
+        raise _not_json(data, at, "expected {")
+    at = _after_space(data, at + 1)
+    window = _FIRST_WINDOW
+    more = data[at : at + 1] != b"}"
+    while more:
+        key = _KEY.match(data, at)
+        if key is None:
+            cut_off = _CUT_KEY.match(data, at) is not None
+            raise _not_json(data, at, "the file ends before a plan; truncated?" if cut_off else "expected a plan id")
+        where = f"{noun} {printable_name(_text(key[1][1:-1][:_SHOWN_ID]))}: "
+        plan_id = _decoded_id(data, key, where)
+        value, end = _decoded_value(data, key.end(), window, where)
+        window = min(max(2 * (end - key.end()), _SMALLEST_WINDOW), LONGEST_VALUE)
+        yield Entry(plan_id, value)
+        del value
+        at = _after_space(data, end)
+        more = data[at : at + 1] == b","
+        if more:
+            at = _after_space(data, at + 1)
+        elif data[at : at + 1] != b"}":
+            cut_off = at == len(data)
+            raise _not_json(data, at, "the file ends without a closing }; truncated?" if cut_off else "expected , or }")
+    at = _after_space(data, at + 1)
+    if at < len(data):
+        raise _not_json(data, at, "more text after the closing }")
+
+
+def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> Any:
+    if len(key[1]) > LONGEST_VALUE:
+        raise _not_json(data, key.start(1), f"an id longer than {size(LONGEST_VALUE)}", where)
+    try:
+        return _DECODER.decode(_text(key[1]))
+    except json.JSONDecodeError as error:
+        raise _not_json(data, key.start(1) + error.pos, error.msg, where) from error
+
+
+def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str) -> tuple[Any, int]:
+    """One JSON value and its end.
+
+    Small windows are tried first: the decoder's errors count lines from the beginning of what they were given, and what
+    is not ASCII takes up to four times its size while it is decoded.
+
+    Args:
+        window: bytes of the first one: twice as long as the value before, so that all windows together are linear.
+    """
+    while True:
+        text = _text(data[begin : begin + window])
+        reaches_end = begin + window >= len(data)
+        try:
+            value, end = _decode_start(text)
+        except json.JSONDecodeError as error:
+            cut_off = error.pos >= len(text) - (0 if reaches_end else _LONGEST_TOKEN) or error.msg.startswith(
+                "Unterminated"
+            )
+            if reaches_end or not cut_off:
+                fault = "the file ends inside this plan; truncated?" if cut_off else error.msg
+                raise _not_json(data, begin + _n_bytes(text, error.pos), fault, where) from error
+        except RecursionError as error:
+            raise _not_json(data, begin, "nested too deeply", where) from error
+        else:
+            if reaches_end or end < len(text):
+                return value, begin + _n_bytes(text, end)
+        if window >= LONGEST_VALUE:
+            raise MalformedPlans(f"{where}longer than {size(LONGEST_VALUE)}; nothing of this file is read")
+        window = min(4 * window, LONGEST_VALUE)
+
+
+def _not_json(data: bytes | bytearray, at: int, fault: str, where: str = "") -> MalformedPlans:
+    line, column = data.count(b"\n", 0, at) + 1, at - data.rfind(b"\n", 0, at)
+    return MalformedPlans(f"{where}not JSON at line {line}, column {column} ({fault}); nothing of this file is read")
+
+
+def _after_space(data: bytes | bytearray, position: int) -> int:
+    match = _SPACE.match(data, position)
+    assert match is not None
+    return match.end()
+
+
+def _text(data: bytes | bytearray) -> str:
+    """Bytes that are no UTF-8 become lone surrogates: JSON around them is still read, and a plan whose names hold
+    them is refused by name."""
+    return data.decode("utf-8", "surrogateescape")
+
+
+def _n_bytes(text: str, n_characters: int) -> int:
+    """How many bytes the first characters of a text took."""
+    return n_characters if text.isascii() else len(text[:n_characters].encode("utf-8", "surrogateescape"))
+
+
+def _parse_any_integer(digits: str) -> int | float:
+    """Integers of any length; those beyond float64 become infinite and are refused as not finite."""
+    return int(digits) if len(digits) < 400 else float(digits)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    members = dict(pairs)
+    return members if len(members) == len(pairs) else DuplicateFieldObject(pairs)
+
+
+_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object)
+_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object, parse_int=_parse_any_integer)
+
+
+def _decode_start(text: str) -> tuple[Any, int]:
+    try:
+        return _DECODER.raw_decode(text)
+    except json.JSONDecodeError:
+        raise
+    except ValueError:
+        # Python refuses integers of more than 4,300 digits. Such a plan must be named and skipped, not end the run.
+        return _PATIENT_DECODER.raw_decode(text)

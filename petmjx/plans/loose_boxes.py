@@ -1,0 +1,57 @@
+"""Boxes that tip over as soon as they are let go, by a look at the plan: for estimates of time, not for verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_warnings import shared_length
+
+MOST_LOOKED_AT: Final = 200
+"""Plans of a run that are looked at, evenly spread: a run of 10,003 must not wait for it."""
+
+_LEVEL_MM: Final = 3.0
+"""Tops under a box that are lower than the highest one by more do not bear it."""
+
+_BESIDE_MM: Final = 1.0
+"""Boxes that share less along x or y stand beside each other."""
+
+
+def first_loose(plan: Plan) -> int:
+    """The first box, in packing order, whose centre of mass is not over what it comes down on; n if there is none.
+
+    It comes down on the highest tops under it of boxes that were placed before, or on the carrier. "Over" is within the
+    extents of what it shares with these, which is less strict than their hull.
+    """
+    low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
+    along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
+    numbers = np.arange(plan.n_boxes)
+    under = (along[0] > _BESIDE_MM) & (along[1] > _BESIDE_MM) & (numbers[None, :] < numbers[:, None])
+    under &= high[None, :, 2] <= low[:, None, 2] + _LEVEL_MM
+    tops = np.where(under, high[None, :, 2], 0.0)
+    rest = tops.max(axis=1, initial=0.0)
+    bears = under & (tops >= rest[:, None] - _LEVEL_MM)
+    centre = (low + high) / 2 if plan.mass_center_mm is None else (low + high) / 2 + plan.mass_center_mm
+    over = np.ones(plan.n_boxes, bool)
+    for axis in (0, 1):
+        begins = np.where(bears, np.maximum(low[:, None, axis], low[None, :, axis]), np.inf).min(axis=1, initial=np.inf)
+        ends = np.where(bears, np.minimum(high[:, None, axis], high[None, :, axis]), -np.inf).max(
+            axis=1, initial=-np.inf
+        )
+        over &= (centre[:, axis] >= begins) & (centre[:, axis] <= ends)
+    loose = np.flatnonzero(~over & (rest > 0))
+    return int(loose[0]) if len(loose) else plan.n_boxes
+
+
+def placed_shares(plans: Sequence[Plan]) -> FloatArray:
+    """(n,) the share of each plan's boxes that are there when the first loose one comes; 1 where there is none. Of many
+    plans some are looked at, and the others are taken to be like them."""
+    looked_at = (
+        [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []
+    )
+    shares = [(first_loose(plan) + 1) / plan.n_boxes for plan in looked_at]
+    return np.minimum(np.resize(shares, len(plans)), 1.0) if shares else np.zeros(0)

@@ -1,0 +1,183 @@
+"""Synthetic orders with BED-BPP's statistics: how many boxes, how many distinct articles, which cartons.
+
+BED-BPP (Kagerer et al. 2023, "BED-BPP: Benchmarking dataset for robotic bin packing problems", Int. J. of Robotics
+Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles stands for the
+warehouse, and an order draws articles from it. Names and ids are invented.
+
+Order i depends only on (seed, i): the orders of a smaller set are the first ones of a larger set.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+
+TARGET_EXTENT_MM: dict[str, tuple[int, int]] = {"euro-pallet": (1200, 800), "rollcontainer": (800, 700)}
+"""BED-BPP's two targets: extent along x and y."""
+
+MEAN_BOXES = 43.5
+STD_BOXES = 15.0
+MIN_BOXES = 10
+MAX_BOXES = 80
+"""A normal distribution between limits. The limits reduce the spread by 1, and the packer leaves out about 1 % of the
+boxes, so that packed plans have BED-BPP's 43±14."""
+
+EURO_PALLET_SHARE = 0.6
+DISTINCT_SHARE = (0.35, 0.7)
+"""Range of distinct articles per box of an order."""
+
+FILL_BUDGET = 0.55
+"""Largest share of a target's volume (2 m high) that an order's boxes may have: orders of a warehouse fit."""
+
+CATALOGUE_SIZE = 800
+FIRST_ARTICLE_ID = 100_001
+
+_MEDIAN_KG = 6.0
+_MEDIAN_M3 = 0.02
+_VOLUME_EXPONENT = 0.65
+"""Large cartons have light goods: density falls with volume (BED-BPP: up to 750 kg/m³ at 8 l, about 100 at 50 l)."""
+_DENSITY_SIGMA = 0.35
+WEIGHT_RANGE_KG = (0.2, 20.0)
+DENSITY_RANGE_KG_M3 = (60.0, 900.0)
+_LIGHT_SHARE = 0.08
+_LIGHT_FACTOR = 0.3
+"""Some articles are mostly air at any size: crisps, paper cups."""
+
+# Random streams of one seed. The second part of the key is the number of the order or article.
+_CATALOGUE_STREAM = 0
+_ORDER_STREAM = 1
+PACKER_STREAM = 2
+
+
+@dataclass(frozen=True)
+class _Family:
+    """Cartons of one kind: how frequent they are, and the ranges of length, width and height in mm."""
+
+    share: float
+    length_mm: tuple[int, int]
+    width_mm: tuple[int, int]
+    height_mm: tuple[int, int]
+    groups: tuple[str, ...]
+
+
+_FAMILIES = (
+    _Family(0.10, (580, 600), (380, 400), (110, 300), ("bakery products", "snack", "fruit")),
+    _Family(0.30, (370, 400), (250, 300), (110, 330), ("candy", "potato products", "vegetables", "dairy products")),
+    _Family(0.22, (480, 590), (130, 280), (110, 260), ("ice cream", "pizza", "herbs/spice")),
+    _Family(0.26, (270, 340), (160, 220), (110, 290), ("poultry", "fish", "side dish", "instant meals")),
+    _Family(0.12, (120, 260), (100, 180), (100, 200), ("confectionery", "non-food products")),
+)
+"""The 600 × 400 module and its halves, slim long cartons, quarters, small cartons: the kinds in BED-BPP's sample."""
+
+
+@dataclass(frozen=True)
+class Item:
+    """One box of an order, as BED-BPP describes it."""
+
+    article: str
+    item_id: str
+    product_group: str
+    length_mm: float
+    width_mm: float
+    height_mm: float
+    weight_kg: float
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume in m³."""
+        return self.length_mm * self.width_mm * self.height_mm * 1e-9
+
+
+@dataclass(frozen=True)
+class Order:
+    """What one customer gets on one target ("euro-pallet" or "rollcontainer").
+
+    ``numbers`` are the sequence numbers that a file gives its items; none in drawn orders.
+    """
+
+    target: str
+    items: tuple[Item, ...]
+    numbers: tuple[int, ...] = ()
+
+
+def stream(seed: int, *key: int) -> np.random.Generator:
+    """The random stream of ``key`` under ``seed``, independent of all other keys."""
+    return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+@functools.lru_cache(maxsize=4)
+def catalogue(seed: int) -> tuple[Item, ...]:
+    """The articles that the orders of ``seed`` draw from."""
+    return tuple(_draw_article(stream(seed, _CATALOGUE_STREAM, j), FIRST_ARTICLE_ID + j) for j in range(CATALOGUE_SIZE))
+
+
+@functools.lru_cache(maxsize=4)
+def _volumes_m3(seed: int) -> FloatArray:
+    """(a,) volumes of the articles of ``seed``."""
+    return np.array([article.volume_m3 for article in catalogue(seed)])
+
+
+def draw_order(seed: int, index: int) -> Order:
+    """Order ``index`` of ``seed``: number of boxes, target, and articles with their quantities."""
+    articles = catalogue(seed)
+    rng = stream(seed, _ORDER_STREAM, index)
+    n_boxes = _draw_count(rng)
+    target = "euro-pallet" if rng.random() < EURO_PALLET_SHARE else "rollcontainer"
+    low, high = DISTINCT_SHARE
+    n_articles = max(1, round(n_boxes * (low + (high - low) * rng.random())))
+    chosen = [int(j) for j in rng.permutation(len(articles))[:n_articles]]
+    # Each article once; the rest is distributed so that a few articles come many times and most do not.
+    appetite = -np.log1p(-rng.random(n_articles))
+    edges = np.cumsum(appetite) / appetite.sum()
+    extra = np.searchsorted(edges[:-1], rng.random(n_boxes - n_articles), side="right")
+    quantity = 1 + np.bincount(extra, minlength=n_articles)
+
+    extent = TARGET_EXTENT_MM[target]
+    budget_m3 = FILL_BUDGET * extent[0] * extent[1] * 2000 * 1e-9
+    of_all = _volumes_m3(seed)
+    volumes = of_all[chosen]
+    while float(volumes @ quantity) > budget_m3:
+        # Too much for one target: the article with the largest volume in the order is replaced by a smaller one.
+        bulkiest = int(np.argmax(volumes * quantity))
+        free = of_all < volumes[bulkiest]
+        free[chosen] = False
+        smaller = np.flatnonzero(free)
+        chosen[bulkiest] = int(smaller[int(rng.integers(len(smaller)))])
+        volumes[bulkiest] = of_all[chosen[bulkiest]]
+    return Order(target, tuple(articles[j] for j, q in zip(chosen, quantity, strict=True) for _ in range(int(q))))
+
+
+def _draw_count(rng: np.random.Generator) -> int:
+    """Number of boxes: normal, drawn again if it is outside the limits, so that no count is frequent at the limits."""
+    while True:
+        n = round(MEAN_BOXES + STD_BOXES * float(rng.standard_normal()))
+        if MIN_BOXES <= n <= MAX_BOXES:
+            return n
+
+
+def _draw_article(rng: np.random.Generator, number: int) -> Item:
+    shares = np.cumsum([family.share for family in _FAMILIES])
+    family = _FAMILIES[int(np.searchsorted(shares[:-1], rng.random(), side="right"))]
+    grid_mm = 10 if rng.random() < 0.7 else 1  # most suppliers state centimetres
+    sides = [_between(rng, bounds, grid_mm) for bounds in (family.length_mm, family.width_mm)]
+    length, width = max(sides), min(sides)
+    height = _between(rng, family.height_mm, grid_mm)
+    volume_m3 = length * width * height * 1e-9
+    weight = _MEDIAN_KG * (volume_m3 / _MEDIAN_M3) ** _VOLUME_EXPONENT
+    weight *= float(np.exp(_DENSITY_SIGMA * rng.standard_normal()))
+    if rng.random() < _LIGHT_SHARE:
+        weight *= _LIGHT_FACTOR
+    lightest, heaviest = (density * volume_m3 for density in DENSITY_RANGE_KG_M3)
+    weight = min(max(weight, lightest, WEIGHT_RANGE_KG[0]), heaviest, WEIGHT_RANGE_KG[1])
+    group = family.groups[int(rng.integers(len(family.groups)))]
+    item_id = f"{number:08d}"
+    return Item(f"{group}-{item_id}", item_id, group, length, width, height, round(weight, 3))
+
+
+def _between(rng: np.random.Generator, bounds: tuple[int, int], grid_mm: int) -> int:
+    low, high = bounds
+    return low + grid_mm * int(rng.integers((high - low) // grid_mm + 1))

@@ -1,0 +1,139 @@
+"""Reading BED-BPP *orders* files: order id → ``item_sequence`` and ``properties``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.common.checked_records import reason, shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import is_text, printable, printable_name
+from petmjx.plans.json_reader import Entry, read_text_bytes, scan_plans
+from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
+
+MOST_ITEMS: Final = 512
+"""Items of one order: twice the boxes of the largest plan. The packer's time grows with their third power."""
+_MOST_DIGITS: Final = 18
+"""Of a sequence number."""
+
+
+def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = None) -> Iterator[tuple[str, Order]]:
+    """Yield (order id, order) for each order of a file, gzipped or not; items by rising sequence number.
+
+    Raises:
+        InputError: the file cannot be read or is not a whole JSON object, which is found out before the first order is
+            yielded; or an order is bad and ``on_bad_order`` is not given (else that is called with the error and the
+            order skipped).
+    """
+    name = printable(str(path))
+    data = _read_whole(path, name)
+    seen: set[str] = set()
+    for entry in scan_plans(data):
+        where = f"{name}: order {printable_name(entry.plan_id)}"
+        try:
+            if entry.plan_id in seen:
+                raise InputError(f"{where}: repeated order id")
+            order = _order(entry, where)
+        except InputError as error:
+            if on_bad_order is None:
+                raise
+            on_bad_order(error)
+        else:
+            seen.add(entry.plan_id)
+            yield entry.plan_id, order
+
+
+def _read_whole(path: Path, name: str) -> bytearray:
+    """The bytes of a file in which nothing is damaged."""
+    try:
+        data, fault = read_text_bytes(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name}: cannot be read: {reason(error)}") from error
+    if fault is not None:
+        raise InputError(f"{name}: {fault.partition(';')[0]}")
+    try:
+        n_orders = sum(1 for _ in scan_plans(data, "order id → order", "order"))
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error
+    if n_orders == 0:
+        raise InputError(f"{name}: holds no order")
+    return data
+
+
+def _order(entry: Entry, where: str) -> Order:
+    record = entry.value
+    _name(entry.plan_id, "the order id", where)
+    if not entry.plan_id:
+        raise InputError(f"{where}: the order id must not be empty")
+    if isinstance(record, list) and record and isinstance(record[0], dict) and "flb_coordinates" in record[0]:
+        raise InputError(f"{where}: is a packing plan, not an order: orders have item_sequence and properties")
+    if not isinstance(record, dict):
+        raise InputError(f"{where}: must be a JSON object, {_kind(record)}")
+    properties = record.get("properties")
+    target = properties.get("target") if isinstance(properties, dict) else None
+    if not isinstance(target, str) or target not in TARGET_EXTENT_MM:
+        fault = shown_value(target) if isinstance(target, str) else _kind(target)
+        raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, {fault}")
+    sequence = record.get("item_sequence")
+    if not isinstance(sequence, dict) or not sequence:
+        raise InputError(f"{where}: item_sequence must be a JSON object that holds at least one item")
+    if len(sequence) > MOST_ITEMS:
+        raise InputError(f"{where}: must have at most {MOST_ITEMS:,} items, got {len(sequence):,}")
+    ranked = []
+    for key, raw in sequence.items():
+        if not (key.isdecimal() and len(key) <= _MOST_DIGITS):
+            raise InputError(f"{where}: keys of item_sequence must be whole numbers, {shown_value(key)}")
+        ranked.append((int(key), _item(raw, f"{where}, item {key}")))
+    ranked.sort(key=lambda pair: pair[0])
+    return Order(target, tuple(item for _, item in ranked), tuple(number for number, _ in ranked))
+
+
+def _item(raw: object, where: str) -> Item:
+    if not isinstance(raw, dict):
+        raise InputError(f"{where}: must be a JSON object, {_kind(raw)}")
+    return Item(
+        article=_text(raw, "article", where),
+        item_id=_text(raw, "id", where),
+        product_group=_text({"product_group": "", **raw}, "product_group", where),
+        length_mm=_number(raw, "length/mm", SMALLEST_MM, LARGEST_MM, where),
+        width_mm=_number(raw, "width/mm", SMALLEST_MM, LARGEST_MM, where),
+        height_mm=_number(raw, "height/mm", SMALLEST_MM, LARGEST_MM, where),
+        weight_kg=_number(raw, "weight/kg", SMALLEST_KG, LARGEST_KG, where),
+    )
+
+
+def _text(raw: dict[str, Any], field: str, where: str) -> str:
+    value = raw.get(field)
+    if not isinstance(value, str):
+        raise InputError(f"{where}: {field} must be a text, {_kind(value)}")
+    return _name(value, field, where)
+
+
+def _name(text: str, field: str, where: str) -> str:
+    if not is_text(text):
+        raise InputError(f"{where}: {field} is not UTF-8 text")
+    if len(text) > LONGEST_NAME:
+        raise InputError(f"{where}: {field} must have at most {LONGEST_NAME:,} characters, got {len(text):,}")
+    return text
+
+
+def _number(raw: dict[str, Any], field: str, smallest: float, largest: float, where: str) -> float:
+    value = raw.get(field)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"{where}: {field} must be a number, {_kind(value)}")
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number) or number <= 0:
+        raise InputError(f"{where}: {field} must be finite and > 0, got {number:g}")
+    if not smallest <= number <= largest:
+        raise InputError(f"{where}: {field} must be from {smallest:g} to {largest:g}, got {number:g}")
+    return number
+
+
+def _kind(value: object) -> str:
+    return "got nothing" if value is None else f"got {type(value).__name__}"

@@ -1,0 +1,125 @@
+"""The fields of plans from plain Python values and NumPy arrays, checked as those of files are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.common.argument_checks import list_of, text_of
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.plans.input_conventions import InputConventions
+from petmjx.plans.placement_table import PlanFields, RefusedPlan, Table, as_column, sorted_columns, table_plans
+from petmjx.plans.plan_fields import plan_id_fault
+
+SOURCE: Final = "python"
+
+_ARRAYS: Final = {
+    "size_mm": ("length_mm", "width_mm", "height_mm"),
+    "corner_mm": ("x_mm", "y_mm", "z_mm"),
+    "mass_kg": ("weight_kg",),
+}
+"""Arguments of ``Plan.from_boxes`` → the columns that they are."""
+
+
+def fields_from_boxes(
+    plan_id: str,
+    boxes: Sequence[Mapping[str, Any]] | Mapping[str, Any] | None,
+    arrays: Mapping[str, Any],
+    more: Mapping[str, Any],
+    given: InputConventions,
+) -> PlanFields:
+    """See ``Plan.from_boxes``.
+
+    Raises:
+        InputError: a field is missing, unknown or unusable, or fields have different lengths.
+    """
+    text_of(plan_id, "plan_id")
+    if fault := plan_id_fault(plan_id):
+        raise InputError(fault)
+    where = f"plan {printable_name(plan_id)}"
+    columns = {**_columns_of(boxes, where), **_columns_of_arrays(arrays, where), **more}
+    if arrays["size_mm"] is not None and "orientation" in columns:
+        columns |= _of_items(columns)
+    lengths = {name: _length(values, f"{where}: {name}") for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        counts = ", ".join(f"{name} {number}" for name, number in lengths.items())
+        raise InputError(f"{where}: all fields must have one value for each box, got {counts}")
+    n_boxes = next(iter(lengths.values()), 0)
+    if not n_boxes:
+        raise InputError(f"{where}: has no box")
+    columns = {
+        "sequence": np.arange(1, n_boxes + 1),
+        "article": [""] * n_boxes,
+        **columns,
+        "plan_id": [plan_id] * n_boxes,
+    }
+    names = list(columns)
+    try:
+        positions, unread = sorted_columns(names)
+    except InputError as error:
+        raise InputError(f"{where}: {str(error).partition(';')[0]}") from None
+    if unread:
+        raise InputError(f"{where}: unknown field {printable_name(unread[0])}")
+    table = Table({name: as_column(columns[names[index]]) for name, index in positions.items()}, (), np.arange(n_boxes))
+    (plan,) = table_plans(table, SOURCE, n_boxes, [], given)
+    if isinstance(plan, RefusedPlan):
+        raise InputError(plan.message.removeprefix(f"{SOURCE}: ").replace(", row ", ", box ", 1))
+    return plan
+
+
+def _columns_of(boxes: Any, where: str) -> dict[str, Any]:
+    """Columns of a list of dictionaries, of a dictionary of lists, or of a data frame."""
+    if boxes is None:
+        return {}
+    if isinstance(boxes, Mapping) or (hasattr(boxes, "iloc") and hasattr(boxes, "columns")):
+        return {str(name): boxes[name] for name in boxes if name != "plan_id"}
+    rows: list[Any] = list_of(boxes, f"{where}: boxes", object, "dictionaries")
+    if not all(isinstance(row, Mapping) for row in rows):
+        raise InputError(f"{where}: boxes must be dictionaries, or one dictionary of lists")
+    names = dict.fromkeys(str(name) for row in rows for name in row if name != "plan_id")
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
+    columns: dict[str, Any] = {}
+    for argument, names in _ARRAYS.items():
+        if arrays[argument] is None:
+            continue
+        try:
+            values = np.asarray(arrays[argument])
+        except Exception:  # whatever an object says when it is asked for an array
+            raise InputError(
+                f"{where}: {argument} must be an array of numbers, {shown_value(arrays[argument])}"
+            ) from None
+        shape = (len(names),) if len(names) > 1 else ()
+        if values.ndim != 1 + len(shape) or values.shape[1:] != shape:
+            expected = "(n, 3)" if shape else "(n,)"
+            raise InputError(f"{where}: {argument} must have the shape {expected}, got {values.shape}")
+        columns |= dict(zip(names, values.reshape(len(values), len(names)).T, strict=True))
+    return columns
+
+
+def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """The items' own lengths and widths, which tables have, from extents as the boxes stand. Orientations that are none
+    are refused later."""
+    turned = np.zeros(len(columns["length_mm"]), bool)
+    try:
+        orientations = list(columns["orientation"])
+    except TypeError:  # no list
+        orientations = []
+    for box, value in enumerate(orientations[: len(turned)]):
+        turned[box] = isinstance(value, int | float | np.number) and value == 1
+    length, width = columns["length_mm"], columns["width_mm"]
+    return {"length_mm": np.where(turned, width, length), "width_mm": np.where(turned, length, width)}
+
+
+def _length(values: Any, name: str) -> int:
+    with suppress(Exception):  # whatever an object says when it is asked
+        if not isinstance(values, str | bytes):
+            return len(values)
+    raise InputError(f"{name} must be a list of values, one for each box, {shown_value(values)}")

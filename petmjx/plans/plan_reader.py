@@ -1,0 +1,364 @@
+"""Packing plans: from files, in any of their forms, to validated plans, with one line about each unusable part.
+
+What reads tables loads Arrow, and is imported where there is a table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from petmjx.common.argument_checks import flag_of, integer_of, list_of, number_of, path_of
+from petmjx.common.checked_records import reason, shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable, printable_name
+from petmjx.common.units import PLAN_UNITS
+from petmjx.options.run_options import Anchor
+from petmjx.plans.convention_checks import warn, with_conventions
+from petmjx.plans.file_formats import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet, separator_mark
+from petmjx.plans.input_conventions import InputConventions
+from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans
+from petmjx.plans.parallel_json import WORTH_BYTES, PieceOptions, ReadEntry, read_in_pieces
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import LONGEST_NAME, UnreadFields
+from petmjx.plans.plan_set import PlanSet, Skipped
+from petmjx.plans.plan_validation import PlanError, parse_plan
+from petmjx.plans.plan_warnings import PlanWarnings
+
+if TYPE_CHECKING:
+    from petmjx.plans.placement_table import Table
+
+DEFAULT_MAX_BOXES: Final = 512
+"""Boxes of the largest plan that is taken by default: twelve times BED-BPP's mean of 43, and twice the largest plan of
+other packers that has been seen. Its model on C MuJoCo declares 132,000 pairs of geoms."""
+
+MOST_LINES: Final = 100_000
+"""Of a file, this many unusable entries are listed one by one; what else is unusable is counted."""
+FRAME: Final = "data frame"
+"""What a data frame is called in messages."""
+_COLUMNS: Final = ("plan_id", "sequence", "article", "length", "width", "height", "weight", "x_mm", "y_mm", "z_mm")
+"""By which a table is known whose name does not say that it is one."""
+_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
+
+
+def load_plans(
+    paths: str | PathLike[str] | Sequence[str | PathLike[str]] | SupportsArrow,
+    *,
+    limit: int | None = None,
+    strict: bool = False,
+    max_boxes: int = DEFAULT_MAX_BOXES,
+    carrier_extent_mm: tuple[float, float] | None = None,
+    units: str = PLAN_UNITS,
+    anchor: Anchor = "corner",
+) -> PlanSet:
+    """Read and validate packing plans.
+
+    If plans seem to follow another convention, such as coordinates of centres, there is a ``PlanWarning``.
+
+    Args:
+        paths: a file, a folder, or several of them; or a table of placements as a pandas data frame, or as anything
+            that gives its columns to Arrow. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet, the first
+            two plain or gzipped, of at most 4 GiB; devices and FIFOs are not read. Of a folder all such files directly
+            in it are read, sorted by name.
+        limit: stop after this many good plans.
+        strict: raise at the first thing that would be skipped.
+        max_boxes: plans with more boxes are skipped.
+        carrier_extent_mm: x–y extent within which boxes are not reported as outside; None: the plan's footprint.
+        units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) as the plans have them, such as "cm,g".
+        anchor: which point of a box the plans give: ``corner``, the front-left-bottom one, ``centre``,
+            ``base-centre`` or ``far-corner``, the one with the largest x, y and z.
+
+    Returns:
+        The good plans. Bad plans, damaged spots and unusable files are in ``skipped``. Of plans with the same id the
+        first good one is kept.
+
+    Raises:
+        InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument makes
+            no sense. With ``strict`` also if anything would be skipped.
+    """
+    if limit is not None:
+        integer_of(limit, "limit", 1)
+    flag_of(strict, "strict")
+    integer_of(max_boxes, "max_boxes", 1)
+    if carrier_extent_mm is not None:
+        if len(list_of(carrier_extent_mm, "carrier_extent_mm", object, "numbers")) != 2:
+            raise InputError(f"carrier_extent_mm must be two numbers, {shown_value(carrier_extent_mm)}")
+        for length in carrier_extent_mm:
+            number_of(length, "carrier_extent_mm", 0)
+    plan_set = read_plans(
+        paths,
+        limit=limit,
+        strict=strict,
+        max_boxes=max_boxes,
+        extent_mm=carrier_extent_mm,
+        given=InputConventions.checked(units, anchor),
+    )
+    warn(plan_set.conventions)
+    return plan_set
+
+
+def read_plans(
+    paths: str | PathLike[str] | Sequence[str | PathLike[str]] | SupportsArrow,
+    *,
+    limit: int | None,
+    strict: bool,
+    max_boxes: int = DEFAULT_MAX_BOXES,
+    extent_mm: tuple[float, float] | None,
+    given: InputConventions,
+) -> PlanSet:
+    """As :func:`load_plans`, without a Python warning."""
+    loading = _PlanLoader(limit, strict, max_boxes, extent_mm, given)
+    if isinstance(paths, SupportsArrow):
+        loading.read_frame(paths)
+        return loading.done()
+    several = [paths] if isinstance(paths, (str, PathLike)) else list_of(paths, "plans", object, "paths")
+    for file in _list_files([path_of(path, "plans") for path in several]):
+        loading.read_file(file)
+        if loading.full:
+            break
+    return loading.done()
+
+
+def _list_files(paths: list[Path]) -> list[Path]:
+    """Files in the order of reading. All paths are checked first, so that a typing error is found at once."""
+    if not paths:
+        raise InputError("no plan files were given")
+    files: list[Path] = []
+    for path in paths:
+        try:
+            if not path.exists():
+                raise InputError(f"{printable(str(path))}: no such file or folder")
+            if not path.is_dir():
+                files.append(path)
+                continue
+            members = plan_files_in(path)
+        except (OSError, ValueError) as error:
+            raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from error
+        if not members:
+            raise InputError(f"{printable(str(path))}: the folder holds no .json, .csv or .parquet files")
+        files.extend(members)
+    return files
+
+
+def plan_files_in(folder: Path) -> list[Path]:
+    """The files directly in a folder that are read as plans, by their names, sorted. Raises OSError."""
+    return sorted(
+        member
+        for member in folder.iterdir()
+        if member.name.lower().endswith(_SUFFIXES) and not member.name.startswith(".") and not member.is_dir()
+    )
+
+
+@dataclass
+class _PlanLoader:
+    """The state of one `load_plans`: what was found, and which ids are in use.
+
+    Attributes:
+        layouts: plan id → what is odd about its layout (None: nothing), where that is known already.
+    """
+
+    limit: int | None
+    strict: bool
+    max_boxes: int
+    carrier_extent_mm: tuple[float, float] | None
+    given: InputConventions
+    found: PlanSet = field(default_factory=PlanSet)
+    source_of: dict[str, str] = field(default_factory=dict)
+    names: dict[str, str] = field(default_factory=dict)
+    unread: UnreadFields = field(default_factory=UnreadFields)
+    unlisted: int = 0
+    n_plans: int = 0
+    """Plans so far, usable or not."""
+    most_skipped: int = MOST_LINES
+    layouts: dict[str, PlanWarnings | None] = field(default_factory=dict)
+
+    @property
+    def full(self) -> bool:
+        return self.limit is not None and len(self.found.plans) >= self.limit
+
+    def done(self) -> PlanSet:
+        """What was found, when all is read."""
+        self.found.notes.extend(self.unread.notes())
+        return with_conventions(self.found, self.carrier_extent_mm, self.layouts)
+
+    def read_file(self, path: Path) -> None:
+        source = printable(str(path))
+        self.unlisted, self.most_skipped = 0, len(self.found.skipped) + MOST_LINES
+        try:
+            if is_parquet(path):
+                from petmjx.plans.table_files import read_parquet
+
+                self._read_table(source, lambda: read_parquet(path))
+            else:
+                self._read_text(source, path)
+        except (OSError, ValueError) as error:
+            self._skip(source, None, f"{source}: cannot be read ({reason(error)})")
+        self._count_unlisted(source)
+
+    def read_frame(self, frame: SupportsArrow) -> None:
+        """A table of placements.
+
+        Raises:
+            InputError: it lacks columns.
+        """
+        from petmjx.plans.placement_table import TableError
+        from petmjx.plans.table_files import frame_table
+
+        try:
+            table = frame_table(frame)
+        except TableError as error:
+            raise InputError(f"{FRAME}: {error}") from None
+        self.most_skipped = MOST_LINES
+        self._read_table(FRAME, lambda: table)
+        self._count_unlisted(FRAME)
+
+    def _read_text(self, source: str, path: Path) -> None:
+        data, fault = read_text_bytes(path)
+        if fault is not None:
+            self._skip(source, None, f"{source}: {fault}")
+            if not data:
+                return
+        if is_csv(path):
+            from petmjx.plans.table_files import parse_csv
+
+            self._read_table(source, lambda: parse_csv(data, cut_off=fault is not None))
+        else:
+            self._read_json(source, data, damaged=fault is not None)
+
+    def _read_table(self, source: str, read: Callable[[], Table]) -> None:
+        from petmjx.plans.placement_table import RefusedPlan, TableError, table_plans
+
+        try:
+            table = read()
+        except TableError as error:
+            self._skip(source, None, f"{source}: {error}", error)
+            return
+        if not len(table.numbers) and not table.lost:
+            self._skip(source, None, f"{source}: holds no plan")
+        self.unread.update(dict.fromkeys(table.unread, len(table.numbers)))
+        with closing(table_plans(table, source, self.max_boxes, self.found.notes, self.given)) as plans:
+            for plan in plans:
+                if isinstance(plan, RefusedPlan):
+                    self._skip(source, plan.plan_id, plan.message)
+                else:
+                    self._keep(Plan(**plan))
+                if self.full:
+                    break
+
+    def _read_json(self, source: str, data: bytearray, damaged: bool) -> None:
+        """Read the plans of a text. If that proves to be no JSON, what was read of it is taken back; where it is known
+        to be ``damaged``, the plans before that stay.
+        """
+        kept, skipped = len(self.found.plans), len(self.found.skipped)
+        n_plans, unread = self.n_plans, self.unread.copy()
+        n_entries = n_orders = 0
+        first_order = ""
+        if self.limit is None and not damaged and len(data) >= WORTH_BYTES:
+            options = PieceOptions(source, self.max_boxes, self.carrier_extent_mm, self.given)
+            entries = read_in_pieces(data, options, self.unread)
+            if entries is not None:
+                self._take_all(source, entries)
+                return
+        named = source.lower().endswith((".json", ".json.gz"))
+        if not damaged and not named and (kind := _kind_of_text(data)) is not None:
+            self._skip(source, None, f"{source}: {kind}")
+            return
+        try:
+            for entry in scan_plans(data):
+                n_entries += 1
+                if isinstance(entry.value, dict) and "item_sequence" in entry.value:
+                    first_order = first_order or printable_name(entry.plan_id)
+                    n_orders += 1
+                else:
+                    self._take(source, entry.plan_id, entry.value)
+                if self.full:
+                    break
+        except MalformedPlans as error:
+            if not damaged:
+                for plan in self.found.plans[kept:]:
+                    del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
+                del self.found.plans[kept:], self.found.skipped[skipped:]
+                self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
+                self._skip(source, None, f"{source}: {error}", error)
+                return
+        if n_entries == 0 and not damaged:
+            self._skip(source, None, f"{source}: holds no plan")
+        if n_orders:
+            self._skip(source, None, _orders_message(source, first_order, n_orders))
+
+    def _count_unlisted(self, source: str) -> None:
+        if self.unlisted:
+            more = count_text(self.unlisted, "more entry is", "more entries are")
+            self.found.skipped.append(Skipped(source, None, f"{source}: {more} unusable"))
+
+    def _take(self, source: str, plan_id: str, value: object) -> None:
+        try:
+            plan = parse_plan(plan_id, source, value, self.max_boxes, self.names, self.unread, self.given)
+        except PlanError as error:
+            self._skip(source, plan_id, str(error), error)
+        else:
+            self._keep(plan)
+
+    def _take_all(self, source: str, entries: Sequence[ReadEntry]) -> None:
+        """Take the entries of a text that was read in pieces."""
+        for entry in entries:
+            if entry.fault is not None:
+                self._skip(source, entry.plan_id, entry.fault)
+            elif entry.plan is not None:
+                if entry.plan_id not in self.source_of:
+                    self.layouts[entry.plan_id] = entry.layout
+                self._keep(entry.plan)
+        orders = [entry.plan_id for entry in entries if entry.plan is None and entry.fault is None]
+        if orders:
+            self._skip(source, None, _orders_message(source, printable_name(orders[0]), len(orders)))
+
+    def _keep(self, plan: Plan) -> None:
+        """Add a good plan, unless its id is in use."""
+        source, plan_id = plan.source, plan.plan_id
+        first_source = self.source_of.get(plan_id)
+        if first_source is not None:
+            where = "in this file" if first_source == source else f"in {first_source}"
+            self._skip(
+                source, plan_id, f"{source}: plan {printable_name(plan_id)}: repeated plan id, first used {where}"
+            )
+            return
+        self.source_of[plan_id] = source
+        self.found.plans.append(plan)
+        self.found.numbers[plan_id] = self.n_plans
+        self.n_plans += 1
+
+    def _skip(self, source: str, plan_id: str | None, message: str, cause: Exception | None = None) -> None:
+        if self.strict:
+            raise InputError(message) from cause
+        number = None if plan_id is None else self.n_plans
+        self.n_plans += plan_id is not None
+        if len(self.found.skipped) >= self.most_skipped:
+            self.unlisted += 1
+            return
+        if plan_id is not None:
+            plan_id = printable(plan_id) if len(plan_id) <= LONGEST_NAME else printable_name(plan_id)
+        self.found.skipped.append(Skipped(source, plan_id, message, number))
+
+
+def _kind_of_text(data: bytearray) -> str | None:
+    """What text is that does not begin as JSON does, in a file whose name says nothing; None: it begins so."""
+    first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
+    if not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null")):
+        return None
+    if b"\0" in data[: 1 << 12]:
+        return "is no text: plans are JSON, or tables in CSV or Parquet"
+    if separator_mark(first) is not None or sum(name.encode() in first for name in _COLUMNS) > len(_COLUMNS) // 2:
+        return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"
+    return "is text of another kind: plans are JSON, or tables whose names end in .csv, .tsv or .parquet"
+
+
+def _orders_message(source: str, first: str, n_orders: int) -> str:
+    content = f"{first} is an order" if n_orders == 1 else f"{n_orders} entries ({first}, …) are orders"
+    return (
+        f"{source}: {content} (item_sequence), not packing plans: an order does not say where boxes go; "
+        f"pack it first: petmjx samples --orders {source} -o plans.json"
+    )

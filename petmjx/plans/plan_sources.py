@@ -1,0 +1,224 @@
+"""Plans from files, folders or objects, without those that cannot be simulated."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import count
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from petmjx.common.argument_checks import list_of, path_of
+from petmjx.common.checked_records import similar
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names, printable, printable_name
+from petmjx.common.units import MM_PER_M
+from petmjx.options.carriers import extent_m
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.plans.bundled import bundled_path
+from petmjx.plans.convention_checks import warn, with_conventions
+from petmjx.plans.file_formats import SupportsArrow
+from petmjx.plans.input_conventions import USUAL, InputConventions
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_reader import read_plans
+from petmjx.plans.plan_set import PlanSet, Skipped
+
+if TYPE_CHECKING:
+    from petmjx.plans.articles import Articles
+
+PathArgument = str | PathLike[str]
+PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet | SupportsArrow
+"""A file, a folder, several of them; a plan, a list of plans, or a ``PlanSet``; a data frame in the table form."""
+
+_SOURCES = "paths or Plan objects, or one of them, a PlanSet or a data frame"
+
+
+def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
+    """The plans that can be simulated; None: the bundled samples.
+
+    Raises:
+        InputError: there is none, or with ``options.strict`` a plan would be skipped.
+    """
+    if isinstance(plans, Mapping):
+        raise InputError(f"plans must be {_SOURCES}, got a table (of a plan file? give its path)")
+    usual = (options.units, options.anchor) == (USUAL.units, USUAL.anchor)
+    if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
+        given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
+        if any(isinstance(plan, Plan) for plan in given):
+            raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
+        plans = given
+    gathered = gather_plans(plans, sim, options)
+    earlier_lines = plans.conventions if isinstance(plans, PlanSet) else ()
+    warn([line for line in gathered.conventions if line not in earlier_lines])
+    plan_set = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
+    if not plan_set.plans:
+        first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
+        raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
+    return plan_set
+
+
+def are_files(plans: PlanSource | None) -> bool:
+    """Whether plans are read from files; the bundled ones are."""
+    if isinstance(plans, PlanSet | Plan | SupportsArrow):
+        return False
+    given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
+    return not any(isinstance(source, Plan) for source in given)
+
+
+def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
+    """Read and check files; take plans as they are, those that repeat an id under names of their own. All with what the
+    table of articles says of their boxes."""
+    plan_set = _gather_plans(plans, sim, options)
+    return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
+
+
+def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
+    """Plans with what a table says of their boxes, without those that it does not fit."""
+    from petmjx.plans.articles import (
+        read_articles,
+        with_articles,  # loads Arrow
+    )
+
+    articles = read_articles(file)
+    kept, skipped, changed = [], list(plan_set.skipped), 0
+    for plan in plan_set.plans:
+        try:
+            kept.append(with_articles(plan, articles))
+        except InputError as error:
+            why = Skipped.plan(plan, str(error), strict)
+            skipped.append(replace(why, number=plan_set.numbers.get(plan.plan_id)))
+        else:
+            changed += kept[-1] is not plan
+    name = printable(str(file))
+    idle = [f"{name}: has nothing about the boxes of these plans"]
+    notes = _idle_rows(articles, [*plan_set.plans, *kept], name) if changed else idle
+    return replace(plan_set, plans=kept, skipped=skipped, notes=[*plan_set.notes, *notes])
+
+
+def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
+    """A line on the rows of a table of articles that match no box. Boxes may have their materials from the same
+    table."""
+    from petmjx.plans.articles import material_key
+
+    names_by_kind = {
+        "article": {article for plan in plans for article in plan.articles},
+        "product group": {group for plan in plans for group in plan.product_groups},
+        "material": {material_key(material) for plan in plans for material in plan.materials or ()},
+    }
+    rows_by_kind = {
+        "article": articles.by_article,
+        "product group": articles.by_group,
+        "material": articles.by_material,
+    }
+    idle = [
+        f"{kind} {printable_name(row)}"
+        for kind, rows in rows_by_kind.items()
+        for row in rows
+        if row not in names_by_kind[kind]
+    ]
+    total = sum(map(len, rows_by_kind.values()))
+    if not idle:
+        return []
+    verb = "matches" if len(idle) == 1 else "match"
+    return [f"{name}: {len(idle):,} of {count_text(total, 'row')} {verb} no box: {first_names(idle)}"]
+
+
+def _gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
+    if plans is None:
+        plans = bundled_path()
+    if isinstance(plans, PlanSet):
+        return with_conventions(_distinct_plan_ids(plans, options), _extent_mm(sim))
+    if isinstance(plans, SupportsArrow):
+        return _load(plans, sim, options)
+    alone = isinstance(plans, str | PathLike | Plan)
+    given: list[Any] = [plans] if alone else list_of(plans, "plans", object, _SOURCES)
+    ready = [plan for plan in given if isinstance(plan, Plan)]
+    if ready:
+        if len(ready) != len(given):
+            raise InputError("plans: give either paths or plans, not both")
+        return with_conventions(_distinct_plan_ids(PlanSet(ready), options), _extent_mm(sim))
+    return _load([path_of(path, "plans") for path in given], sim, options)
+
+
+def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
+    return read_plans(
+        given,
+        limit=options.limit,
+        strict=options.strict,
+        extent_mm=_extent_mm(sim),
+        given=InputConventions(options.units, options.anchor),
+    )
+
+
+def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
+    extent = extent_m(sim.carrier)
+    return None if extent is None else (extent[0] * MM_PER_M, extent[1] * MM_PER_M)
+
+
+def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
+    """Plans with an id each, since tables have ids as keys: of those with the same one the second is called "ID#2".
+
+    In files an id names one plan, and what repeats it is skipped (petmjx.plans.plan_reader). Someone who passes plan
+    objects wants an answer for each of them.
+    """
+    given = plan_set.plans[: options.limit]
+    plan_ids = {plan.plan_id for plan in given}
+    seen: Counter[str] = Counter()
+    plans, renamed = [], []
+    for plan in given:
+        seen[plan.plan_id] += 1
+        if seen[plan.plan_id] > 1:
+            name = next(name for n in count(seen[plan.plan_id]) if (name := f"{plan.plan_id}#{n}") not in plan_ids)
+            plan_ids.add(name)
+            renamed.append(name)
+            plan = replace(plan, plan_id=name)
+        plans.append(plan)
+    notes = list(plan_set.notes)
+    if renamed:
+        verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
+        notes.append(f"{count_text(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
+    numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # they are not among the plans given
+    return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
+
+
+def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
+    """Skip plans with a box that the size reduction (mm) would leave without extent.
+
+    Raises:
+        InputError: with ``strict``, a plan that would be skipped.
+    """
+    kept, skipped = [], list(plan_set.skipped)
+    for plan in plan_set.plans:
+        thin = np.flatnonzero((plan.size_mm <= size_reduction_mm).any(axis=1))
+        if not len(thin):
+            kept.append(plan)
+            continue
+        box = int(thin[0])
+        side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
+        why = Skipped.plan(plan, f", placement {box}: {side}", strict)
+        skipped.append(replace(why, number=plan_set.numbers.get(plan.plan_id)))
+    return replace(plan_set, plans=kept, skipped=skipped)
+
+
+def find_plan(plan_set: PlanSet, plan_id: str) -> Plan:
+    """The plan with that id.
+
+    Raises:
+        InputError: there is none. If it was skipped, the line says why.
+    """
+    for plan in plan_set.plans:
+        if plan.plan_id == plan_id:
+            return plan
+    reasons = [skipped.message for skipped in plan_set.skipped if skipped.plan_id == plan_id]
+    if reasons:
+        raise InputError(reasons[0])
+    others = similar(plan_id, (plan.plan_id for plan in plan_set.plans))
+    raise InputError(
+        f"plan {printable_name(plan_id)} is not among the {count_text(len(plan_set.plans), 'plan')} read{others}"
+    )

@@ -1,0 +1,175 @@
+"""Where boxes meet: what two of them share along an axis, and whether one's top is at the other's bottom.
+
+Callers that ask what lies on what add their own conditions: the order of placement, the carrier, or a least width.
+
+Warnings about plans that are legal but odd: overlapping, overhanging and floating boxes.
+
+Packing algorithms do produce such plans, and physics shall judge them: they are counted, never refused. Everything
+here works on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), rows in packing order, sizes as the
+boxes stand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.text import count_text, printable_name, three_digits
+from petmjx.common.units import FloatArray
+
+
+def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
+    """(…, n, n) length that two boxes share along an axis, from their (…, n) ends there; negative where they are
+    apart."""
+    ends, begins = np.minimum(high[..., :, None], high[..., None, :]), np.maximum(low[..., :, None], low[..., None, :])
+    length: FloatArray = ends - begins
+    return length
+
+
+def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | None = None) -> NDArray[np.bool_]:
+    """(…, n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance; or
+    no further below it than ``most_gap``."""
+    over = high[..., :, None] - low[..., None, :]
+    touching: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
+    return touching
+
+
+DEFAULT_TOLERANCE_MM: Final = 0.5
+"""Gaps and overlaps up to this count as touching. Plans are written in whole millimetres, in which neighbours touch:
+half of the last digit separates rounding from intent."""
+
+
+MOST_NAMED: Final = 3
+"""Boxes, or pairs of them, that a warning names."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanWarnings:
+    """What is odd about one plan, as counts and with the boxes that come first in packing order.
+
+    Attributes:
+        plan_id, source: which plan, and the file it came from.
+        n_overlapping_pairs: pairs of boxes that share more than the tolerance along all three axes.
+        n_outside: boxes that reach beyond the carrier or below its top.
+        n_floating: boxes with nothing under them at the moment they are placed.
+        overlapping, outside, floating: the first ``MOST_NAMED`` of each, in words: "3 and 7", "3", "3 by 100 mm".
+    """
+
+    plan_id: str
+    source: str
+    n_overlapping_pairs: int
+    n_outside: int
+    n_floating: int
+    overlapping: tuple[str, ...] = ()
+    outside: tuple[str, ...] = ()
+    floating: tuple[str, ...] = ()
+
+    @property
+    def any(self) -> bool:
+        return bool(self.n_overlapping_pairs or self.n_outside or self.n_floating)
+
+    def __str__(self) -> str:
+        counts = (
+            (self.n_overlapping_pairs, self.overlapping, "overlapping pair", "overlapping pairs"),
+            (self.n_outside, self.outside, "box outside the carrier", "boxes outside the carrier"),
+            (self.n_floating, self.floating, "floating box", "floating boxes"),
+        )
+        oddities = [
+            f"{count_text(count, one, many)} ({', '.join([*first, *(['…'] if count > len(first) else [])])})"
+            for count, first, one, many in counts
+            if count
+        ]
+        return f"{self.source}: plan {printable_name(self.plan_id)}: {', '.join(oddities) or 'nothing odd'}"
+
+
+def check_layout(
+    plan_id: str,
+    source: str,
+    corner_mm: FloatArray,
+    size_mm: FloatArray,
+    carrier_extent_mm: tuple[float, float] | None = None,
+    tolerance_mm: float = DEFAULT_TOLERANCE_MM,
+) -> PlanWarnings:
+    """Count and name what is odd about one plan's layout.
+
+    Args:
+        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's
+            bounding box, so only boxes below its top are outside.
+    """
+    low, high = corner_mm.T, (corner_mm + size_mm).T
+    side_by_side = (shared_length(low[0], high[0]) > tolerance_mm) & (shared_length(low[1], high[1]) > tolerance_mm)
+    overlapping = side_by_side & (shared_length(low[2], high[2]) > tolerance_mm)
+    thick_enough = ((high - low) > tolerance_mm).all(axis=0)
+    # The matrix is symmetric, and its diagonal says of each box whether it overlaps itself.
+    n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(thick_enough)) // 2)
+    outside = _outside(low, high, carrier_extent_mm, tolerance_mm)
+    gap = _gaps(low, high, side_by_side, tolerance_mm)
+    floating = np.flatnonzero(gap > tolerance_mm)
+    first_pairs = np.argwhere(np.triu(overlapping, k=1))[:MOST_NAMED] if n_pairs else ()
+    return PlanWarnings(
+        plan_id,
+        source,
+        n_pairs,
+        int(np.count_nonzero(outside)),
+        len(floating),
+        tuple(f"{one} and {other}" for one, other in first_pairs),
+        tuple(str(box) for box in np.flatnonzero(outside)[:MOST_NAMED]),
+        tuple(f"{box} by {three_digits(gap[box])} mm" for box in floating[:MOST_NAMED]),
+    )
+
+
+def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -> FloatArray:
+    """(n,) how far each box is above what is under it, the carrier's top or a box, mm; 0 where one reaches into it.
+
+    Args:
+        in_order: whether only boxes placed before it are considered; else all are.
+    """
+    low, high = corner_mm.T, (corner_mm + size_mm).T
+    tolerance = DEFAULT_TOLERANCE_MM
+    side_by_side = (shared_length(low[0], high[0]) > tolerance) & (shared_length(low[1], high[1]) > tolerance)
+    return _gaps(low, high, side_by_side, tolerance, in_order)
+
+
+def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
+    """(n,) how deep each box reaches into another one: along the axis along which they share least, mm; 0 for none."""
+    low, high = corner_mm.T, (corner_mm + size_mm).T
+    depth = np.minimum.reduce([shared_length(low[axis], high[axis]) for axis in range(3)])
+    np.fill_diagonal(depth, 0.0)
+    deepest: FloatArray = np.maximum(depth.max(axis=0, initial=0.0), 0.0)
+    return deepest
+
+
+def _outside(
+    low: FloatArray, high: FloatArray, carrier_extent_mm: tuple[float, float] | None, tolerance_mm: float
+) -> NDArray[np.bool_]:
+    """(n,) whether a box reaches beyond the carrier."""
+    outside: NDArray[np.bool_] = low[2] < -tolerance_mm
+    if carrier_extent_mm is not None:
+        outside |= (low[:2] < -tolerance_mm).any(axis=0)
+        outside |= (high[0] > carrier_extent_mm[0] + tolerance_mm) | (high[1] > carrier_extent_mm[1] + tolerance_mm)
+    return outside
+
+
+def _gaps(
+    low: FloatArray,
+    high: FloatArray,
+    side_by_side: NDArray[np.bool_],
+    tolerance_mm: float,
+    in_order: bool = True,
+) -> FloatArray:
+    """(n,) mm from each box down to the highest thing that begins below it, the carrier's top or a box.
+
+    A box into which another one reaches from below counts as overlapping, not as floating. A box that is placed before
+    the box under it floats: placed one by one, it falls.
+    """
+    bottom, top = low[2], high[2]
+    # Row: supporter, column: the box above it; supporters are earlier in packing order.
+    below = side_by_side & np.less.outer(bottom, bottom)
+    if in_order:
+        below = np.triu(below, k=1)
+    support = np.where(below, top[:, None], 0.0).max(axis=0, initial=0.0)
+    gap: FloatArray = np.maximum(bottom - support, 0.0)
+    return gap

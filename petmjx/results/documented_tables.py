@@ -1,0 +1,126 @@
+"""Tables that say of each column its unit and what it means, as files: Parquet, where both are metadata, and CSV."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from petmjx.common.overwrite_guard import IsOurs, check_outputs
+from petmjx.common.safe_read import open_for_arrow, read_regular
+from petmjx.results.run_folder import Write, csv, parquet, write_together
+
+Described = Mapping[str, tuple[str, str]]
+"""Column → unit and meaning."""
+
+_MOST_JSON_BYTES: Final = 1 << 28
+_LONGEST_HEADER: Final = 1 << 20
+
+
+def documented_table(frame: pd.DataFrame, name: str, described: Described) -> pa.Table:
+    """A data frame with unit and description of every column in its metadata; columns as in the frame.
+
+    Raises:
+        KeyError: a column is not described.
+    """
+    table = pa.Table.from_pandas(frame, preserve_index=False)
+    fields = [
+        column.with_metadata({"unit": described[column.name][0], "description": described[column.name][1]})
+        for column in table.schema
+    ]
+    return table.cast(pa.schema(fields, metadata={"table": name}))
+
+
+def write_documented_tables(
+    folder: Path, tables: Iterable[tuple[str, pd.DataFrame, Described]], others: Mapping[str, Write] | None = None
+) -> None:
+    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder, which is made if it is not there; all or none.
+    What is there may be replaced: :func:`check_tables_free` was asked.
+
+    Args:
+        others: name → content of more files.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    files = {folder / name: write for name, write in (others or {}).items()}
+    for name, frame, described in tables:
+        table = documented_table(frame, name, described)
+        files |= {folder / f"{name}.parquet": parquet(table), folder / f"{name}.csv": csv(table)}
+    write_together(files)
+
+
+def check_tables_free(
+    folder: Path,
+    tables: Iterable[str],
+    *,
+    overwrite: bool,
+    inputs: Iterable[Path] = (),
+    others: Mapping[str, IsOurs] | None = None,
+) -> None:
+    """Check, before minutes of work, that :func:`write_documented_tables` would replace nothing that it may not.
+
+    Args:
+        tables: their names.
+        overwrite: tables that petmjx wrote there before may be replaced.
+        inputs: files that are read.
+        others: name of each further file → whether one that is there is petmjx's.
+
+    Raises:
+        InputError: a file of these names is not petmjx's, or may not be replaced, or the folder is none.
+    """
+    others = others or {}
+    names = [*others, *(f"{name}{suffix}" for name in tables for suffix in (".parquet", ".csv"))]
+
+    def is_ours(file: Path) -> bool:
+        return others[file.name](file) if file.name in others else is_documented_table(file)
+
+    check_outputs([folder / name for name in names], overwrite=overwrite, inputs=inputs, folder=folder, is_ours=is_ours)
+
+
+def is_documented_table(file: Path) -> bool:
+    """Whether a file is a table as :func:`write_documented_tables` writes it: the Parquet file says so itself, and CSV
+    has the columns of the Parquet file beside it."""
+    if file.suffix == ".csv":
+        columns = _documented_columns(file.with_suffix(".parquet"))
+        return columns is not None and _header(file) == columns
+    return _documented_columns(file) is not None
+
+
+def has_keys(file: Path, keys: Iterable[str]) -> bool:
+    """Whether a file is a JSON object with these keys."""
+    try:
+        content: Any = json.loads(read_regular(file, _MOST_JSON_BYTES))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.keys() >= set(keys)
+
+
+def _documented_columns(file: Path) -> list[str] | None:
+    """The columns of a Parquet file of which each has a unit and a description; None for others, and for parts of
+    runs."""
+    try:
+        with open_for_arrow(file) as stream:
+            schema = pq.read_schema(stream)
+    except (OSError, ValueError, pa.ArrowException):
+        return None
+    if b"schema_version" in (schema.metadata or {}):  # a part of a run
+        return None
+    described = all({b"unit", b"description"} <= (field.metadata or {}).keys() for field in schema)
+    return list(schema.names) if described and len(schema) else None
+
+
+def _header(file: Path) -> list[str]:
+    """The names in the first line of a CSV file that Arrow wrote."""
+    try:
+        with file.open("rb") as stream:
+            line = stream.readline(_LONGEST_HEADER)
+        return [name.strip('"') for name in line.decode().rstrip("\n").split(",")]
+    except (OSError, ValueError):
+        return []

@@ -1,0 +1,106 @@
+"""One run at a time in a folder: a lock that ends with its process, however that ends."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+
+LOCK_FILE: Final = ".lock"
+"""In the run's folder while a run is on. The file of a killed run is no longer locked, and is taken over."""
+
+_OURS: Final = re.compile(rb"\d*\n?")
+
+_NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
+"""What file systems that have no locks answer."""
+
+
+@contextlib.contextmanager
+def held_folder_lock(folder: Path) -> Iterator[bool]:
+    """Hold a folder for one run; yields whether its file system has locks at all.
+
+    Raises:
+        InputError: another run writes there, or the lock's name is taken by something else.
+        OSError: the folder cannot be written.
+    """
+    descriptor = _lock_descriptor(folder)
+    try:
+        _check_ours(descriptor, folder)
+        try:
+            has_locks = _take(descriptor, folder)
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+            has_locks = False
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"{os.getpid()}\n".encode(), 0)
+        try:
+            yield has_locks
+        finally:
+            # before the lock is given back: the next run then finds a new file, or none
+            with contextlib.suppress(OSError):
+                (folder / LOCK_FILE).unlink()
+    finally:
+        os.close(descriptor)
+
+
+def _lock_descriptor(folder: Path) -> int:
+    try:
+        return os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        if error.errno not in (errno.ELOOP, errno.EISDIR):
+            raise
+        raise _not_ours(folder) from None
+
+
+def _check_ours(descriptor: int, folder: Path) -> None:
+    """Refuse a file with anything but a process's number: it is to be written over, and taken away in the end."""
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode) or not _OURS.fullmatch(os.pread(descriptor, 32, 0)):
+        raise _not_ours(folder)
+
+
+def _not_ours(folder: Path) -> InputError:
+    return InputError(
+        f"{folder / LOCK_FILE}: was not made by petmjx, which locks a run's folder with a file of this name; "
+        f"name another folder with {option('--out')}"
+    )
+
+
+def _take(descriptor: int, folder: Path) -> bool:
+    """Lock the file, and make sure that it is still the one in the folder: its last holder may have removed it."""
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _in_use(descriptor, folder) from None
+        if _is_in(descriptor, folder):
+            return True
+        again = _lock_descriptor(folder)
+        os.dup2(again, descriptor, inheritable=False)
+        os.close(again)
+
+
+def _is_in(descriptor: int, folder: Path) -> bool:
+    try:
+        status = os.stat(folder / LOCK_FILE, follow_symlinks=False)
+    except FileNotFoundError:
+        return False
+    return os.path.samestat(status, os.fstat(descriptor))
+
+
+def _in_use(descriptor: int, folder: Path) -> InputError:
+    pid = os.pread(descriptor, 32, 0).decode("ascii", "replace").strip()
+    who = f" (process {pid})" if pid.isdigit() else ""
+    return InputError(
+        f"{folder}: another run{who} is writing there; wait until it ends, or name another folder with "
+        f"{option('--out')}"
+    )

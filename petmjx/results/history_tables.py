@@ -1,0 +1,283 @@
+"""Which worlds of a run are recorded, and whose histories are kept.
+
+Histories as rows of the tables ``histories``, ``frames`` and ``contacts``, and back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.run_options import ALL, FAILED, RunOptions
+from petmjx.plans.plan import Plan
+from petmjx.results.run_reader import RunResults, rows_of
+from petmjx.results.run_tables import Parts
+from petmjx.world.history import Contacts, History, Record
+from petmjx.world.job import ACCELERATION, FORCE
+
+_KEY = ("plan_id", "variant")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a run records.
+
+    Whether a world fails is known in the end, so with ``failed_only`` all are recorded, and the histories of those that
+    stand are let go at once: nothing is simulated twice, and memory holds the worlds that are under way.
+
+    Attributes:
+        record: what engines are asked for; None: nothing is recorded.
+        plan_ids: plans whose worlds are recorded; None: all.
+        failed_only: keep the histories of worlds that are not stable.
+    """
+
+    record: Record | None = None
+    plan_ids: frozenset[str] | None = None
+    failed_only: bool = False
+
+    def of(self, plan: Plan) -> Record | None:
+        """What is recorded of a plan's worlds."""
+        return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
+
+    def kept(self, outcome: Outcome) -> Outcome:
+        """The outcome, without its history where that is not to be kept."""
+        if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
+            return outcome
+        return replace(outcome, history=None)
+
+    def missing(self, parts: Parts) -> int:
+        """How many worlds that a run has already should have a history, but have none."""
+        if self.record is None:
+            return 0
+        frames = parts.table("frames", _KEY)
+        recorded_keys = {key for part in frames for key in zip(*part.to_pydict().values(), strict=True)}
+        worlds = [part.to_pydict() for part in parts.table("worlds", (*_KEY, "verdict"))]
+        rows = (row for part in worlds for row in zip(*part.values(), strict=True))
+        return sum(
+            (self.plan_ids is None or plan_id in self.plan_ids)
+            and not (self.failed_only and verdict == Verdict.STABLE.value)
+            and (plan_id, variant) not in recorded_keys
+            for plan_id, variant, verdict in rows
+        )
+
+
+NO_RECORDING = Recording()
+
+
+def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Recording:
+    """What a run of these plans records.
+
+    Args:
+        engine: its name.
+
+    Raises:
+        InputError: a plan that is to be recorded is not there, or the engine cannot record what is asked for.
+    """
+    choice = options.record
+    if choice is None:
+        return NO_RECORDING
+    if options.record_details and engine != "mujoco":
+        raise InputError(f"record_details needs the engine mujoco, and the run's is {engine}")
+    record = Record(options.record_interval_s, options.record_details)
+    if choice in (ALL, FAILED):
+        return Recording(record, failed_only=choice == FAILED)
+    known = {plan.plan_id for plan in plans}
+    ids = frozenset(choice if not isinstance(choice, str) else [choice] if choice in known else _split(choice))
+    unknown = sorted(ids - known)
+    if unknown:
+        raise InputError(f"record: {first_names(unknown)}: not among the {count_text(len(known), 'plan')} of the run")
+    return Recording(record, ids)
+
+
+def _split(text: str) -> list[str]:
+    return [name for name in (part.strip() for part in text.split(",")) if name]
+
+
+_DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))
+"""Kind of drive, and its columns of ``frames``: their name, and their end."""
+
+_XYZ: Final = "xyz"
+_WXYZ: Final = "wxyz"
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedWorld:
+    """A world that was recorded."""
+
+    plan_id: str
+    variant: int
+    history: History
+
+    @property
+    def size(self) -> int:
+        """Memory of its arrays, bytes."""
+        contacts = vars(self.history.contacts) if self.history.contacts is not None else {}
+        arrays = [*vars(self.history).values(), *contacts.values()]
+        return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
+
+
+Columns = Mapping[str, Any]
+
+
+def history_columns(worlds: Sequence[RecordedWorld]) -> Columns:
+    """Columns of ``histories``: frame after frame, placed boxes in packing order."""
+    parts = []
+    for world in worlds:
+        history = world.history
+        frame, box = np.nonzero(np.arange(history.pos.shape[1]) < history.n_placed[:, None])
+        indices = frame, box
+        columns: dict[str, Any] = {"box": box, "top_force_n": history.top_force_n[indices]}
+        columns |= _components("pos", history.pos[indices], _XYZ, "_m") | _components(
+            "quat", history.quat[indices], _WXYZ
+        )
+        for name in ("lin_acc", "ang_acc"):
+            columns |= _components(name, _or_null(getattr(history, name), indices, 3), _XYZ)
+        columns["penetration_m"] = _or_null(history.penetration_m, indices, 1)[:, 0]
+        parts.append(columns | _key(history, frame))
+    return _stacked_columns(worlds, parts)
+
+
+def frame_columns(worlds: Sequence[RecordedWorld]) -> Columns:
+    """Columns of ``frames``."""
+    parts = []
+    for world in worlds:
+        history = world.history
+        columns: dict[str, Any] = {"n_placed": history.n_placed}
+        columns |= _components("carrier_pos", history.carrier_pos, _XYZ, "_m")
+        columns |= _components("carrier_quat", history.carrier_quat, _WXYZ)
+        for kind, name, end in _DRIVES:
+            values = history.drive if history.drive_kind == kind else np.full(history.drive.shape, np.nan)
+            columns |= _components(name, values, _XYZ, end)
+        parts.append(columns | _key(history, np.arange(len(history.time_s))))
+    return _stacked_columns(worlds, parts)
+
+
+def contact_columns(worlds: Sequence[RecordedWorld]) -> Columns:
+    """Columns of ``contacts``. Worlds without details have no rows."""
+    parts = []
+    detailed = [world for world in worlds if world.history.contacts is not None]
+    for world in detailed:
+        contacts = world.history.contacts
+        assert contacts is not None
+        columns: dict[str, Any] = {"body_1": contacts.body[:, 0], "body_2": contacts.body[:, 1]}
+        columns |= _components("point", contacts.point, _XYZ, "_m") | _components("normal", contacts.normal, _XYZ)
+        columns |= _components("force", contacts.force, _XYZ, "_n") | {"distance_m": contacts.distance}
+        parts.append(columns | _key(world.history, contacts.frame))
+    return _stacked_columns(detailed, parts)
+
+
+TABLES: Final[Mapping[str, Callable[[Sequence[RecordedWorld]], Columns]]] = {
+    "histories": history_columns,
+    "frames": frame_columns,
+    "contacts": contact_columns,
+}
+"""Table → what makes its columns."""
+
+
+def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> History | None:
+    """The history of a world; None if it was not recorded.
+
+    Args:
+        n_boxes: of the plan.
+
+    Raises:
+        InputError: a part is damaged, or the tables do not fit together.
+    """
+    boxes, frames, touches = (_read(run, table, plan_id, variant) for table in TABLES)
+    if frames is None or boxes is None:
+        return None
+    f = len(frames["frame"])
+    if not np.array_equal(frames["frame"], np.arange(f)) or not _fits(boxes, f, n_boxes):
+        raise InputError(f"{run.path}: histories and frames of plan {printable_name(plan_id)} do not fit together")
+    place = boxes["frame"], boxes["box"]
+
+    def spread(values: FloatArray) -> FloatArray:
+        wide = np.full((f, n_boxes, *values.shape[1:]), np.nan)
+        wide[place] = values
+        return wide
+
+    kinds = {kind: _vector(frames, name, _XYZ, end) for kind, name, end in _DRIVES}
+    kind = next((kind for kind, values in kinds.items() if np.isfinite(values).all()), "")
+    detailed = not np.isnan(boxes["penetration_m"]).all()
+    return History(
+        time_s=frames["time_s"],
+        n_placed=frames["n_placed"].astype(np.int32),
+        pos=spread(_vector(boxes, "pos", _XYZ, "_m")),
+        quat=spread(_vector(boxes, "quat", _WXYZ)),
+        top_force_n=spread(boxes["top_force_n"]),
+        carrier_pos=_vector(frames, "carrier_pos", _XYZ, "_m"),
+        carrier_quat=_vector(frames, "carrier_quat", _WXYZ),
+        drive=kinds[kind] if kind else np.zeros((f, 3)),
+        drive_kind=kind,
+        lin_acc=spread(_vector(boxes, "lin_acc", _XYZ)) if detailed else None,
+        ang_acc=spread(_vector(boxes, "ang_acc", _XYZ)) if detailed else None,
+        penetration_m=spread(boxes["penetration_m"]) if detailed else None,
+        contacts=_contacts(touches) if detailed else None,
+    )
+
+
+def _components(name: str, values: FloatArray, parts: str, end: str = "") -> dict[str, FloatArray]:
+    """A column for each component of (rows, components) values."""
+    return {f"{name}_{part}{end}": values[:, i] for i, part in enumerate(parts)}
+
+
+def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str = "") -> FloatArray:
+    """(rows, components) from the columns that ``_components`` made."""
+    return np.stack([columns[f"{name}_{part}{end}"] for part in parts], axis=1)
+
+
+def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
+    """(rows, width) values of frames and boxes; NaN where they were not recorded."""
+    if values is None:
+        return np.full((len(indices[0]), width), np.nan)
+    return values[indices].reshape(-1, width)
+
+
+def _key(history: History, frame: NDArray[np.integer]) -> dict[str, Any]:
+    return {"frame": frame, "time_s": history.time_s[frame]}
+
+
+def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) -> Columns:
+    """The columns of all worlds, one after the other, with the worlds' names."""
+    columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
+    rows = np.repeat(np.arange(len(worlds)), [len(part["frame"]) for part in parts])
+    columns["plan_id"] = pa.array([world.plan_id for world in worlds], pa.string()).take(pa.array(rows))
+    columns["variant"] = np.array([world.variant for world in worlds], np.int32)[rows]
+    return columns
+
+
+def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
+    """Columns of a world's rows, null as NaN; None where it has none."""
+    rows = rows_of(run, table, plan_id, variant)
+    if rows is None:
+        return None
+    numbers = rows.drop_columns(["plan_id", "variant"])
+    return {name: numbers[name].to_numpy() for name in numbers.column_names}
+
+
+def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
+    """Whether all rows are of frames and boxes that there are."""
+    frame, box = boxes["frame"], boxes["box"]
+    return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
+
+
+def _contacts(columns: Mapping[str, Any] | None) -> Contacts:
+    if columns is None:
+        return Contacts.none()
+    return Contacts(
+        frame=columns["frame"],
+        body=np.stack([columns["body_1"], columns["body_2"]], axis=1),
+        point=_vector(columns, "point", _XYZ, "_m"),
+        normal=_vector(columns, "normal", _XYZ),
+        force=_vector(columns, "force", _XYZ, "_n"),
+        distance=columns["distance_m"],
+    )

@@ -1,0 +1,87 @@
+"""Tables as notebooks show them: short, and without styles, so that they follow the notebook's theme."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import pandas as pd
+
+from petmjx.common.text import count_text
+from petmjx.common.units import MM_PER_M
+
+MOST_ROWS: Final = 20
+"""A table shows so many rows at most."""
+
+
+@dataclass(frozen=True)
+class ShownColumn:
+    """A column as notebooks show it.
+
+    Attributes:
+        name: of the data frame's column.
+        head: its heading, with the unit.
+        decimals: digits of fractional numbers.
+        factor: to the head's unit.
+    """
+
+    name: str
+    head: str
+    decimals: int = 0
+    factor: float = 1.0
+
+
+WORLD_COLUMNS: Final = (
+    ShownColumn("plan_id", "plan"),
+    ShownColumn("variant", "variant"),
+    ShownColumn("n_boxes", "boxes"),
+    ShownColumn("verdict", "verdict"),
+    ShownColumn("reason", "reason"),
+    ShownColumn("margin", "margin", 2),
+    ShownColumn("culprit", "first box"),
+    ShownColumn("first_sign_s", "at s", 2),
+    ShownColumn("max_shift_m", "shift mm", 1, MM_PER_M),
+    ShownColumn("max_tilt_deg", "tilt °", 1),
+    ShownColumn("rest_top_force_n", "rest force N", 1),
+)
+"""Columns of ``worlds``. The variant is left out where there is only the nominal one."""
+
+
+def worlds_as_html(title: str, worlds: pd.DataFrame) -> str:
+    """The first rows of the table ``worlds`` under a line of text."""
+    varied = "variant" in worlds and worlds["variant"].any()
+    columns = [column for column in WORLD_COLUMNS if varied or column.name != "variant"]
+    return block_as_html([title], [table_as_html(worlds, columns, "worlds")])
+
+
+def block_as_html(lines: Sequence[str], tables: Sequence[str]) -> str:
+    """Lines of text, the first as code, and tables that :func:`table_as_html` made."""
+    first, *others = map(html.escape, lines)
+    texts = "".join(f"<p>{line}</p>" for line in others)
+    return f"<div><p><code>{first}</code></p>{texts}{''.join(tables)}</div>"
+
+
+def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute: str) -> str:
+    """The first rows of a data frame. Columns that it lacks are left out.
+
+    Args:
+        attribute: where the whole data frame is: ``.worlds``.
+    """
+    columns = [column for column in columns if column.name in frame]
+    heads = "".join(f"<th>{html.escape(column.head)}</th>" for column in columns)
+    records = frame[[column.name for column in columns]].head(MOST_ROWS).to_dict("records")
+    rows = "".join(f"<tr>{''.join(_cell(row[column.name], column) for column in columns)}</tr>" for row in records)
+    left = len(frame) - MOST_ROWS
+    more = f"<p>… and {count_text(left, 'row')} more in <code>.{attribute}</code></p>" if left > 0 else ""
+    return f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>{more}"
+
+
+def _cell(value: Any, column: ShownColumn) -> str:
+    if pd.isna(value):
+        return "<td></td>"
+    if isinstance(value, float):
+        text = f"{round(value * column.factor, column.decimals) + 0.0:,.{column.decimals}f}"  # + 0.0: no -0
+        return f"<td>{text}</td>"
+    return f"<td>{html.escape(str(value))}</td>"

@@ -1,0 +1,80 @@
+"""Plans compared with their orders, as a run's folder keeps it: columns of ``plans``, and blocks of ``run.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+from petmjx.plans.order_matching import MOST_LISTED, OrderCheck, OrderCounts, PlanOrderCounts
+from petmjx.results.run_tables import Parts
+
+
+def orders_block(check: OrderCheck) -> dict[str, Any]:
+    """The block ``orders`` of ``run.json``. Numbers stand in ``counts``."""
+    return {
+        "file": check.file,
+        "digest": check.digest,
+        "plans": check.lines,
+        "without_plan": check.without_plan,
+        "unusable": check.unusable,
+    }
+
+
+def counts_block(check: OrderCheck) -> dict[str, Any]:
+    """The block ``orders`` of ``counts``."""
+    return asdict(check.counts)
+
+
+def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
+    """What a run found; None: it was not compared with orders.
+
+    Raises:
+        InputError: its table ``plans`` is damaged.
+    """
+    block = info.get("orders")
+    if block is None:
+        return None
+    of_plan: dict[str, PlanOrderCounts] = {}
+    parts = Parts.of(folder, info)
+    columns = {name for file in parts.files("plans") for name in parts.read(file).column_names}
+    needed = (
+        name for name in PlanOrderCounts._fields if name in columns or name not in PlanOrderCounts._field_defaults
+    )
+    for part in parts.table("plans", ("plan_id", *needed)):
+        rows = part.to_pylist()
+        values = {row.pop("plan_id"): row for row in rows}
+        of_plan |= {
+            plan_id: PlanOrderCounts(**row) for plan_id, row in values.items() if row["ordered_boxes"] is not None
+        }
+    return OrderCheck(
+        block["file"],
+        block["digest"],
+        of_plan,
+        OrderCounts(**info["counts"]["orders"]),
+        block["plans"],
+        block["without_plan"],
+        block["unusable"],
+    )
+
+
+def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
+    """The check of a whole run from those of all its shards, which were compared with the same orders."""
+    counts = {
+        field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
+    }
+    # unusable orders are no shard's: each shard has all of them
+    counts["unusable_orders"] = checks[0].counts.unusable_orders
+    return replace(
+        checks[0],
+        counts=OrderCounts(**counts),
+        lines=[line for check in checks for line in check.lines][:MOST_LISTED],
+        without_plan=[order_id for check in checks for order_id in check.without_plan][:MOST_LISTED],
+    )
+
+
+def _sum(values: Sequence[int | None]) -> Any:
+    """None if one of them is not known."""
+    known = [value for value in values if value is not None]
+    return sum(known) if len(known) == len(values) else None

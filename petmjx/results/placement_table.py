@@ -1,0 +1,127 @@
+"""The plans of a run as it keeps them, in the table ``placements``: a row a box, of all that a plan says.
+
+So a run can be shown, told and reported from its folder alone, wherever its plans came from and wherever it was moved.
+A value that is null was not given; NaN is a value of its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from petmjx.common.errors import InputError
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import SPARSE
+from petmjx.results.run_manifest import PlanRecord, plan_digest
+from petmjx.results.run_tables import Parts
+from petmjx.results.schema import placements_schema
+
+PLACEMENTS: Final = "placements"
+
+_TEXTS: Final = {"item_id": "item_ids", "article": "articles", "product_group": "product_groups",
+                 "material": "materials", "kind": "kinds"}  # fmt: skip
+"""Column → field of ``Plan``."""
+_VECTORS: Final = {"size": "size_mm", "corner": "corner_mm", "mass_center": "mass_center_mm"}
+_NUMBERS: Final = ("mass_kg", "sequence", "orientation", *SPARSE)
+
+
+def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
+    """The table; None where a text of the plans cannot be written as UTF-8."""
+    plans, schema = list(plans), placements_schema()
+    counts = [plan.n_boxes for plan in plans]
+    columns: dict[str, Any] = {"plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts)}
+    for name, field in _TEXTS.items():
+        columns[name] = _texts([getattr(plan, field) for plan in plans], counts)
+    for name, field in _VECTORS.items():
+        values = [getattr(plan, field) for plan in plans]
+        for axis, letter in enumerate("xyz"):
+            columns[f"{name}_{letter}_mm"] = _numbers([v if v is None else v[:, axis] for v in values], counts)
+    for name in _NUMBERS:
+        columns[name] = _numbers([getattr(plan, name) for plan in plans], counts)
+    try:
+        arrays = [_array(columns[field.name], field.type) for field in schema]
+    except (pa.ArrowException, UnicodeError):
+        return None
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _texts(values: Sequence[tuple[str, ...]], counts: Sequence[int]) -> list[str | None]:
+    """Those of all boxes; None where a plan has none."""
+    return [text for texts, count in zip(values, counts, strict=True) for text in texts or (None,) * count]
+
+
+def _numbers(values: Sequence[Any], counts: Sequence[int]) -> tuple[Any, Any]:
+    """Those of all boxes, and where a plan has none."""
+    known = [np.zeros(count) if array is None else array for array, count in zip(values, counts, strict=True)]
+    lacks = np.repeat([array is None for array in values], counts) if values else np.zeros(0, bool)
+    return np.concatenate(known) if known else np.zeros(0), lacks
+
+
+def _array(values: Any, kind: pa.DataType) -> pa.Array:
+    if isinstance(values, tuple):
+        numbers, lacks = values
+        return pa.array(numbers, mask=lacks, from_pandas=False).cast(kind)
+    return pa.array(values, kind)
+
+
+def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collection[str]) -> dict[str, Plan]:
+    """Plans that a run keeps, by id: those that are what it simulated, in the order of its table.
+
+    Args:
+        records: what the run says of its plans, by id.
+        wanted: ids of the plans to find.
+
+    Raises:
+        InputError: the table is damaged.
+    """
+    if not parts.files(PLACEMENTS):
+        return {}
+    wanted_ids = pa.array([plan_id for plan_id in wanted if plan_id in records], pa.string())
+    table = pa.concat_tables(parts.table(PLACEMENTS, placements_schema().names)).combine_chunks()
+    table = table.filter(pc.is_in(table["plan_id"], wanted_ids))
+    plans = {}
+    for plan_id, rows in _by_plan(table):
+        try:
+            plan = _plan(plan_id, records[plan_id].source, rows)
+        except InputError:  # as somebody has changed it
+            continue
+        if plan_digest(plan) == records[plan_id].digest:
+            plans[plan_id] = plan
+    return plans
+
+
+def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
+    """The rows of each plan, which are together."""
+    codes = table["plan_id"].combine_chunks().dictionary_encode() if table.num_rows else None
+    if codes is None:
+        return
+    of = np.asarray(codes.indices)
+    begins = [0, *(np.flatnonzero(np.diff(of)) + 1).tolist(), len(of)]
+    for begin, end in itertools.pairwise(begins):
+        yield codes.dictionary[int(of[begin])].as_py(), table.slice(begin, end - begin)
+
+
+def _plan(plan_id: str, source: str, rows: pa.Table) -> Plan:
+    """Raises InputError: it is none."""
+    fields: dict[str, Any] = {}
+    for name, field in _TEXTS.items():
+        fields[field] = () if rows[name].null_count else tuple(rows[name].to_pylist())
+    for name, field in _VECTORS.items():
+        axes = [_of(rows, f"{name}_{letter}_mm") for letter in "xyz"]
+        fields[field] = None if any(axis is None for axis in axes) else np.stack(axes, axis=1)
+    for name in _NUMBERS:
+        fields[name] = _of(rows, name)
+    return Plan(plan_id=plan_id, source=source, **fields)
+
+
+def _of(rows: pa.Table, name: str) -> Any:
+    column = rows[name].combine_chunks()
+    if column.null_count:
+        return None
+    kind = np.int64 if pa.types.is_integer(column.type) else np.float64
+    return np.asarray(column).astype(kind)

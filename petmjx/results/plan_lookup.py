@@ -1,0 +1,92 @@
+"""The plans of a run, found again: as it keeps them, or in its files. Its other tables have no sizes of boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.plans.bundled import bundled_path
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PlanSource, gather_plans
+from petmjx.results.placement_table import kept_plans
+from petmjx.results.run_manifest import PlanRecord, plan_digest
+from petmjx.results.run_reader import RunResults
+
+
+@dataclass(frozen=True, eq=False)
+class PlanLookup:
+    """What was found of the plans of a run.
+
+    Attributes:
+        plans: those that are what the run simulated, by id.
+        missing: ids of those that were not read, sorted.
+        changed: ids of plans that were read but have changed since, sorted.
+        gone: files that the run names and that are not there.
+    """
+
+    plans: Mapping[str, Plan]
+    missing: tuple[str, ...]
+    changed: tuple[str, ...]
+    gone: tuple[str, ...]
+
+
+def find_plans(
+    run: RunResults,
+    records: Mapping[str, PlanRecord],
+    wanted: Collection[str],
+    given: PlanSource | None = None,
+) -> PlanLookup:
+    """Find the plans of a run, and take those that are what it simulated.
+
+    Args:
+        records: what the run says of its plans, by id; of a plan without a record any version is taken.
+        wanted: ids of the plans to find.
+        given: where they are now; None: what the run was given or keeps, and else the files that it names.
+
+    Raises:
+        InputError: ``given`` cannot be used.
+    """
+    gone: list[str] = []
+    kept: dict[str, Plan] = {}
+    if given is None:
+        kept = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
+        if len(kept) < len(wanted):
+            kept |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in kept])
+        left = [records[plan_id] for plan_id in wanted if plan_id not in kept and plan_id in records]
+        files = {source: plan_file(source) for source in dict.fromkeys(record.source for record in left)}
+        gone = [source for source, file in files.items() if file is None]
+        given = [file for file in files.values() if file is not None]
+    read: dict[str, Plan] = {}
+    if not isinstance(given, list) or given:
+        read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(run.info))}
+    read |= kept
+    plans = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
+    changed = {name for name, plan in plans.items() if name in records and records[name].digest != plan_digest(plan)}
+    return PlanLookup(
+        plans={plan_id: plan for plan_id, plan in plans.items() if plan_id not in changed},
+        missing=tuple(sorted(set(wanted) - plans.keys())),
+        changed=tuple(sorted(changed)),
+        gone=tuple(gone),
+    )
+
+
+def how_read(info: Mapping[str, Any]) -> RunOptions:
+    """The options with which a run read its plans: units, anchor and articles.
+
+    Raises:
+        InputError: they are damaged.
+    """
+    config = info.get("config", {})
+    return RunOptions(**{name: config[name] for name in ("units", "anchor", "articles") if name in config})
+
+
+def plan_file(source: str) -> Path | None:
+    """The file that a plan came from; None: it is gone. Bundled plans may have been elsewhere, on another machine."""
+    file, bundled = Path(source), bundled_path()
+    if file.is_file():
+        return file
+    return bundled if file.name == bundled.name else None

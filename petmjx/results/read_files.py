@@ -1,0 +1,39 @@
+"""Which files a command reads, so that it does not write them (petmjx.common.overwrite_guard)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from petmjx.plans.plan_reader import plan_files_in
+from petmjx.results.run_folder import RUN_FILE, TABLES
+
+
+def source_files(*sources: Any) -> list[Path]:
+    """The files and folders that are read where these are named: of a run its ``run.json`` and its tables, of another
+    folder its files of plans, else the file.
+
+    Args:
+        sources: paths, lists of paths, or None. Others, such as data frames and runs in memory, are no files.
+    """
+    files: list[Path] = []
+    for source in sources:
+        if isinstance(source, Mapping):
+            files += source_files(*source.values())
+        elif isinstance(source, list | tuple):
+            files += source_files(*source)
+        elif isinstance(source, str | PathLike):
+            with suppress(OSError, ValueError):  # what cannot be read is told by who reads it
+                files += _files_of(Path(source))
+    return files
+
+
+def _files_of(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path]
+    if (path / RUN_FILE).is_file():
+        return [path / RUN_FILE, *(path / table for table in TABLES)]
+    return plan_files_in(path)

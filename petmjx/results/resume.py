@@ -1,0 +1,155 @@
+"""The worlds that a run's folder already has, for a run that goes on with it.
+
+The run that is in a folder, for one that goes on with it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+from petmjx.options.run_options import WORLDS
+from petmjx.results.run_folder import part_name
+from petmjx.results.run_manifest import Manifest
+from petmjx.results.run_reader import read_info, split_warnings
+from petmjx.results.run_tables import Parts
+from petmjx.results.world_counts import COUNTED, WorldCounts
+
+_COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
+
+
+class CompletedWorlds:
+    """Which worlds there are, and what their rows in the table ``worlds`` say.
+
+    Args:
+        parts: of a run; None: there is no world.
+        columns: of ``worlds``, beside those that every run has.
+
+    Raises:
+        InputError: a part is damaged or missing, or has a world that another one has too.
+    """
+
+    def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
+        for boxes in parts.files("boxes") if parts is not None else ():
+            if not boxes.is_file():
+                raise InputError(f"{boxes}: missing, though the worlds of this part are there")
+        tables = parts.table("worlds", [*_COLUMNS, *columns]) if parts is not None else []
+        self._table = pa.concat_tables(tables) if tables else None
+        self._spans: dict[str, tuple[int, int]] = {}
+        self._last: tuple[str | None, dict[int, int]] = None, {}
+        self._sorted = self._variants = np.empty(0, np.int64)
+        if self._table is not None:
+            self._index(self._table, parts)
+
+    def _index(self, table: pa.Table, parts: Parts | None) -> None:
+        """Sort the rows by plan and variant: some bytes a world, where a dictionary of all would take hundreds."""
+        plans = table["plan_id"].combine_chunks().dictionary_encode()
+        plan = np.asarray(plans.indices, dtype=np.int64)
+        variant = np.asarray(table["variant"], dtype=np.int64)
+        self._sorted = np.lexsort((variant, plan))
+        self._variants, plan = variant[self._sorted], plan[self._sorted]
+        ids = plans.dictionary.to_pylist()
+        twice = np.flatnonzero((plan[1:] == plan[:-1]) & (self._variants[1:] == self._variants[:-1]))
+        if len(twice):
+            plan_id, number = ids[plan[twice[0]]], self._variants[twice[0]]
+            raise InputError(f"{parts and parts.folder}: has plan {plan_id}, variant {number} more than once")
+        ends = np.searchsorted(plan, np.arange(len(ids) + 1)).tolist()
+        self._spans = dict(zip(ids, itertools.pairwise(ends), strict=True))
+
+    def __len__(self) -> int:
+        return self._table.num_rows if self._table is not None else 0
+
+    def __contains__(self, world: tuple[str, int]) -> bool:
+        plan_id, variant = world
+        return variant in self._rows_of(plan_id)
+
+    def n_of(self, plan_id: str) -> int:
+        """How many worlds of a plan there are."""
+        first, end = self._spans.get(plan_id, (0, 0))
+        return end - first
+
+    def _rows_of(self, plan_id: str) -> dict[int, int]:
+        """Variant → row of a plan's worlds. Runs ask plan by plan, so that of the last one is kept."""
+        if self._last[0] != plan_id:
+            span = slice(*self._spans.get(plan_id, (0, 0)))
+            rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
+            self._last = plan_id, rows
+        return self._last[1]
+
+    def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
+        """Column → value of one world, null as None; None where it is not recorded."""
+        row = self._rows_of(plan_id).get(variant)
+        return None if row is None else {name: values[row] for name, values in self._values.items()}
+
+    def counts(self) -> WorldCounts:
+        """How many worlds came to what."""
+        counts = WorldCounts()
+        if self._table is not None:
+            counts.add_worlds(self._table)
+        return counts
+
+    def _column(self, name: str) -> list[Any]:
+        values: list[Any] = self._table.column(name).to_pylist() if self._table is not None else []
+        return values
+
+    @cached_property
+    def _values(self) -> dict[str, list[Any]]:
+        return {name: self._column(name) for name in self._table.column_names} if self._table is not None else {}
+
+
+def engine_of_run(folder: Path) -> str | None:
+    """The engine of the run in a folder; None: no run of petmjx can be read there."""
+    try:
+        engine = read_info(folder).get("identity", {}).get("engine")
+    except InputError:  # whoever goes on with the run says what is wrong with it
+        return None
+    return engine if isinstance(engine, str) else None
+
+
+def resume_state(
+    folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
+) -> tuple[dict[str, Any], Parts, list[str]]:
+    """Its ``run.json``, its files, and warnings: those about worlds that are not simulated again.
+
+    Args:
+        versions: package → version of the run that goes on.
+
+    Raises:
+        InputError: it is another run, or damaged.
+    """
+    info = read_info(folder)
+    if manifest is None:
+        raise ValueError("a run without a manifest cannot be resumed")
+    parts = Parts.of(folder, info)
+    differs = manifest.difference_from(Manifest.read(parts, info))
+    if differs:
+        raise InputError(f"{folder}: cannot be resumed, it is another run ({differs})")
+    warnings = list(split_warnings(info)[0])
+    for name, version in versions.items():
+        before = info["versions"].get(name)
+        if before != version:
+            warnings.append(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
+    parts = parts.with_worlds()
+    lacking = parts.lacking_boxes() if info["config"].get("keep") != WORLDS else []
+    if lacking:  # petmjx before 0.3 left such folders where a merge was cut short
+        if parts.files("frames"):
+            raise InputError(
+                f"{folder / 'boxes' / part_name(lacking[0])}: missing, though the worlds of this part are there; "
+                f"simulate the run again, with {option('--overwrite', 'True')}"
+            )
+        before = sum(len(table) for table in parts.table("worlds", ("variant",)))
+        parts = parts.without_numbers(lacking)
+        again = before - sum(len(table) for table in parts.table("worlds", ("variant",)))
+        warnings.append(
+            f"{count_text(again, 'world')} had no boxes, and {'was' if again == 1 else 'were'} simulated again"
+        )
+    return info, parts, warnings

@@ -1,0 +1,310 @@
+"""A run's folder: which files it has, and how they are written.
+
+    DIR/run.json                    options, versions, device, counts, what was skipped
+    DIR/worlds/part-*.parquet       one row per world
+    DIR/boxes/part-*.parquet        one row per box of each world
+    DIR/attempts/part-*.parquet     one row per attempt, for worlds that needed more than one
+    DIR/histories/part-*.parquet    worlds that were recorded: one row per frame and placed box
+    DIR/frames/part-*.parquet       one row per frame: the carrier, and what shakes it
+    DIR/contacts/part-*.parquet     one row per contact of each frame, if details were recorded
+    DIR/summary/part-*.parquet      sweeps: the answers
+    DIR/plans/part-*.parquet        a row a plan, with its digest: what a run was of
+    DIR/placements/part-*.parquet   a row a box of its plans: all that they say
+    DIR/.lock                       while a run writes there
+
+Every file appears whole or not at all. A part counts once ``run.json`` lists it, with its digest
+(petmjx.results.run_tables); others are left from a kill. Parts of ``worlds``, ``boxes`` and ``attempts`` with the same
+number belong together, and so do those of ``histories``, ``frames`` and ``contacts``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import BinaryIO, Final
+
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.safe_read import open_for_arrow, read_regular
+
+RUN_FILE: Final = "run.json"
+OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
+"""Tables of which a part may be missing: none of its worlds has a row there."""
+
+OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
+TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
+
+ROWS_PER_GROUP: Final = 131_072
+"""Of ``boxes`` some megabytes, which a reader can take one after the other, and of ``worlds`` a part."""
+
+DIGEST_BYTES: Final = 16
+_BLOCK: Final = 1 << 20
+
+_PART: Final = re.compile(r"part-\d{5,}\.parquet")
+_HIDDEN: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)\.[0-9a-f]{32}\.tmp")
+MOST_RUN_FILE_BYTES: Final = 1 << 30
+"""A million lines about skipped plans take 200 MB."""
+
+
+def part_name(number: int) -> str:
+    """File name of a part: the same in ``worlds``, ``boxes`` and all other tables of worlds."""
+    return f"part-{number:05d}.parquet"
+
+
+def part_number(file: Path) -> int:
+    """The number in a part's file name."""
+    return int(file.stem.removeprefix("part-"))
+
+
+def part_files(folder: Path, table: str) -> list[Path]:
+    """The files of a table's parts, in order."""
+    return sorted(_own_files(folder / table, _PART), key=part_number)
+
+
+MOST_AT_ONCE: Final = 8
+"""Tables that are read or written at the same time: to pack them takes a processor, to bring them to disk only time."""
+
+Write = Callable[[BinaryIO], object]
+"""Writes the content of a file."""
+
+
+def parquet(table: pa.Table) -> Write:
+    """A table as Parquet. What is measured hardly repeats: a dictionary of it takes as long as all else, and room."""
+    repeats = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
+    return lambda file: pq.write_table(
+        table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP, use_dictionary=repeats
+    )
+
+
+def csv(table: pa.Table) -> Write:
+    """A table as CSV."""
+    return lambda file: pa_csv.write_csv(table, file)
+
+
+def text(content: str) -> Write:
+    """A text as UTF-8. What is no UTF-8, as names of files may be, is escaped as in JSON."""
+    return lambda file: file.write(content.encode(errors="backslashreplace"))
+
+
+def write_together(files: Mapping[Path, Write]) -> None:
+    """Write several files: each appears whole, and none before all are on disk. Folders are not made.
+
+    Raises:
+        OSError: one cannot be written; what was there before is as it was.
+    """
+    hidden: dict[Path, Path] = {}
+    try:
+        for path, write in files.items():
+            hidden[path] = _hidden_path(path)
+            _write(hidden[path], write)
+        appear(hidden)
+    except BaseException:
+        for temporary in hidden.values():
+            temporary.unlink(missing_ok=True)
+        raise
+
+
+def appear(hidden: Mapping[Path, Path]) -> None:
+    """Rename files that are whole: path → where it was written."""
+    for path, temporary in hidden.items():
+        os.replace(temporary, path)
+    for folder in {path.parent for path in hidden}:
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def write_hidden(table: pa.Table, path: Path) -> tuple[Path, str]:
+    """Write a table beside its place; returns where it is, for :func:`appear`, and its digest."""
+    path.parent.mkdir(exist_ok=True)
+    temporary = _hidden_path(path)
+    try:
+        return temporary, _write(temporary, parquet(table))
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_all_hidden(tables: Mapping[Path, pa.Table]) -> dict[Path, tuple[Path, str]]:
+    """As :func:`write_hidden`, many tables at the same time: path → where it is, and its digest.
+
+    Raises:
+        OSError: one cannot be written; then none is left.
+    """
+    with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-write") as pool:
+        writing = {path: pool.submit(write_hidden, table, path) for path, table in tables.items()}
+    try:
+        return {path: future.result() for path, future in writing.items()}
+    except BaseException:
+        for future in writing.values():
+            if future.exception() is None:
+                future.result()[0].unlink(missing_ok=True)
+        raise
+
+
+def write_table(table: pa.Table, path: Path) -> str:
+    """Write one Parquet file so that it appears whole or not at all; returns its digest. The run's folder is never made
+    anew."""
+    path.parent.mkdir(exist_ok=True)
+    return _write_whole(path, parquet(table))
+
+
+def write_text(content: str, path: Path) -> None:
+    """Write one text file so that it appears whole or not at all; as :func:`text`."""
+    _write_whole(path, text(content))
+
+
+def copy_file(source: Path, path: Path) -> str:
+    """Copy one file so that it appears whole or not at all; returns its digest."""
+    path.parent.mkdir(exist_ok=True)
+    with source.open("rb") as original:
+        return _write_whole(path, lambda file: shutil.copyfileobj(original, file))
+
+
+def digest_of(stream: BinaryIO) -> str:
+    """Hexadecimal digest (BLAKE2b) of what a file has from here on: a gigabyte a second."""
+    digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+    while block := stream.read(_BLOCK):
+        digest.update(block)
+    return digest.hexdigest()
+
+
+def holds_run(folder: Path) -> bool:
+    """Whether a folder has a run, or parts of one. Its plans alone do not count: they come before ``run.json``."""
+    tables = (table for table in TABLES if table not in ("plans", "placements"))
+    return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
+
+
+def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False) -> None:
+    """Check that a run may write into a folder. Nothing is changed.
+
+    Args:
+        overwrite: a run that is there is to be replaced.
+        resume: it is to go on.
+
+    Raises:
+        InputError: the folder has a run, and neither is set; or it has a file, folder or link with a name of a run's
+            files that is none of petmjx's own.
+    """
+    parts = {file: table for table in TABLES for file in part_files(folder, table)}
+    hidden = [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
+    listed: Collection[Path] = ()
+
+    def is_ours(file: Path) -> bool:
+        if file.name == RUN_FILE:
+            return resume or _listed_parts(file) is not None  # of one that goes on its reader says what is wrong
+        return file in hidden or file in listed or _is_part_of(parts[file], file)
+
+    def check(*files: Path) -> None:
+        check_outputs(files, overwrite=True, folder=folder, is_ours=is_ours)
+
+    # also the folders that are to be made: a path within them is looked at from the top
+    check(folder / RUN_FILE, *(folder / table / "x" for table in TABLES))
+    listed = _listed_parts(folder / RUN_FILE) or ()
+    check(*parts, *hidden)
+    if holds_run(folder) and not overwrite and not (resume and (folder / RUN_FILE).exists()):
+        content = "a run already"
+        if not (folder / RUN_FILE).exists():
+            content = f"tables of a run without its {RUN_FILE}, so that it cannot be resumed"
+        out, replace = option("--out"), option("--overwrite", "True")
+        raise InputError(f"{folder}: holds {content}; name another folder with {out}, or pass {replace}")
+
+
+def _listed_parts(run_file: Path) -> frozenset[Path] | None:
+    """The files that a ``run.json`` lists; None: it is not there, or petmjx did not write it."""
+    try:
+        tables = json.loads(read_regular(run_file, MOST_RUN_FILE_BYTES))["parts"]
+        return frozenset(run_file.parent / table / name for table, names in tables.items() for name in names)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return None
+
+
+def _is_part_of(table: str, file: Path) -> bool:
+    """Whether a file is a part of a table of a run, whichever: it says so itself."""
+    try:
+        with open_for_arrow(file) as stream:
+            metadata = pq.read_schema(stream).metadata or {}
+    except (OSError, ValueError, pa.ArrowException):
+        return False
+    return metadata.get(b"table") == table.encode() and b"schema_version" in metadata
+
+
+def make_room(folder: Path) -> None:
+    """Delete the files of the run that a folder has, and no others; :func:`check_run_folder` was asked.
+
+    ``run.json`` is deleted first: after a crash the folder then has no run, instead of a run without some parts.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
+    if holds_run(folder):
+        (folder / RUN_FILE).unlink(missing_ok=True)
+        for file in (file for table in TABLES for file in part_files(folder, table)):
+            file.unlink()
+
+
+def tidy(folder: Path) -> None:
+    """Take away the temporary files that killed runs have left; :func:`check_run_folder` was asked."""
+    for place in (folder, *(folder / table for table in TABLES)):
+        for file in _own_files(place, _HIDDEN):
+            file.unlink()
+
+
+def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
+    """Take away the parts that a kill has left.
+
+    Args:
+        kept: table → files that stay.
+    """
+    for table in TABLES:
+        files = kept(table)
+        for file in part_files(folder, table):
+            if file not in files:
+                file.unlink()
+
+
+def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
+    """The files of a folder, if it is one, with names of petmjx's own."""
+    return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
+
+
+def _hidden_path(path: Path) -> Path:
+    """Where a file is written before it takes its place."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
+
+
+def _write(path: Path, write: Write) -> str:
+    """Write a new file and bring it to disk; returns its digest."""
+    # a name that nobody knows, and never a file that is there already: nothing can be planted in its place
+    how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    with open(os.open(path, how, 0o666), "w+b") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+        file.seek(0)
+        return digest_of(file)
+
+
+def _write_whole(path: Path, write: Write) -> str:
+    temporary = _hidden_path(path)
+    try:
+        digest = _write(temporary, write)
+        appear({path: temporary})
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    return digest

@@ -1,0 +1,214 @@
+"""What a run is: the settings and plans that its results depend on, and how two runs differ in them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+import pyarrow as pa
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable, printable_name, shortened_text
+from petmjx.common.units import mm_to_m
+from petmjx.options.run_options import ALL
+from petmjx.plans.order_matching import PlanOrderCounts
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import SPARSE
+from petmjx.results.run_file import check_whole
+from petmjx.results.run_folder import RUN_FILE
+from petmjx.results.run_tables import Parts
+from petmjx.results.schema import plans_schema
+
+DIGEST_BYTES: Final = 8
+"""Of one plan's digest; 2^64 values make two of a million plans equal by chance once in 30 million such runs."""
+
+MOST_NAMED: Final = 4
+"""Differences that a message names; of more it says how many there are."""
+
+
+def plan_digest(plan: Plan) -> str:
+    """Hexadecimal digest (BLAKE2b) of everything in a plan that reaches the results."""
+    digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
+    digest.update(repr((plan.plan_id, plan.item_ids, plan.articles)).encode("utf-8", "backslashreplace"))
+    for values in (plan.size_mm, plan.corner_mm, plan.mass_kg, plan.sequence):
+        digest.update(values.tobytes())
+    if plan.materials:
+        digest.update(repr(plan.materials).encode("utf-8", "backslashreplace"))
+    if plan.mass_center_mm is not None:
+        digest.update(plan.mass_center_mm.tobytes())
+    for name, field in SPARSE.items():
+        if field.reaches_results and (values := getattr(plan, name)) is not None:
+            digest.update(name.encode() + values.tobytes())
+    if plan.kinds:
+        digest.update(repr(("kinds", plan.kinds)).encode())
+    return digest.hexdigest()
+
+
+class PlanRecord(NamedTuple):
+    """What a run says of a plan.
+
+    Attributes:
+        digest: of everything in it that reaches the results.
+        source: the file it came from.
+        volume_m3: of its boxes.
+        extent_x_m, extent_y_m: of its bounding box.
+        height_m: height of its highest box above the carrier.
+        number: which of the plans given it is, counting those that were skipped; None: not known.
+    """
+
+    digest: str
+    source: str
+    volume_m3: float
+    extent_x_m: float
+    extent_y_m: float
+    height_m: float
+    number: int | None = None
+
+    @classmethod
+    def of(cls, plan: Plan, number: int | None = None) -> PlanRecord:
+        """The record of a plan."""
+        size, low = mm_to_m(plan.size_mm), mm_to_m(plan.corner_mm)
+        high = low + size
+        extent_x, extent_y, _ = (high.max(axis=0) - low.min(axis=0)).tolist()
+        volume, height = float(size.prod(axis=1).sum()), float(high[:, 2].max())
+        return cls(plan_digest(plan), plan.source, volume, extent_x, extent_y, height, number)
+
+
+def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) -> dict[str, PlanRecord]:
+    """The records of plans by id, in the order given.
+
+    Args:
+        numbers: plan id → which of the plans given it is; None: all are there.
+    """
+    numbers = numbers or {plan.plan_id: number for number, plan in enumerate(plans)}
+    return {plan.plan_id: PlanRecord.of(plan, numbers.get(plan.plan_id)) for plan in plans}
+
+
+@dataclass(frozen=True, eq=False)
+class Manifest:
+    """The identity of a run. Two runs of one identity have the same results.
+
+    Attributes:
+        settings: JSON-like: command, simulation, sweep, engine, shard.
+        plans: all plans by id, also those of other shards, in the order given.
+        placements: makes the table ``placements`` of the run's own plans; None: it keeps none.
+    """
+
+    settings: Mapping[str, Any]
+    plans: Mapping[str, PlanRecord]
+    placements: Callable[[], pa.Table | None] = lambda: None
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """As it stands in ``run.json``. The digest does not depend on the order of plans."""
+        lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
+        digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
+        return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
+
+    def table(self, ordered: Mapping[str, PlanOrderCounts] | None = None) -> pa.Table:
+        """The table ``plans``.
+
+        Args:
+            ordered: plan id → how it compares with its order; None: no columns about orders.
+        """
+        columns: dict[str, Sequence[Any]] = {
+            "plan_id": list(self.plans),
+            **{name: [getattr(record, name) for record in self.plans.values()] for name in PlanRecord._fields},
+        }
+        if ordered is not None:
+            rows = [ordered.get(plan_id) for plan_id in self.plans]
+            columns |= {name: [row and getattr(row, name) for row in rows] for name in PlanOrderCounts._fields}
+        schema = plans_schema(ordered is not None)
+        arrays = [pa.array(columns[column.name], column.type) for column in schema]
+        return pa.Table.from_arrays(arrays, schema=schema)
+
+    @classmethod
+    def read(cls, parts: Parts, info: Mapping[str, Any]) -> Manifest:
+        """The manifest of a run, from its tables and its ``run.json``.
+
+        Raises:
+            InputError: it has none, or it is damaged.
+        """
+        folder, files = parts.folder, parts.files("plans")
+        if "identity" not in info or not files:
+            raise InputError(f"{folder}: the run does not list its plans")
+        check_whole(info, folder / RUN_FILE)
+        plans: dict[str, PlanRecord] = {}
+        for file in files:
+            table = parts.read(file, ("plan_id", *PlanRecord._fields)).to_pydict()
+            records = zip(*(table[name] for name in PlanRecord._fields), strict=True)
+            plans |= zip(table["plan_id"], map(PlanRecord._make, records), strict=True)
+        return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
+
+    def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
+        """What differs from another manifest, in a line; empty where nothing does.
+
+        Args:
+            without: settings that may differ.
+        """
+        settings = {name: value for name, value in _settings_of_command(self.settings).items() if name not in without}
+        differences = [
+            *_setting_differences(_settings_of_command(earlier.settings), settings, ""),
+            *self._plan_differences(earlier),
+        ]
+        differences = [difference for difference in differences if difference.partition(" ")[0] not in without]
+        more = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
+        return "; ".join([*differences[:MOST_NAMED], *more])
+
+    def _plan_differences(self, earlier: Manifest) -> Iterator[str]:
+        for plan_id, record in self.plans.items():
+            if plan_id in earlier.plans and earlier.plans[plan_id].digest != record.digest:
+                yield f"plan {printable_name(plan_id)} differs"
+        new = len(self.plans.keys() - earlier.plans.keys())
+        gone = len(earlier.plans.keys() - self.plans.keys())
+        if new:
+            yield f"{count_text(new, 'plan')} more"
+        if gone:
+            yield f"{count_text(gone, 'plan')} fewer"
+
+
+_NOTHING: Final = object()
+
+
+def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Settings with the names of the command: the sweep of a score is its number of worlds and its errors. Entries
+    that are only written if the option is on count as false otherwise."""
+    settings = {"force_intervals": False, "keep": ALL, **settings}
+    sweep = settings.get("sweep")
+    if settings.get("command") != "score" or not isinstance(sweep, Mapping):
+        return settings
+    errors = {name: value for name, value in sweep.items() if name != "replicates"}
+    others = {name: value for name, value in settings.items() if name != "sweep"}
+    return {**others, "confidence": sweep.get("replicates"), "errors": errors}
+
+
+def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:
+    """ "simulation.schedule is fixed, was adaptive", for every value that differs."""
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for name in dict.fromkeys((*was, *now)):
+            if name == "errors" and not path and not (name in was and name in now):
+                continue  # only one of them has confidence, which is said
+            inner = f"{path}.{name}" if path else str(name)
+            yield from _setting_differences(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
+    elif _are_tables(was) and _are_tables(now) and len(was) == len(now):
+        for number, (before, after) in enumerate(zip(was, now, strict=True)):
+            yield from _setting_differences(before, after, f"{path}[{number}]")
+    elif was != now:
+        yield f"{path} is {_setting_text(now)}, was {_setting_text(was)}"
+
+
+def _are_tables(value: Any) -> bool:
+    """Whether a value is a list of tables, such as the boards of a carrier."""
+    return isinstance(value, list) and all(isinstance(entry, Mapping) for entry in value)
+
+
+def _setting_text(value: Any) -> str:
+    if value is _NOTHING or value is None:
+        return "none"
+    if _are_tables(value) and value:
+        return count_text(len(value), "table")
+    if isinstance(value, Mapping) and "name" in value:
+        return printable_name(str(value["name"]))
+    return shortened_text(printable(str(value)))

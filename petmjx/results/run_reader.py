@@ -1,0 +1,359 @@
+"""Single worlds in a run's tables, without reading the rest.
+
+Reads a run's folder into pandas data frames. The files in it: petmjx.results.run_folder.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tempfile
+import weakref
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from petmjx.common.argument_checks import path_of
+from petmjx.common.errors import InputError, PetmjxError
+from petmjx.common.safe_read import read_regular
+from petmjx.common.text import count_text, one_line
+from petmjx.engines.metrics import BoxMetrics, box_metrics, world_metrics
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.carriers import Carrier, OwnCarrier
+from petmjx.options.run_options import WORLDS
+from petmjx.options.simulation import Simulation
+from petmjx.plans.order_matching import PlanOrderCounts
+from petmjx.plans.plan import Plan
+from petmjx.results.memory_tables import MemoryParts
+from petmjx.results.notebook_tables import worlds_as_html
+from petmjx.results.placement_table import PLACEMENTS, placements_table
+from petmjx.results.plan_order import PlanOrder
+from petmjx.results.run_file import check_run_file, write_run_file
+from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
+from petmjx.results.run_tables import LISTED, Parts
+from petmjx.results.schema import check_version, data_frame, placements_schema, plans_schema, schemas
+from petmjx.results.table_files import Tables
+
+_NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
+"""Table → the table whose parts of the same numbers say which worlds it has; ``worlds`` for all others."""
+
+
+def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
+    """A world's row of ``worlds``, column → value, null as None; None where there is no such world."""
+    rows = rows_of(run, "worlds", plan_id, variant)
+    return None if rows is None else dict(rows.to_pylist()[0])
+
+
+def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
+    """A world's outcome, as far as the tables have it; None where there is no such world.
+
+    Values of boxes that were never placed are NaN, and measured ones have the precision of the table ``boxes``.
+    """
+    row = world_row(run, plan_id, variant)
+    boxes = rows_of(run, "boxes", plan_id, variant)
+    if row is None or boxes is None:
+        return None
+    table = boxes.sort_by("box")
+    values: dict[str, Any] = {}
+    for metric in box_metrics():
+        column_names = [name for name in metric.columns if name in table.column_names]
+        columns = [table[name].to_numpy().astype(np.float64) for name in column_names] or [np.full(len(table), np.nan)]
+        values[metric.attribute] = np.stack(columns, axis=1) if len(columns) > 1 else columns[0]
+    values["dropped"] = values["dropped"] > 0
+    cells: dict[str, Any] = {name: row[name] for name in ("n_boxes", "n_placed", "solver", "attempt")}
+    for of_world in world_metrics():
+        value = row.get(of_world.name)  # a run of an earlier version may not have it
+        nothing = -1 if of_world.numbers else math.nan
+        cells[of_world.name] = nothing if value is None else value
+    return Outcome(
+        job=0,
+        verdict=Verdict(row["verdict"]),
+        reason=Reason(row["reason"]),
+        culprit=-1 if row["culprit"] is None else row["culprit"],
+        flags=Flag(row["flags"]),
+        boxes=BoxMetrics(**values),
+        **cells,
+    )
+
+
+def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
+    """A world's rows of a table of a run; None where it has none.
+
+    Raises:
+        InputError: a damaged or missing part.
+    """
+    of_table = {file.name: file for file in run.parts.files(table)}
+    for file in run.parts.files(_NAMES_WORLDS.get(table, "worlds")):
+        if len(_rows_of_one_world(run.parts.read(file, ("plan_id", "variant")), plan_id, variant)):
+            table_file = of_table.get(file.name)  # parts with the same number belong together
+            rows = None if table_file is None else _rows_of_one_world(run.parts.read(table_file), plan_id, variant)
+            return rows if rows is not None and len(rows) else None
+    return None
+
+
+def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """The rows of some worlds in a table of a run, part by part: the rest is never in memory.
+
+    Args:
+        worlds: ``plan_id`` and ``variant`` of each.
+        columns: of the table.
+
+    Raises:
+        InputError: a damaged or missing part.
+    """
+    plan_ids = pa.array(worlds["plan_id"].unique(), pa.string())
+
+    def keys(plan_id: pa.Array, variant: pa.Array) -> NDArray[np.int64]:
+        place = np.asarray(pc.fill_null(pc.index_in(plan_id, value_set=plan_ids), -1), dtype=np.int64)
+        return np.where(place < 0, -1, (place << 32) + np.asarray(variant, dtype=np.int64))
+
+    world_keys = keys(pa.array(worlds["plan_id"], pa.string()), pa.array(worlds["variant"], pa.int32()))
+    part_rows = []
+    for file in run.parts.files(table):
+        part = run.parts.read(file, ("plan_id", "variant"))
+        rows = np.flatnonzero(np.isin(keys(part["plan_id"], part["variant"]), world_keys))
+        if len(rows):
+            part_rows.append(run.parts.read(file, columns).take(rows))
+    none = schemas()[table].empty_table().select([name for name in columns if name in schemas()[table].names])
+    return data_frame(pa.concat_tables(part_rows or [none], promote_options="default"))
+
+
+def _rows_of_one_world(part: pa.Table, plan_id: str, variant: int) -> pa.Table:
+    """The rows of one world."""
+    return part.filter(pc.and_(pc.equal(part["plan_id"], plan_id), pc.equal(part["variant"], variant)))
+
+
+FINISHED: Final = "finished"
+"""The status of a run that came to its end."""
+
+
+@dataclass(frozen=True, eq=False)
+class RunResults:
+    """The results of a run. Tables are read when they are first used.
+
+    Attributes:
+        parts: the files of the tables, for reading some columns only.
+        info: ``run.json``.
+        held: the plans by id, if they were given as objects instead of files.
+    """
+
+    parts: Parts
+    info: dict[str, Any]
+    held: Mapping[str, Plan] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        counts = self.info.get("counts", {})
+        noun = "world" if self._varied else "plan"
+        verdicts = ", ".join(f"{counts.get(verdict.value, 0):,} {verdict.value}" for verdict in Verdict)
+        status = self.unfinished or FINISHED
+        return f"RunResults({self.where}: {count_text(counts.get('worlds', 0), noun)}, {verdicts}; {status})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: one line about the run, and its first worlds."""
+        return worlds_as_html(repr(self), self.worlds)
+
+    @property
+    def where(self) -> str:
+        """The run's folder, or that it has none."""
+        return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
+
+    @property
+    def unfinished(self) -> str | None:
+        """How an unfinished run ended, such as ``interrupted``; then worlds are missing. None if it finished."""
+        status = str(self.info.get("status", "unknown"))
+        return None if status == FINISHED else status
+
+    @property
+    def carrier(self) -> Carrier | OwnCarrier:
+        """What the boxes stood on; ``footprint`` if the run names no known carrier."""
+        settings = self.info.get("config", {}).get("simulation", {})
+        try:
+            return Simulation.read({"carrier": settings["carrier"]}).carrier
+        except (InputError, KeyError, TypeError):
+            return Carrier.FOOTPRINT
+
+    def doubts(self, name: str) -> list[str]:
+        """A line that calls the run ``name`` if it is not finished; else an empty list."""
+        return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
+
+    @cached_property
+    def path(self) -> Path:
+        """The run's folder. Results in memory are first written to a temporary folder, which is removed with this
+        object.
+
+        Raises:
+            PetmjxError: that one cannot be written.
+        """
+        if not isinstance(self.parts, MemoryParts):
+            return self.parts.folder
+        try:
+            temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
+            weakref.finalize(self, temporary.cleanup)
+            written = Parts(Path(temporary.name), {})
+            written.add(self.parts.write(written.folder))
+            if self.held and (placements := placements_table(self.held.values())) is not None:
+                written.add(Tables(written.folder).files_of(0, [(PLACEMENTS, placements)]))
+            write_run_file(self.info | {LISTED: written.digests}, written.folder)
+        except OSError as error:
+            raise PetmjxError(f"{tempfile.gettempdir()}: cannot write results: {error.strerror or error}") from error
+        self.info.update(read_info(written.folder))
+        return written.folder
+
+    @cached_property
+    def worlds(self) -> pd.DataFrame:
+        """One row per world, in the order in which plans were given. ``culprit`` is a nullable integer; other missing
+        numbers are NaN.
+
+        Of a score without ``confidence`` the index is the number of the plan: ``worlds.verdict[k]`` is plan k, and a
+        KeyError where that has no row: it was skipped, belongs to another shard, or the run did not come to it.
+        """
+        frame = self._read("worlds")
+        frame["culprit"] = frame["culprit"].astype("Int32")
+        if not self._varied:
+            frame.index = self._given.index(frame["plan_id"])
+        return frame
+
+    @cached_property
+    def skipped(self) -> pd.DataFrame:
+        """What was not simulated, and why: ``number`` (of the plan, as in ``plans``; null for other entries, such as a
+        damaged file), ``plan_id``, ``source``, ``error``."""
+        columns = ["number", "plan_id", "source", "error"]
+        frame = pd.DataFrame(self.info.get("skipped", []), columns=columns)
+        return frame.astype({"number": "Int32"} | dict.fromkeys(columns[1:], "str"))
+
+    @cached_property
+    def boxes(self) -> pd.DataFrame:
+        """One row per box of each world, in packing order.
+
+        Raises:
+            InputError: the run kept none.
+        """
+        if not self.keeps_boxes:
+            raise InputError(f"{self.where}: the run kept no boxes (keep {WORLDS})")
+        return self._read("boxes")
+
+    @property
+    def boxes_if_kept(self) -> pd.DataFrame:
+        """As ``boxes``; without rows where the run kept none."""
+        return self.boxes if self.keeps_boxes else self._read("boxes")
+
+    @property
+    def keeps_boxes(self) -> bool:
+        """Whether the run kept the table ``boxes``."""
+        return bool(self.info.get("config", {}).get("keep") != WORLDS)
+
+    @cached_property
+    def attempts(self) -> pd.DataFrame:
+        """One row per attempt, for worlds that needed more than one attempt; often empty."""
+        return self._read("attempts")
+
+    @cached_property
+    def histories(self) -> pd.DataFrame:
+        """One row per frame and placed box of each world that was recorded; often empty."""
+        return self._read("histories")
+
+    @cached_property
+    def frames(self) -> pd.DataFrame:
+        """One row per frame of each world that was recorded: the carrier, and what shook it."""
+        return self._read("frames")
+
+    @cached_property
+    def contacts(self) -> pd.DataFrame:
+        """One row per contact of each frame, for worlds that were recorded with details."""
+        return self._read("contacts")
+
+    @cached_property
+    def plans(self) -> pd.DataFrame:
+        """One row per plan, also those of other shards, in the order in which they were given. Missing counts are
+        null."""
+        parts = self.parts.table("plans")
+        frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
+        return frame.astype({name: "Int32" for name in frame.columns if name in ("number", *PlanOrderCounts._fields)})
+
+    @cached_property
+    def placements(self) -> pd.DataFrame:
+        """One row per box of the plans that were simulated, with all that they say of it. Runs in memory have none:
+        they have the plans, or the files."""
+        parts = self.parts.table(PLACEMENTS)
+        frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
+        return frame
+
+    @cached_property
+    def summary(self) -> pd.DataFrame | None:
+        """The answers of a sweep or of a score with confidence; None if the run has none."""
+        parts = self.parts.table("summary")
+        return pa.concat_tables(parts).to_pandas() if parts else None
+
+    def units(self, table: str) -> dict[str, str]:
+        """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty if the run has no such table."""
+        files = self.parts.files(table)
+        schema = self.parts.read(files[0]).schema if files else pa.schema([])
+        return {column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema}
+
+    @property
+    def _varied(self) -> bool:
+        """Whether a plan may have several worlds."""
+        config = self.info.get("config", {})
+        return config.get("command") == "sweep" or "sweep" in config
+
+    @cached_property
+    def _given(self) -> PlanOrder:
+        return PlanOrder.of(self.parts)
+
+    def _read(self, table: str) -> pd.DataFrame:
+        parts = self.parts.table(table) or [schemas()[table].empty_table()]
+        return data_frame(self._given.ordered(pa.concat_tables(parts, promote_options="default")))
+
+
+def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunResults:
+    """Open the folder of a run.
+
+    Args:
+        held: its plans by id, if they are in no file.
+
+    Raises:
+        InputError: there is no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. The tables raise
+            it too when they are read, for a damaged or missing part.
+    """
+    folder = path_of(path, "path")
+    info = read_info(folder)
+    return RunResults(Parts.of(folder, info), info, held or {})
+
+
+def read_info(folder: Path) -> dict[str, Any]:
+    """``run.json`` as it stands there.
+
+    Raises:
+        InputError: no run there, an unreadable or damaged ``run.json``, or results of a newer petmjx.
+    """
+    file = folder / RUN_FILE
+    try:
+        info = json.loads(read_regular(file, MOST_RUN_FILE_BYTES).decode())
+    except (FileNotFoundError, NotADirectoryError):
+        fault = "not a folder" if folder.exists() else "no such folder"
+        fault = "no run of petmjx there (it has no run.json)" if folder.is_dir() else fault
+        raise InputError(f"{folder}: {fault}") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{file}: cannot be read: {one_line(error)}") from error
+    if not isinstance(info, dict) or not isinstance(info.get("schema_version"), int):
+        raise InputError(f"{file}: not written by petmjx (it names no schema_version)")
+    check_version(file, info["schema_version"])
+    if LISTED not in info:
+        raise InputError(f"{file}: written by petmjx before 0.2, which did not list a run's files: simulate it again")
+    check_run_file(info, file)
+    return info
+
+
+def split_warnings(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """The warnings of a ``run.json``: about the whole run, and a line for each odd plan. The latter come last."""
+    warnings = list(info.get("warnings", []))
+    first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
+    return warnings[:first_odd], warnings[first_odd:]

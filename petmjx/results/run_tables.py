@@ -1,0 +1,223 @@
+"""The files of a run's tables: which of them count, and whether they are still what the run wrote."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Self
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.safe_read import (
+    OversizedFile,
+    allowed_bytes,
+    decoded_bytes,
+    open_for_arrow,
+    open_regular,
+    read_within,
+    size,
+)
+from petmjx.results.run_folder import MOST_AT_ONCE, OF_WORLDS, digest_of, part_name, part_number
+from petmjx.results.schema import check_version, schema_version_of
+
+LISTED: Final = "parts"
+"""Entry of ``run.json``: table → file name → digest. Files that are not listed there were left by a killed run,
+and are not read."""
+
+
+FREE_BYTES: Final = 256 << 20
+"""Tables of a run may take so many bytes in memory, or as many times their size on disk as other files may: boxes at
+rest, and columns without a value, are packed to a hundredth."""
+
+MOST_TABLE_BYTES: Final = 1 << 40
+"""The machine's memory is the bound of large runs, of which a table is in memory at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The files of a run's tables. Each is checked once, when it is first read.
+
+    Attributes:
+        folder: the run's.
+        digests: table → file name → digest.
+    """
+
+    folder: Path
+    digests: dict[str, dict[str, str]]
+    _checked: set[Path] = field(default_factory=set, repr=False)
+
+    @classmethod
+    def of(cls, folder: Path, info: Mapping[str, Any]) -> Self:
+        """The files of the run in a folder, with its ``run.json``."""
+        return cls(folder, info[LISTED])
+
+    def files(self, table: str) -> list[Path]:
+        """The files of a table, in order; they need not be there."""
+        return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
+
+    def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+        """One of these files, or some of its columns.
+
+        Raises:
+            InputError: missing, not what the run wrote, without one of the columns, or of a newer petmjx.
+        """
+        self.check(file)
+        return read_part(file, columns)
+
+    def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
+        """All parts of a table, read at the same time; as :meth:`read`."""
+        files = self.files(table)
+        if len(files) < 2:
+            return [self.read(file, columns) for file in files]
+        self._check_size(files, columns)
+        with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-parts") as pool:
+            return list(pool.map(lambda file: self.read(file, columns), files))
+
+    def _check_size(self, files: Sequence[Path], columns: Sequence[str] | None) -> None:
+        """Check that together files take no more memory than such files may. Raises InputError."""
+        needed = file_bytes = 0
+        for file in files:
+            self.check(file)
+            with open_part(file) as parquet:
+                needed += decoded_bytes(parquet, columns)
+            file_bytes += file.stat().st_size
+        if needed > allowed_bytes(file_bytes, FREE_BYTES, MOST_TABLE_BYTES):
+            raise InputError(f"{files[0].parent}: its rows would take {size(needed)}, too much for files of their size")
+
+    def check_tables(self, tables: Iterable[str]) -> None:
+        """Check all files of tables; as :meth:`check`."""
+        for file in (file for table in tables for file in self.files(table)):
+            self.check(file)
+
+    def add(self, digests: Mapping[Path, str]) -> None:
+        """More files, which were just written, with their digests."""
+        for file, digest in digests.items():
+            self.digests.setdefault(file.parent.name, {})[file.name] = digest
+        self._checked.update(digests)
+
+    def without(self, *tables: str) -> Parts:
+        """The files of all other tables."""
+        kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
+        return Parts(self.folder, kept, set(self._checked))
+
+    def without_numbers(self, numbers: Collection[int]) -> Parts:
+        """The files without parts of worlds of these numbers."""
+        gone = {part_name(number) for number in numbers}
+        kept = {
+            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+            for table, files in self.digests.items()
+        }
+        return Parts(self.folder, kept, set(self._checked))
+
+    def numbered(self, table: str, numbers: Collection[int]) -> list[Path]:
+        """The files of a table's parts of these numbers, where there are such."""
+        return [file for file in self.files(table) if part_number(file) in numbers]
+
+    def with_worlds(self) -> Parts:
+        """The files without those whose part of ``worlds`` was deleted: deleting it means that these worlds are to
+        be simulated again.
+        """
+        gone = {file.name for file in self.files("worlds") if not file.exists()}
+        if not gone or self.files("frames"):  # which histories these worlds have is not known
+            return self
+        kept = {
+            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+            for table, files in self.digests.items()
+        }
+        return Parts(self.folder, kept)
+
+    def lacking_boxes(self) -> list[int]:
+        """Numbers of the parts of ``worlds`` without one of ``boxes``."""
+        have = {part_number(file) for file in self.files("boxes")}
+        return [number for number in map(part_number, self.files("worlds")) if number not in have]
+
+    def next_number(self, *tables: str) -> int:
+        """The number of the next part: no file of these tables has it."""
+        return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
+
+    def check(self, file: Path) -> None:
+        """Check that a file is what the run wrote.
+
+        Raises:
+            InputError: it is not.
+        """
+        if file in self._checked:
+            return
+        if not self.folder.is_dir():
+            raise InputError(f"{self.folder}: the run's folder is gone")
+        expected = self.digests[file.parent.name][file.name]
+        try:
+            with open_regular(file) as stream:
+                digest = digest_of(stream)
+        except FileNotFoundError:
+            raise InputError(f"{file}: missing, though the run wrote it; {self._cure(file)}") from None
+        except OSError as error:
+            raise InputError(f"{file}: damaged part, it cannot be read: {error.strerror or error}") from error
+        if digest != expected:
+            raise InputError(f"{file}: damaged part, it differs from what the run wrote; {self._cure(file)}")
+        self._checked.add(file)
+
+    def _cure(self, file: Path) -> str:
+        """How to repair a run that lacks a file."""
+        if file.parent.name == "summary":
+            return f"use {option('--resume', 'True')} to make it again"
+        if file.parent.name not in OF_WORLDS or self.files("frames"):
+            return f"simulate the run again, with {option('--overwrite', 'True')}"
+        worlds = self.folder / "worlds" / file.name
+        delete = f"delete {worlds} and " if file != worlds or file.exists() else ""
+        return f"{delete}use {option('--resume', 'True')} to simulate its worlds again"
+
+
+def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """One Parquet file, or some of its columns.
+
+    Raises:
+        InputError: missing, damaged, without one of the columns, or of a newer petmjx.
+    """
+    with open_part(file) as parquet:
+        schema = parquet.schema_arrow
+        check_version(file, schema_version_of(schema.metadata))
+        for name in columns or ():
+            if name not in schema.names:
+                raise InputError(f"{file}: damaged part, it has no column {name}")
+    try:
+        with open_for_arrow(file) as stream:
+            return read_within(stream, columns, free=FREE_BYTES, most=MOST_TABLE_BYTES)
+    except OversizedFile as error:
+        raise InputError(f"{file}: damaged part, {error}") from error
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error
+
+
+def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:
+    """Some columns of a part; None: all.
+
+    Raises:
+        InputError: it lacks one.
+    """
+    for name in columns or ():
+        if name not in table.column_names:
+            raise InputError(f"{file}: damaged part, it has no column {name}")
+    return table if columns is None else table.select(list(columns))
+
+
+@contextlib.contextmanager
+def open_part(file: Path) -> Iterator[pq.ParquetFile]:
+    """A part, in whatever folder.
+
+    Raises:
+        InputError: missing, or not a whole Parquet file.
+    """
+    try:
+        with open_for_arrow(file) as stream, pq.ParquetFile(stream) as parquet:
+            yield parquet
+    except FileNotFoundError:
+        raise InputError(f"{file}: missing, though the worlds of this part are there") from None
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error

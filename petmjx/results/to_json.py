@@ -1,0 +1,34 @@
+"""Values as plain JSON values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from enum import Enum
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+
+def to_json(value: Any) -> Any:
+    """The value as plain JSON values.
+
+    NumPy scalars, enums and tuples are unpacked, a data frame becomes a list of rows, a path becomes text. Missing and
+    non-finite numbers become None.
+    """
+    if isinstance(value, Mapping):
+        return {str(to_json(key)): to_json(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [to_json(item) for item in value]
+    if isinstance(value, pd.DataFrame):
+        return to_json(value.to_dict("records"))
+    if isinstance(value, np.ndarray | np.generic):
+        return to_json(value.tolist())
+    if isinstance(value, Enum):
+        return to_json(value.value)
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or value is pd.NA:
+        return None
+    return value if isinstance(value, bool | int | str) else str(value)

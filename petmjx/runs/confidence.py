@@ -1,0 +1,198 @@
+"""How sure a score is: the share of worlds that stand with the errors of a stated robot and its cartons.
+
+It is a sweep of single errors with replicates and the nominal world, with a summary of its own. Users read about it in
+docs/confidence.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from petmjx.common.errors import InputError
+from petmjx.engines.metrics import DIMENSIONLESS
+from petmjx.engines.verdict import Flag, Verdict
+from petmjx.options.placing import Way
+from petmjx.results.run_tables import Parts
+from petmjx.results.run_writer import RunWriter
+from petmjx.results.schema import summary_table
+from petmjx.results.shares import ONE_PLAN, PairedCounts, holm, mcnemar_p, share_standing
+from petmjx.runs.sweep_axes import Axis
+from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep
+from petmjx.world.variants import Distribution
+
+READY_MADE: Final = "confidence"
+"""The sweep file with the errors of a common robot and of corrugated cartons."""
+
+EVEN: Final = 0.5
+
+SIGNIFICANCE: Final = 0.05
+"""Chance of at least one false alarm among all plans of a run whose shares do not depend on how boxes are placed."""
+
+PLACING: Final = "placing"
+"""The axis, and the column of worlds, that says how boxes with errors were placed."""
+
+_DESCRIPTIONS: Final = {
+    "plan_id": "id of the packing plan",
+    "verdict": "of the nominal world, without errors",
+    "reason": "why the nominal world is not stable; empty where it is",
+    "margin": "of the nominal world; null where it is invalid",
+    "n_worlds": "worlds with errors",
+    "n_standing": "worlds with errors that are stable",
+    "n_not_placed": "worlds with errors that are unstable, and in which a box could not be placed before anything "
+    "failed: the hand found no room for it",
+    "n_fell": "worlds with errors that are unstable though every box was placed",
+    "n_invalid": "worlds with errors that have no verdict; not in the share",
+    "share": "stable worlds / worlds with a verdict; null where there is none",
+    "low": "lower end of the share's Wilson 95 % interval",
+    "high": "upper end of it",
+    "coin_toss": "whether the interval contains one half: it is open whether the pallet stands more often than "
+    "it falls",
+}
+
+_OF_BOTH: Final = {
+    "n_standing_exact": "of the same worlds with boxes that appear at their places: those that are stable",
+    "share_exact": "stable worlds / worlds with a verdict, with boxes that appear; null where there is none",
+    "only_carried": "draws with which the world stands if boxes are carried, and does not if they appear",
+    "only_exact": "draws with which it is the other way round",
+    "p_value": "of McNemar's exact test (two-sided) that both numbers are equal but for chance, corrected for the "
+    "number of plans by Holm's method",
+    "placing_matters": f"whether that is below {SIGNIFICANCE:g}: the two shares differ beyond chance",
+}
+"""Columns of a run whose worlds with errors were placed both ways."""
+
+_TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing_matters"})
+"""Columns that are no numbers."""
+
+
+def confidence_sweep(
+    n_worlds: int, errors: Path | None, simulation: Mapping[str, Any], *, exact_too: bool = False
+) -> Sweep:
+    """The sweep that asks how sure the scores of plans are.
+
+    Args:
+        n_worlds: worlds with errors for each plan, beside the nominal one.
+        errors: a sweep file of errors, or the name of a ready-made one; None: ``READY_MADE``.
+        simulation: fields of ``Simulation`` that replace those of the file.
+        exact_too: as of ``petmjx.options.run_options.Confidence``: each world with errors is there twice.
+
+    Raises:
+        InputError: an unusable file, or one that has more than single errors; or ``exact_too`` where boxes are not
+            carried.
+    """
+    error_sweep = load_sweep(find_sweep(errors or READY_MADE), plans_given=True, simulation=simulation)
+    wrong = _error_sweep_fault(error_sweep)
+    if wrong:
+        raise InputError(f"{error_sweep.file}: {wrong}")
+    axes = error_sweep.axes
+    if exact_too:
+        carried = error_sweep.simulation.placing.for_errors
+        if not (error_sweep.simulation.may_carry and carried.carries):
+            raise InputError("exact_too compares with boxes that are carried: it needs placing auto, hand or tines")
+        axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
+    return error_sweep.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})
+
+
+def _error_sweep_fault(sweep: Sweep) -> str:
+    """The line about something that a file of errors may not have; empty if there is nothing wrong."""
+    if sweep.search is not None:
+        return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
+    if sweep.profiles:
+        return "axes.profile contradicts confidence, which is about pallets at rest: use petmjx sweep"
+    if sweep.sample is not None:
+        return 'mode = "sample" contradicts confidence, which draws every world from the same errors'
+    for name, axis in sweep.axes.items():
+        if not isinstance(axis.values[0], Distribution):
+            return f"axes.{name} contradicts confidence: it is not an error, but the same in every world"
+        if len(axis.values) > 1:
+            return f"axes.{name} must be one error for confidence, got {len(axis.values)}"
+    if not any(axis.random for axis in sweep.axes.values()):
+        return "axes have nothing random: every world would be the same"
+    return ""
+
+
+def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
+    """One row a plan, in the order given: its nominal verdict, and the share that stands with errors.
+
+    Columns: docs/confidence.md.
+
+    Args:
+        parts: of the run, all of them written and in order.
+        both: whether worlds with errors were placed both ways (``exact_too``).
+    """
+    columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
+    columns += [PLACING, "replicate"] if both else []
+    worlds = pa.concat_tables(parts.table("worlds", columns)).to_pandas()
+    nominal = worlds[worlds["variant"] == 0]
+    drawn = worlds[worlds["variant"] > 0]
+    exact = drawn[PLACING] == Way.EXACT.value if both else pd.Series(False, index=drawn.index)
+    summary = nominal.drop(columns=[PLACING, "replicate"] if both else []).merge(
+        _shares(drawn[~exact]).merge(_failures(drawn[~exact]), on="plan_id"), on="plan_id", how="left"
+    )
+    summary["coin_toss"] = (summary["low"] <= EVEN) & (summary["high"] >= EVEN)
+    if not both:
+        return summary[[*_DESCRIPTIONS]]
+    other = _shares(drawn[exact]).rename(columns={"n_standing": "n_standing_exact", "share": "share_exact"})
+    summary = summary.merge(other[["plan_id", "n_standing_exact", "share_exact"]], on="plan_id", how="left")
+    summary = summary.merge(_paired_draws(drawn[~exact], drawn[exact]), on="plan_id", how="left")
+    return summary[[*_DESCRIPTIONS, *_OF_BOTH]]
+
+
+def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
+    """The share of each plan that stands."""
+    shares = share_standing(drawn.assign(draw=drawn["variant"]), ())
+    return shares[shares["scope"] == ONE_PLAN]
+
+
+def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
+    """Of each plan, in how many unstable worlds a box could not be placed, and in how many others boxes fell."""
+    fails = drawn["verdict"].astype(str) == Verdict.UNSTABLE.value
+    missed = (drawn["flags"].to_numpy(np.int64) & int(Flag.NOT_PLACED)) != 0
+    counted = pd.DataFrame({"plan_id": drawn["plan_id"], "n_not_placed": fails & missed, "n_fell": fails & ~missed})
+    return counted.groupby("plan_id", observed=True).sum().reset_index()
+
+
+def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
+    """Of each plan the draws that stand in one way alone, among those with a verdict in both, and the test of them."""
+    both = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
+    one, other = (both[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
+    stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
+    judged = (one != Verdict.INVALID.value) & (other != Verdict.INVALID.value)
+    outcomes = {
+        "both": stands & stands_exact,
+        "only_carried": stands & ~stands_exact,
+        "only_exact": ~stands & stands_exact,
+        "neither": ~stands & ~stands_exact,
+    }
+    counted = pd.DataFrame({"plan_id": both["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
+    pair_counts = counted.groupby("plan_id", observed=True).sum().reset_index()
+    trials = pair_counts[[*outcomes]].astype(int).itertuples(index=False, name=None)
+    pair_counts["p_value"] = holm([mcnemar_p(PairedCounts(*counts)) for counts in trials])
+    pair_counts["placing_matters"] = pair_counts["p_value"] < SIGNIFICANCE
+    return pair_counts.drop(columns=["both", "neither"])
+
+
+def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
+    """Write the table ``summary`` of a run with confidence, whose parts are all written and in order.
+
+    Args:
+        axes: names of the axes of its sweep.
+
+    Raises:
+        PetmjxError: the file cannot be written.
+    """
+    summary = summarise_confidence(writer.parts, both=PLACING in axes)
+    units = {name: DIMENSIONLESS for name in summary if name not in _TEXTS}
+    writer.write_summary(summary_table(summary, units, _DESCRIPTIONS | _OF_BOTH))
+
+
+def contradiction_mask(summary: pd.DataFrame) -> pd.Series[bool]:
+    """For each plan, whether most worlds with errors come out against its nominal verdict, beyond chance."""
+    stands = summary["verdict"] == Verdict.STABLE.value
+    falls = summary["verdict"] == Verdict.UNSTABLE.value
+    return (stands & (summary["high"] < EVEN)) | (falls & (summary["low"] > EVEN))

@@ -1,0 +1,183 @@
+"""The search for the largest level survived, and how a plan failed above it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Thresholds
+
+DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
+
+MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
+"""Reason of an unstable world → how it failed, as in the column ``mode``."""
+
+
+def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
+    """How the first box failed: "slide", "tilt" or "drop".
+
+    "drop" if it dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at the
+    lowest level that fails. There it usually says how the failure began; far above that level, a box that slides also
+    falls. For invalid worlds: the reason; for stable worlds: "".
+    """
+    if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
+        return MODES.get(outcome.reason, str(outcome.reason))
+    boxes, box = outcome.boxes, outcome.culprit
+    if boxes.dropped[box]:
+        return MODES[Reason.DROP]
+    return MODES[Reason.TILT if boxes.max_tilt_deg[box] > tilt_deg else Reason.SHIFT]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a search reads of a world. Its row in ``worlds`` says the same, so that a search can go on from there.
+
+    Attributes:
+        culprit: box that failed first, −1 for none.
+        mode: how it failed: `failure_mode`.
+        moving: whether boxes still moved when its time was up, so that longer waiting may change its verdict.
+        values: columns that the sweep adds to ``worlds``.
+    """
+
+    verdict: Verdict
+    culprit: int = -1
+    mode: str = ""
+    moving: bool = False
+    values: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
+        """Of a world that was simulated; ``tilt_deg``: from where on a box that failed is said to have tilted."""
+        moving = Flag.MOVING in outcome.flags
+        return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
+
+    @classmethod
+    def from_row(cls, row: Mapping[str, Any]) -> Probe:
+        """Of a world's row, column → value, null as None."""
+        culprit = -1 if row["culprit"] is None else int(row["culprit"])
+        return cls(Verdict(row["verdict"]), culprit, row["mode"], bool(row["flags"] & Flag.MOVING), row)
+
+
+@dataclass
+class SearchBracket:
+    """What a search knows about one item: a placement, a profile and a direction.
+
+    Attributes:
+        stands_at_rest: whether it stood before any profile; if not, nothing is tested.
+        survived: index of the largest level survived below every failure; −1: none.
+        failed: index of the smallest level that failed; the number of levels: none; 0 where it does not stand at rest.
+        highest: index of the largest level survived at all.
+        box, mode: which box failed first at ``failed`` (or at rest), −1 for none, and how it failed.
+    """
+
+    stands_at_rest: bool
+    survived: int
+    failed: int
+    highest: int
+    box: int = -1
+    mode: str = ""
+    n_tests: int = 0
+    n_invalid: int = 0
+    n_moving: int = 0
+
+    @property
+    def monotone(self) -> bool:
+        """Whether no tested level above the smallest that failed was survived."""
+        return self.highest <= self.failed
+
+
+class Bisection:
+    """Search for the largest level survived, for many items (placement × profile × direction) at once.
+
+    Levels are on a common grid, so an answer is exact to the grid's step, and the same levels are tested in any order
+    of answers. Each time up to ``sections`` levels of an item are tested side by side, evenly spread between the
+    largest survived and the smallest failed. Items do not wait for one another.
+
+    It assumes that a pallet that survives a level survives all lower ones. This can be wrong: a stronger push may press
+    a box against its neighbour, where it jams. If a tested level above a failed one was survived, the answer is the
+    largest level below every failure, and ``monotone`` is False for that item.
+
+    Args:
+        levels: (n_levels,) rising; g, or scale.
+        at_rest: of each item, its world before any profile. Items that do not stand are through at once, with
+            nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
+        sections: levels of an item tested at a time, ≥ 1; 1 is plain bisection.
+
+    Attributes:
+        items: what is known of each item.
+    """
+
+    def __init__(
+        self,
+        levels: ArrayLike,
+        at_rest: Sequence[Probe],
+        sections: int = 3,
+    ) -> None:
+        self.levels: FloatArray = np.asarray(levels, dtype=np.float64)
+        if self.levels.ndim != 1 or len(self.levels) < 1 or np.any(np.diff(self.levels) <= 0):
+            raise ValueError("levels must be a rising list of at least one level")
+        if sections < 1:
+            raise ValueError(f"sections must be ≥ 1, got {sections}")
+        self.sections = sections
+        self.items = [self._at_begin(world) for world in at_rest]
+
+    def _at_begin(self, world: Probe) -> SearchBracket:
+        if world.verdict is not Verdict.STABLE:
+            return SearchBracket(False, -1, 0, -1, world.culprit, world.mode)
+        survived = 0 if self.levels[0] == 0 else -1
+        return SearchBracket(True, survived, len(self.levels), survived)
+
+    def bounds(self, item: int) -> tuple[tuple[int, int], tuple[int, int]]:
+        """(item, level index) of the largest level survived and of the smallest that failed."""
+        bracket = self.items[item]
+        return (item, bracket.survived), (item, bracket.failed)
+
+    def largest_survived(self, item: int) -> float | None:
+        """Level in g, or scale; None: none."""
+        survived = self.items[item].survived
+        return float(self.levels[survived]) if survived >= 0 else None
+
+    def first_failed(self, item: int) -> float | None:
+        """Level in g, or scale; None: none up to the highest, or nothing was tested."""
+        bracket = self.items[item]
+        return (
+            float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None
+        )
+
+    def next_tests(self, item: int) -> list[tuple[int, int]]:
+        """(item, level index) of an item's next tests; empty when its answer is exact."""
+        bracket = self.items[item]
+        untested = bracket.failed - bracket.survived - 1
+        count = min(self.sections, untested)
+        steps = np.round(np.arange(1, count + 1) * (untested + 1) / (count + 1)).astype(np.int64)
+        return [(item, bracket.survived + step) for step in steps.tolist()]
+
+    def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
+        """Record the worlds of tests: of all levels that were requested for an item, and for any number of items.
+
+        An invalid world has not survived; its mode is the reason why it is invalid.
+        """
+        if len(tests) != len(worlds):
+            raise ValueError("record needs one answer for each test")
+        survivors = []
+        for (item, level), world in zip(tests, worlds, strict=True):
+            bracket = self.items[item]
+            bracket.n_tests += 1
+            bracket.n_invalid += world.verdict is Verdict.INVALID
+            bracket.n_moving += world.moving
+            if world.verdict is Verdict.STABLE:
+                survivors.append((bracket, level))
+            elif level < bracket.failed:
+                bracket.failed = level
+                bracket.box, bracket.mode = world.culprit, world.mode
+        # Failures came first: a level survived above a failed one must not raise the answer.
+        for bracket, level in survivors:
+            bracket.highest = max(bracket.highest, level)
+            if level < bracket.failed:
+                bracket.survived = max(bracket.survived, level)

@@ -1,0 +1,211 @@
+"""Joins the shards of a run to one run."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pyarrow as pa
+
+from petmjx.common.argument_checks import list_of, path_of
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.plans.order_matching import OrderCheck
+from petmjx.plans.plan_set import Skipped
+from petmjx.results.order_columns import joined_check, read_check
+from petmjx.results.placement_table import PLACEMENTS
+from petmjx.results.run_manifest import Manifest
+from petmjx.results.run_reader import RunResults, load_run, split_warnings
+from petmjx.results.run_writer import RunWriter
+from petmjx.results.schema import Param, summary_table
+from petmjx.runs.confidence import write_confidence
+from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
+
+_ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
+"""What makes a row of a search's summary unique, and sorts it."""
+
+
+def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
+    """Join all shards of a run; the tables are those of the run without shards.
+
+    Args:
+        shards: folders of the N runs with ``shard`` 1/N to N/N, finished, in any order.
+        out: folder for the whole run.
+        overwrite: replace the results that ``out`` holds.
+
+    Raises:
+        InputError: a shard is missing, not finished, of another run or compared with other orders, or a world is
+            there twice.
+    """
+    folders = [path_of(shard, "shards") for shard in list_of(shards, "shards", object, "folders")]
+    out = path_of(out, "out")
+    if any(folder.resolve() == out.resolve() for folder in folders):
+        raise InputError(f"{out}: is one of the shards; name another folder with {option('--out')}")
+    runs = _sorted_shards([load_run(folder) for folder in folders])
+    manifests = [Manifest.read(run.parts, run.info) for run in runs]
+    for run, manifest in zip(runs, manifests, strict=True):
+        differs = manifest.difference_from(manifests[0], without=("shard",))
+        if differs:
+            raise InputError(f"{run.path}: not of the same run as {runs[0].path} ({differs})")
+    merged_manifest = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans, lambda: _placements(runs))
+    _check_worlds(runs, merged_manifest)
+    orders = _orders(runs)
+    first = runs[0].info
+    expected = [run.info["expected_worlds"] for run in runs]
+    with RunWriter(
+        out,
+        {**first["config"], "shard": None, "shards": [_of_shard(run) for run in runs]},
+        manifest=merged_manifest,
+        orders=orders,
+        params=[Param(**param) for param in first["params"]],
+        boxes=runs[0].keeps_boxes,
+        versions=first["versions"],
+        device=", ".join(dict.fromkeys(run.info["device"] for run in runs)),
+        expected_worlds=None if None in expected else sum(expected),
+        overwrite=overwrite,
+    ) as writer:
+        seconds: Counter[str] = Counter()
+        for run in runs:
+            writer.adopt(run.parts)
+            seconds.update(run.info["timings"])
+        writer.earlier_s = dict(seconds)
+        _note_input(writer, [run.info for run in runs])
+        for note in _other_versions(runs):
+            writer.warn(note)
+        writer.put_in_order()
+        if first["config"].get("confidence") is not None:
+            write_confidence(writer, first["config"]["sweep"]["axes"])
+        elif merged_manifest.settings["command"] == "sweep":
+            _write_summary(writer, runs)
+    return load_run(out)
+
+
+def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
+    """The runs by number of their shards.
+
+    Raises:
+        InputError: one is no shard or not finished, or not all shards are there once.
+    """
+    run_by_shard: dict[int, RunResults] = {}
+    of: set[int] = set()
+    for run in runs:
+        shard = run.info.get("identity", {}).get("shard")
+        if shard is None:
+            raise InputError(f"{run.path}: not a shard (made without {option('--shard')})")
+        if run.unfinished:
+            raise InputError(
+                f"{run.path}: not finished ({run.unfinished}); finish it with {option('--resume', 'True')} first"
+            )
+        number, total = (int(part) for part in shard.split("/"))
+        of.add(total)
+        if len(of) > 1:
+            raise InputError(f"{run.path}: is shard {shard}, others are of {min(of - {total})}")
+        if number in run_by_shard:
+            raise InputError(f"{run.path}: shard {shard} twice, also in {run_by_shard[number].path}")
+        run_by_shard[number] = run
+    if not run_by_shard:
+        raise InputError("no shard to merge: name their folders")
+    total = of.pop()
+    missing = [f"{number}/{total}" for number in range(1, total + 1) if number not in run_by_shard]
+    if missing:
+        raise InputError(f"missing: {'shard' if len(missing) == 1 else 'shards'} {first_names(missing)}")
+    return [run_by_shard[number] for number in sorted(run_by_shard)]
+
+
+def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
+    """Raises InputError where two shards have the same world, none has any of a plan, or boxes are missing."""
+    home: dict[tuple[str, int], Path] = {}
+    for run in runs:
+        for boxes in run.parts.files("boxes"):
+            run.parts.read(boxes, ())
+        for keys in run.parts.table("worlds", ("plan_id", "variant")):
+            for key in zip(keys["plan_id"].to_pylist(), keys["variant"].to_pylist(), strict=True):
+                if key in home:
+                    where = f"{home[key]} and {run.path}" if home[key] != run.path else f"{run.path}"
+                    raise InputError(f"plan {printable_name(key[0])}, variant {key[1]} twice: in {where}")
+                home[key] = run.path
+    lacking = sorted(manifest.plans.keys() - {plan_id for plan_id, _ in home})
+    if lacking:
+        raise InputError(f"no world of {count_text(len(lacking), 'plan')}: {first_names(lacking)}")
+
+
+def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
+    """What all plans say; None where a shard has kept none."""
+    tables = [run.parts.table(PLACEMENTS) for run in runs]
+    return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
+
+
+def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
+    """How all plans compare with their orders; None: no shard was compared.
+
+    Raises:
+        InputError: not all shards were compared with the same orders.
+    """
+    checks = [read_check(run.path, run.info) for run in runs]
+    for run, check in zip(runs, checks, strict=True):
+        if (check and check.digest) != (checks[0] and checks[0].digest):
+            raise InputError(
+                f"{run.path}: compared with other orders than {runs[0].path}; use {option('--resume', 'True')} on one "
+                f"of them with the {option('--orders')} of the other; nothing is simulated again"
+            )
+    known = [check for check in checks if check is not None]
+    return joined_check(known) if known else None
+
+
+def _of_shard(run: RunResults) -> dict[str, Any]:
+    """What ``run.json`` of the whole run keeps of a shard."""
+    info = run.info
+    return {
+        "shard": info["identity"]["shard"],
+        "folder": str(run.path),
+        "started": info["started"],
+        "device": info["device"],
+        "worlds": info["counts"]["worlds"],
+        "wall_s": info["timings"].get("wall_s", 0.0),
+    }
+
+
+def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
+    """Lines that several shards have about the same input, each once, in order of first appearance."""
+    entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
+    skipped = (
+        Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))
+        for entry in entries
+    )
+    for skipped_plan in dict.fromkeys(skipped):
+        writer.skip(skipped_plan)
+    warnings = [split_warnings(info) for info in infos]
+    for warning in itertools.chain.from_iterable(about_run for about_run, _ in warnings):
+        writer.warn(warning)
+    writer.odd_plans += dict.fromkeys(itertools.chain.from_iterable(about_plans for _, about_plans in warnings))
+
+
+def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
+    """A line for each package that shards had in other versions than the first: results may depend on it."""
+    first = runs[0].info["versions"]
+    for run in runs[1:]:
+        versions = run.info["versions"]
+        for name in sorted({*first, *versions}):
+            if first.get(name) != versions.get(name):
+                had, others = (version_by_package.get(name) or "none" for version_by_package in (versions, first))
+                shard, other = (shard_run.info["identity"]["shard"] for shard_run in (run, runs[0]))
+                yield f"shard {shard} was simulated with {name} {had}, shard {other} with {others}"
+
+
+def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
+    """Shares are taken of all worlds anew; answers of searches are each plan's own."""
+    tables = [table for run in runs for table in run.parts.table("summary")]
+    shares = runs[0].info["config"].get("shares")
+    if shares is None:
+        answers = pa.concat_tables(tables).sort_by([(name, "ascending") for name in _ANSWER])
+        writer.write_summary(answers)
+        return
+    columns = ShareColumns(**shares)
+    metadata = {field.name: field.metadata or {} for field in tables[0].schema}
+    units = {name: entry.get(b"unit", b"").decode() for name, entry in metadata.items()}
+    texts = {name: entry.get(b"description", b"").decode() for name, entry in metadata.items()}
+    writer.write_summary(summary_table(summarise_shares(writer.parts, columns), units, texts))

@@ -1,0 +1,131 @@
+"""The progress of a run that Python started: in a notebook a bar below the cell, else lines on standard error."""
+
+from __future__ import annotations
+
+import html
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Final
+
+from petmjx.common.text import printable
+from petmjx.common.throughput import Throughput
+from petmjx.runs.simulate import RunStart
+from petmjx.runs.study import FinishedWorld
+
+LINE_S: Final = 5.0
+"""Time between two lines of a script, s."""
+
+REFRESH_S: Final = 0.25
+"""Least time between two drawings of the bar, s. Each goes to the browser."""
+
+
+class NotebookBar:
+    """Watches a run from a notebook.
+
+    Args:
+        display: shows HTML and returns what changes it: ``update(html)``.
+    """
+
+    def __init__(self, display: Callable[[str], Callable[[str], None]], clock: Callable[[], float] = time.monotonic):
+        self._display, self._clock = display, clock
+        self._update: Callable[[str], None] | None = None
+        self._start: RunStart | None = None
+        self._last = clock()
+        self._done = 0
+
+    def begin(self, start: RunStart) -> None:
+        self._start, self._done = start, 0
+        self._pace = Throughput(self._left, start.what, self._clock)
+        self._update = self._display(self._as_html())
+
+    def world_done(self, world: FinishedWorld) -> None:
+        self._done += 1
+        now = self._clock()
+        if now - self._last >= REFRESH_S or self._done == self._left:
+            self._last = now
+            if self._update is not None:
+                self._update(self._as_html())
+
+    @property
+    def _left(self) -> int | None:
+        """Worlds that this run simulates; None if their number is not known."""
+        start = self._start
+        return None if start is None or start.total is None else start.total - start.recorded
+
+    def _as_html(self) -> str:
+        start, left = self._start, self._left
+        assert start is not None  # the run begins before it shows anything
+        self._pace.update(self._done)
+        parts = self._pace.words
+        if self._done != left and start.progress.message:
+            parts.append(start.progress.message)
+        value = "" if left is None else f' value="{self._done}" max="{max(left, 1)}"'
+        about = f"{start.size}; engine {start.choice.name} ({start.choice.reason})"
+        bar = f'<progress{value} style="width: 16em"></progress> {html.escape(", ".join(parts))}'
+        return f"<div><div>{html.escape(about)}</div><div>{bar}</div></div>"
+
+
+class ScriptLines:
+    """Watches a run from a script: a line at its beginning, one every ``LINE_S`` seconds, and a last one, by a thread:
+    they come while no world ends, too.
+
+    Args:
+        write: takes each line; by default standard error.
+    """
+
+    def __init__(self, write: Callable[[str], object] | None = None, line_s: float = LINE_S) -> None:
+        self._write, self._line_s = write, line_s
+        self._done, self._ended = 0, threading.Event()
+        self._total: int | None = None
+
+    def begin(self, start: RunStart) -> None:
+        self._done, self._ended = 0, threading.Event()
+        self._total = None if start.total is None else start.total - start.recorded
+        self._pace, self._progress = Throughput(self._total, start.what), start.progress
+        self._say(f"{start.size}; engine {start.choice.name} ({start.choice.reason})")
+        threading.Thread(target=self._follow, args=(self._ended,), name="petmjx-lines", daemon=True).start()
+
+    def world_done(self, world: FinishedWorld) -> None:
+        self._done += 1
+        if self._done == self._total:
+            self.end()
+
+    def end(self) -> None:
+        """Say how far the run came, once; nothing follows."""
+        if not self._ended.is_set():
+            self._ended.set()
+            self._say_pace()
+
+    def _follow(self, ended: threading.Event) -> None:
+        while not ended.wait(self._line_s):
+            self._say_pace()
+
+    def _say_pace(self) -> None:
+        self._pace.update(self._done)
+        message = "" if self._done == self._total else self._progress.message
+        self._say(", ".join(filter(None, (*self._pace.words, message))))
+
+    def _say(self, line: str) -> None:
+        with suppress(OSError, ValueError, AttributeError):  # standard error is closed, or there is none
+            if self._write is not None:
+                self._write(line)
+            else:
+                print(printable(line), file=sys.stderr, flush=True)
+
+
+def notebook_bar() -> NotebookBar | None:
+    """A bar for the notebook that this process is the kernel of; None elsewhere. IPython is not imported for it."""
+    ipython: Any = sys.modules.get("IPython")
+    shell = None if ipython is None else ipython.get_ipython()
+    if shell is None or not hasattr(shell, "kernel"):  # a terminal's IPython has none
+        return None
+    from IPython.display import HTML, display
+
+    def show(text: str) -> Callable[[str], None]:
+        handle = display(HTML(text), display_id=True)
+        return lambda new: handle.update(HTML(new))
+
+    return NotebookBar(show)

@@ -1,0 +1,127 @@
+"""Finds again what a run was of: its plans in the files that it names, and its sweep from what ``run.json`` says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from petmjx.common.checked_records import similar
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable, printable_name
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PlanSource, find_plan, gather_plans
+from petmjx.results.placement_table import kept_plans
+from petmjx.results.plan_lookup import how_read, plan_file
+from petmjx.results.run_folder import RUN_FILE
+from petmjx.results.run_manifest import Manifest, plan_digest
+from petmjx.results.run_reader import RunResults
+from petmjx.runs.confidence import PLACING, confidence_sweep
+from petmjx.runs.sweep_design import sweep_identity
+from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep, nominal_sweep, sweep_of_tables
+from petmjx.runs.sweep_worlds import SweepPlan
+
+
+def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) -> Plan:
+    """A plan as the run had it.
+
+    Args:
+        plans: where to look for it; None: the plan that the run was given or keeps, or the file that it read.
+
+    Raises:
+        InputError: the run has no such plan, its file is gone, or it has changed since.
+    """
+    manifest = Manifest.read(run.parts, run.info)
+    if plan_id not in manifest.plans:
+        among = f"is not among its {count_text(len(manifest.plans), 'plan')}{similar(plan_id, manifest.plans)}"
+        raise InputError(f"{run.path}: plan {printable_name(plan_id)} {among}")
+    known = manifest.plans[plan_id]
+    if plans is None:
+        kept = run.held if plan_id in run.held else kept_plans(run.parts, manifest.plans, [plan_id])
+        if plan_id in kept:
+            return kept[plan_id]
+        plans = _file(run, plan_id, known.source)
+    plan = find_plan(gather_plans(plans, Simulation(), how_read(run.info)), plan_id)
+    if plan_digest(plan) != known.digest:
+        raise InputError(
+            f"{plan.source}: plan {printable_name(plan_id)} is no longer the one that {run.path} simulated: it changed"
+        )
+    return plan
+
+
+def _file(run: RunResults, plan_id: str, source: str) -> Path:
+    file = plan_file(source)
+    if file is None:
+        name = printable_name(plan_id)
+        gone = f"plan {name} came from {printable(source)}, which is not there: give its file, or the plan"
+        raise InputError(f"{run.path}: {gone}")
+    return file
+
+
+def worlds_of_run(
+    run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
+) -> tuple[SweepPlan, int]:
+    """A plan's worlds in a run, and which of them is asked for: by default the nominal one.
+
+    Raises:
+        InputError: as :func:`plan_of_run` and :func:`sweep_of_run`; or there is no such variant.
+    """
+    sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
+    if variant is None and not sweep.nominal:
+        raise InputError(
+            f"{run.path}: plan {printable_name(plan_id)} has many worlds: name a variant, as in the table worlds"
+        )
+    worlds = SweepPlan(sweep, [plan])
+    if variant is not None:
+        try:
+            worlds.find(plan_id, variant)
+        except InputError as error:  # which tells of the sweep's file; a score has none, and people named the run
+            raise InputError(f"{run.path}: plan {printable_name(plan_id)} has no variant {variant}") from error
+    return worlds, variant or 0
+
+
+def sweep_of_run(run: RunResults) -> Sweep:
+    """The sweep of a run; of a score the nominal one.
+
+    Raises:
+        InputError: its file is gone or has changed since, or ``run.json`` is damaged.
+    """
+    config, file = run.info["config"], run.path / RUN_FILE
+    if not isinstance(config.get("simulation"), Mapping):
+        raise InputError(f"{file}: damaged: config.simulation is missing")
+    try:
+        sim = Simulation.read(config["simulation"])
+    except InputError as error:
+        raise InputError(f"{file}: damaged: config.simulation.{error}") from None
+    if "sweep" not in config:
+        return nominal_sweep(sim)
+    changes, worlds = dict(sim), config.get("confidence")
+    try:
+        named, tables = Path(config["sweep"]["file"]), config["sweep"].get("tables")
+    except (TypeError, KeyError, AttributeError):
+        raise InputError(f"{file}: damaged: config.sweep.file is missing") from None
+    if isinstance(tables, dict):
+        with suppress(InputError):  # a file of a profile is gone: the sweep's own file may still be there
+            kept = sweep_of_tables(tables, named, True, changes)
+            kept = kept.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else kept
+            if sweep_identity(kept) == _identity(run.info):
+                return kept
+    try:
+        sweep_file = named if named.is_file() else find_sweep(named.stem)
+    except InputError:
+        raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
+    both = PLACING in config["sweep"].get("axes", {})  # of errors alone this is no axis
+    sweep = (
+        confidence_sweep(worlds, sweep_file, changes, exact_too=both)
+        if worlds
+        else load_sweep(sweep_file, True, changes)
+    )
+    if sweep_identity(sweep) != _identity(run.info):
+        raise InputError(f"{sweep_file}: is no longer the sweep of {run.path}: it changed")
+    return sweep
+
+
+def _identity(info: Mapping[str, Any]) -> Any:
+    return info["identity"].get("sweep")

@@ -1,0 +1,251 @@
+"""One run, whole: plans → worlds → engine → results. Every score and every sweep goes this way.
+
+Which worlds it makes of its plans is its study (petmjx.runs.study).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+from petmjx.common.machine import package_versions
+from petmjx.common.text import count_text, printable_name
+from petmjx.common.units import FloatArray
+from petmjx.engines.engine_choice import Choice
+from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.run_engine import engine_for, engine_warmup
+from petmjx.engines.verdict import Reason
+from petmjx.options.physics import Physics
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.plans.order_matching import OrderCheck, check_orders
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet
+from petmjx.plans.plan_sources import PlanSource, are_files, usable_plans
+from petmjx.results.history_tables import Recording, recording_of
+from petmjx.results.part_order import LARGE, Places
+from petmjx.results.placement_table import placements_table
+from petmjx.results.resume import engine_of_run
+from petmjx.results.run_manifest import Manifest, PlanRecord, records_of
+from petmjx.results.run_reader import RunResults
+from petmjx.results.run_writer import RunWriter
+from petmjx.results.to_json import to_json
+from petmjx.runs.study import FinishedWorld, Study
+from petmjx.world.option_lint import notes_about
+from petmjx.world.scene import Scene
+
+Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
+"""(n, 2) least and most force on top of each box at rest, N; None where a world has none."""
+
+
+@dataclass(frozen=True)
+class RunStart:
+    """What is known when a run begins.
+
+    Attributes:
+        what: the user's word for a world: "plan", or "world" where plans have several.
+        total: number of worlds; None if it is not known (searches).
+        size: one line with the number of worlds and steps, and the estimated time.
+        choice: which engine, and why.
+        progress: kept up to date by the engine.
+        recorded: worlds that a resumed run has already; they are part of the total.
+    """
+
+    what: str
+    total: int | None
+    size: str
+    choice: Choice
+    progress: Progress
+    recorded: int = 0
+
+
+class Watcher(Protocol):
+    """Follows a run. The progress bar of the command line is one."""
+
+    def begin(self, start: RunStart) -> None:
+        """The run starts."""
+
+    def world_done(self, world: FinishedWorld) -> None:
+        """One more world has its final outcome."""
+
+
+def simulate(
+    ask: Callable[[Sequence[Plan], RunOptions], Study],
+    sim: Simulation,
+    plans: PlanSource | None,
+    options: RunOptions,
+    watcher: Watcher | None = None,
+    intervals: Intervals | None = None,
+) -> RunResults:
+    """Run something to its end.
+
+    Args:
+        ask: makes the study of the plans that were read.
+        sim: its options.
+        plans: as for ``petmjx.score``.
+        intervals: works out the intervals of forces that ``options.force_intervals`` asks for.
+
+    Raises:
+        InputError: unusable plans or options.
+        EngineUnavailable: the engine asked for cannot run here.
+    """
+    with engine_warmup(options, plans) as ahead:
+        plan_set = usable_plans(plans, sim, options)
+        study = ask(plan_set.plans, options)
+        orders = None
+        if options.orders is not None:
+            all_plans, strict = options.limit is None, options.strict
+            orders = check_orders(
+                options.orders, study.everything, takes=options.takes, all_plans=all_plans, strict=strict
+            )
+        late = (
+            replace(skipped_plan, number=plan_set.numbers.get(skipped_plan.plan_id or ""))
+            for skipped_plan in study.skipped
+        )
+        about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
+        notes = [*plan_set.notes, *about]
+        plan_set = replace(plan_set, skipped=[*plan_set.skipped, *late], notes=notes)
+        records = records_of(study.everything, plan_set.numbers)
+    earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
+    hands_over = not options.record_details  # which C MuJoCo records alone
+    with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
+        recording = recording_of(options, choice.name, study.everything)
+        run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
+        return run.results(watcher, {} if are_files(plans) else {plan.plan_id: plan for plan in study.everything})
+
+
+@dataclass(eq=False)
+class _Run:
+    """A run whose input has proved good and whose engine is there.
+
+    Attributes:
+        found: how plans were read: what was skipped, and warnings.
+        records: what the run says of its plans, by id.
+        intervals_s: time that went into intervals of forces.
+    """
+
+    study: Study
+    options: RunOptions
+    found: PlanSet
+    records: Mapping[str, PlanRecord]
+    orders: OrderCheck | None
+    engine: Engine
+    choice: Choice
+    recording: Recording
+    intervals: Intervals | None
+    progress: Progress = field(default_factory=Progress)
+    intervals_s: float = 0.0
+
+    def identity(self) -> dict[str, Any]:
+        """What must be the same for a run that goes on."""
+        return {
+            "command": self.study.command,
+            "simulation": self.study.sim.model_dump(mode="json"),
+            **self.study.identity,
+            "engine": self.choice.name,
+            "shard": self.options.shard,
+            **({"force_intervals": True} if self.options.force_intervals else {}),
+            **({} if self.options.keeps_boxes else {"keep": self.options.keep}),
+        }
+
+    def config(self) -> dict[str, Any]:
+        """What ``run.json`` says of how the run was asked for."""
+        return {
+            "command": self.study.command,
+            **self.study.config,
+            "simulation": self.study.sim.model_dump(mode="json"),
+            **self.options.model_dump(mode="json", exclude={"engine", "orders", "out", "overwrite", "resume"}),
+            **({"orders": self.orders.file} if self.orders else {}),
+            "engine": self.choice.name,
+            "engine_reason": self.choice.reason,
+        }
+
+    def _places(self) -> Places | None:
+        """Of worlds of a large run. Histories stay where they are, so that runs with some are not among these."""
+        study = self.study
+        if study.total is None or study.total <= LARGE or self.recording.record is not None:
+            return None
+        plan_ids = [plan.plan_id for plan in study.plans]
+        return Places(plan_ids, study.total // len(plan_ids), study.first_variant)
+
+    def results(self, watcher: Watcher | None, held: Mapping[str, Plan]) -> RunResults:
+        """Simulate what is missing, and write everything where the options say.
+
+        Args:
+            held: plans that are in no file, by id.
+        """
+        study, options = self.study, self.options
+        with RunWriter(
+            options.out,
+            self.config(),
+            manifest=Manifest(to_json(self.identity()), self.records, lambda: placements_table(study.plans)),
+            orders=self.orders,
+            params=study.params,
+            dynamic=study.dynamic,
+            force_intervals=options.force_intervals,
+            boxes=options.keeps_boxes,
+            versions=package_versions(),
+            device=self.engine.device,
+            expected_worlds=study.total,
+            places=self._places(),
+            overwrite=options.overwrite,
+            resume=options.resume,
+        ) as writer:
+            self._note_input(writer)
+            self.progress.notes = writer.warnings  # one place for both
+            if watcher is not None:
+                watcher.begin(self._start(len(writer.recorded)))
+            for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
+                self._write(writer, world)
+                if watcher is not None:
+                    watcher.world_done(world)
+            self.engine.retire()  # while rows are put in order: workers take a second or two to end
+            writer.timings.update(study.timings(), compile_s=self.progress.compile_s)
+            if options.force_intervals:
+                writer.timings["intervals_s"] = round(self.intervals_s, 3)
+            writer.put_in_order()
+            if study.plans:  # a shard may have none
+                study.summarise(writer)
+        return writer.results(held)
+
+    def _note_input(self, writer: RunWriter) -> None:
+        """Write skipped plans and warnings into ``run.json``."""
+        for skipped in self.found.skipped:
+            writer.skip(skipped)
+        writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
+        for note in (*self.found.conventions, *self.found.notes, *self.study.notes):
+            writer.warn(note)
+        if len(writer.recorded) and (missing := self.recording.missing(writer.parts)):
+            of = count_text(missing, "world")
+            writer.warn(
+                f"{of} of an earlier run have no history and are not simulated again: name another folder to record"
+            )
+
+    def _start(self, recorded: int) -> RunStart:
+        size = self.study.size(self.choice.seconds, recorded)
+        return RunStart(self.study.what, self.study.total, size, self.choice, self.progress, recorded)
+
+    def _write(self, writer: RunWriter, world: FinishedWorld) -> None:
+        study, plan, index = self.study, world.plan, world.variant.index
+        if self.recording.of(plan) and world.outcome.history is None and not world.outcome.message:
+            writer.warn(f"the engine {self.choice.name} records no histories")
+        outcome = self.recording.kept(world.outcome)
+        values, interval_n = study.values(world), self._interval_n(world)
+        writer.add(plan, index, study.sim.schedule.value, outcome, world.attempts, values, interval_n)
+        if world.outcome.message:
+            variant = f", variant {index}" if study.params else ""
+            failed = "failed: " if world.outcome.reason is Reason.FAILED else ""
+            writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
+
+    def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
+        """(n, 2) least and most force on top of each box, N; None where that is not asked for, and after a drive, since
+        nothing tells where the carrier stands then."""
+        if self.intervals is None or world.driven:
+            return None
+        start = time.perf_counter()
+        interval_n = self.intervals(world.scene, self.study.sim.physics, world.outcome.boxes)
+        self.intervals_s += time.perf_counter() - start
+        return interval_n

@@ -1,0 +1,184 @@
+"""Which worlds a run makes of its plans, and what it says of them.
+
+A score's are here: one a plan, the plan as it is. Studies with variants are in petmjx.runs, and build on this.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, duration, rounded_text
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.cost_model import Work
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.verdict import Attempt, Outcome
+from petmjx.engines.world_results import World
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.plans.loose_boxes import placed_shares
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import Skipped
+from petmjx.results.history_tables import Recording
+from petmjx.results.resume import CompletedWorlds
+from petmjx.results.run_writer import RunWriter
+from petmjx.results.schema import Param
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene, build_scenes
+from petmjx.world.variants import UNCHANGED, Variant
+
+MAX_WORLDS: Final = 1_000_000
+"""More worlds than this are refused, unless the user allows them (``allow_large``)."""
+
+NOMINAL: Final = Variant(0, UNCHANGED)
+
+
+@dataclass(frozen=True, eq=False)
+class FinishedWorld:
+    """One world with its final outcome.
+
+    Attributes:
+        placement: the outcome of the placement from which it was forked; None for a world that was simulated from its
+            beginning.
+        driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
+            early stop it is shaken, too, but is not stable.
+    """
+
+    plan: Plan
+    variant: Variant
+    scene: Scene
+    outcome: Outcome
+    attempts: tuple[Attempt, ...]
+    placement: Outcome | None = None
+    driven: bool = False
+
+
+@dataclass(eq=False, kw_only=True)
+class Study(ABC):
+    """What a run asks of its plans: which worlds it makes of them, and what it says of these.
+
+    Attributes:
+        sim: the options of every world, before attempts change them.
+        everything: the plans that can be simulated, also those of other shards.
+        plans: those of this run.
+        work: what all worlds cost, for estimates of time.
+        n_worlds: number of worlds, at most.
+        known: whether that is their number, whatever comes of them: not in a search.
+        first_variant: number of each plan's first world; the others follow without a gap, if their number is known.
+        amount: what is simulated, in words.
+        command: "score" or "sweep", as the results name it.
+        what: the user's word for a world.
+        skipped: plans that this study cannot take.
+        notes: warnings about the whole run.
+        params: columns of ``worlds`` that tell a plan's worlds apart.
+        dynamic: whether worlds have drives.
+        axes: names of a sweep's.
+        has_errors: whether places or sizes have errors in some worlds.
+        identity: what worlds depend on, beside plans and ``sim``.
+        config: what ``run.json`` says of the study, beside options.
+    """
+
+    sim: Simulation
+    everything: Sequence[Plan]
+    plans: Sequence[Plan]
+    work: Work
+    n_worlds: int
+    known: bool = True
+    first_variant: int = 0
+    amount: str
+    command: str = "score"
+    what: str = "plan"
+    skipped: Sequence[Skipped] = ()
+    notes: Sequence[str] = ()
+    params: Sequence[Param] = ()
+    dynamic: bool = False
+    axes: Collection[str] = ()
+    has_errors: bool = False
+    identity: Mapping[str, Any] = field(default_factory=dict)
+    config: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def total(self) -> int | None:
+        """Number of worlds; None if it is not known."""
+        return self.n_worlds if self.known else None
+
+    def size(self, seconds: float | None, recorded: int = 0) -> str:
+        """One line with the number of worlds, and how many steps and how much time they are expected to take.
+
+        Args:
+            seconds: for all of them; None: not known.
+            recorded: worlds that the run has already. Steps and time are those of the others.
+        """
+        share = 1 - recorded / max(self.n_worlds, 1)
+        left = " left" if recorded else ""
+        long = "" if seconds is None else f", about {duration(share * seconds)}"
+        return f"{self.amount}, about {rounded_text(share * float(self.work.steps.sum()))} steps{left}{long}"
+
+    @abstractmethod
+    def worlds(
+        self, engine: Engine, recorded: CompletedWorlds, recording: Recording, progress: Progress
+    ) -> Iterator[FinishedWorld]:
+        """Simulate what is missing; yield each world when it is final, in any order.
+
+        Args:
+            recorded: the worlds that the run already has.
+            recording: which worlds' histories are recorded.
+            progress: kept up to date.
+        """
+
+    def values(self, world: FinishedWorld) -> Mapping[str, Any]:
+        """A world's values of ``params``."""
+        return {}
+
+    def timings(self) -> Mapping[str, float]:
+        """Timings, once all worlds are done."""
+        return {}
+
+    def summarise(self, writer: RunWriter) -> None:
+        """Write the table ``summary`` of a run whose worlds are all there."""
+        return None
+
+
+class Nominal(Study):
+    """One world a plan, the plan as it is: a score.
+
+    Raises:
+        InputError: more than a million plans, without ``allow_large``.
+    """
+
+    def __init__(self, sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
+        if len(plans) > MAX_WORLDS and not options.allow_large:
+            raise InputError(
+                f"{len(plans):,} plans, more than {MAX_WORLDS:,}: "
+                f"pass {option('--yes', 'True', python='allow_large')} to confirm"
+            )
+        shard_plans = [plan for plan in plans if options.takes(plan.plan_id)]
+        super().__init__(
+            sim=sim,
+            everything=plans,
+            plans=shard_plans,
+            work=Work(
+                sim,
+                [plan.n_boxes for plan in shard_plans],
+                carried=int(sim.placing.carries),
+                placed_share=placed_shares(shard_plans),
+            ),
+            n_worlds=len(shard_plans),
+            amount=count_text(len(shard_plans), "plan"),
+        )
+
+    def worlds(
+        self, engine: Engine, recorded: CompletedWorlds, recording: Recording, progress: Progress
+    ) -> Iterator[FinishedWorld]:
+        missing = [plan for plan in self.plans if (plan.plan_id, NOMINAL.index) not in recorded]
+        worlds = (
+            World(plan, NOMINAL.index, Job(scene, record=recording.of(plan)))
+            for plan, scene in zip(missing, build_scenes(missing, self.sim), strict=True)
+        )
+        for scored_world in score_worlds(worlds, self.sim, engine, progress=progress):
+            world = scored_world.world
+            yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)

@@ -1,0 +1,413 @@
+"""The axes of a sweep: their names, units and allowed values. Users read about them in docs/sweeps.md."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    StrictFloat,
+    StrictInt,
+    Tag,
+    create_model,
+    model_validator,
+)
+
+from petmjx.common.checked_records import (
+    LIST,
+    TABLE,
+    VALUE,
+    CheckedRecord,
+    by_entry,
+    complaint,
+    shape,
+    shown_value,
+    within,
+)
+from petmjx.world.random_streams import WorldKey
+from petmjx.world.variants import Distribution, DistributionShape
+
+MAX_AXIS_VALUES: Final = 100_000
+"""Most values of one axis: a range with a typing error in its step must not fill the memory."""
+
+MAX_STRENGTH: Final = 1000.0
+"""Largest level (g), scale or factor. More is a typing error: shocks of packed goods stay below 100 g."""
+MAX_FRICTION_FACTOR: Final = 100.0
+MIN_MASS_FACTOR: Final = 0.001
+"""Smallest factor on masses: MuJoCo refuses bodies without mass."""
+MAX_ERROR: Final = 10_000.0
+"""Largest error of a place, mm."""
+MAX_SIZE_ERROR_MM: Final = 1000.0
+MAX_RELATIVE_ERROR: Final = 1.0
+MAX_YAW_ERROR_DEG: Final = 360.0
+
+DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
+
+Value = float | str | Distribution
+
+
+# Numbers, ranges of them, and lists.
+
+T = TypeVar("T")
+
+
+def _distinct_values(values: tuple[T, ...]) -> tuple[T, ...]:
+    if not values:
+        raise ValueError("is empty: give at least one value, or leave the axis out")
+    if len(values) > MAX_AXIS_VALUES:
+        raise ValueError(f"has {len(values):,} values, more than {MAX_AXIS_VALUES:,}")
+    seen = set()
+    for value in values:
+        if value in seen:
+            raise ValueError(f"holds {_axis_text(value)} twice")
+        seen.add(value)
+    return values
+
+
+def _axis_text(value: object) -> str:
+    if isinstance(value, Distribution):
+        return value.label()
+    return f"{value:g}" if isinstance(value, float) else repr(value)
+
+
+def _value_or(tag: str) -> Discriminator:
+    """The tag of a union: a table (or a list), or anything else."""
+    return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
+
+
+OneOrMore = Annotated[
+    Annotated[tuple[T, ...], AfterValidator(_distinct_values), Tag(LIST)] | Annotated[T, Tag(VALUE)],
+    _value_or(LIST),
+]
+"""A value or a list of values."""
+Names = OneOrMore[Annotated[str, Field(max_length=100)]]
+Ways = OneOrMore[Literal["exact", "drop", "hand", "tines"]]
+
+
+def _degrees(value: object) -> object:
+    if isinstance(value, str):
+        if value not in DIRECTIONS_DEG:
+            raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, {shown_value(value)}")
+        return DIRECTIONS_DEG[value]
+    return value
+
+
+Positive = Annotated[StrictFloat, Field(gt=0), within(0, MAX_STRENGTH)]
+Turn = Annotated[StrictFloat, within(0, MAX_STRENGTH)]
+Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(_degrees)]
+
+
+Number = TypeVar("Number", bound=float)
+
+
+class Range(CheckedRecord, Generic[Number]):
+    """A range of numbers: with a step, with a count, or (mode ``sample``) all numbers between its ends."""
+
+    low: Number = Field(alias="from", description="the first value")
+    high: Number = Field(alias="to", description="the last value, if the steps reach it")
+    step: Annotated[StrictFloat, Field(gt=0)] | None = Field(None, description="from one value to the next")
+    count: Annotated[StrictInt, Field(ge=2, le=MAX_AXIS_VALUES)] | None = Field(None, description="how many values")
+
+    @model_validator(mode="after")
+    def _rises_in_steps(self) -> Self:
+        if self.high <= self.low:
+            raise complaint(f"must be > from = {self.low:g}, got {self.high:g}", "to")
+        if self.step is not None and self.count is not None:
+            raise ValueError("has both step and count: give one of them")
+        if self.step is not None and (self.high - self.low) / self.step >= MAX_AXIS_VALUES:
+            raise complaint(f"{self.step:g} makes more than {MAX_AXIS_VALUES:,} values", "step")
+        return self
+
+    @property
+    def continuous(self) -> bool:
+        return self.step is None and self.count is None
+
+    def values(self) -> tuple[float, ...]:
+        """The values, rounded so that 0.1 + 2 × 0.1 is 0.3."""
+        if self.step is not None:
+            # slightly more than the quotient, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
+            step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
+        else:
+            count = self.count or 2
+            step = (self.high - self.low) / (count - 1)
+        return tuple(round(self.low + index * step, 12) for index in range(count))
+
+
+class DirectionRange(Range[Direction]):
+    """A range of directions."""
+
+    low: Direction = Field(alias="from", description="the first direction")
+    high: Direction = Field(alias="to", description="the last direction, if the steps reach it")
+
+
+Positives = Annotated[
+    Annotated[Range[Positive], Tag(TABLE)] | Annotated[OneOrMore[Positive], Tag(VALUE)], _value_or(TABLE)
+]
+Turns = Annotated[Annotated[Range[Turn], Tag(TABLE)] | Annotated[OneOrMore[Turn], Tag(VALUE)], _value_or(TABLE)]
+Directions = Annotated[
+    Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], _value_or(TABLE)
+]
+
+
+def _value_list(given: Any) -> tuple[Any, ...]:
+    """A value or a list of values (`OneOrMore`) as a list."""
+    return given if isinstance(given, tuple) else (given,)
+
+
+def _ends(given: Any) -> tuple[float, float]:
+    """The smallest and the largest number of a range, a list, or one value."""
+    return (given.low, given.high) if isinstance(given, Range) else (min(_value_list(given)), max(_value_list(given)))
+
+
+def _leave_a_mass(given: Any) -> Any:
+    lowest, _ = _ends(given)
+    if lowest < MIN_MASS_FACTOR:
+        raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
+    return given
+
+
+Masses = Annotated[Positives, AfterValidator(_leave_a_mass)]
+
+
+def _are_frictions(given: Any) -> Any:
+    _, highest = _ends(given)
+    if highest > MAX_FRICTION_FACTOR:
+        raise ValueError(f"must be from 0 to {MAX_FRICTION_FACTOR:g}, got {highest:g}")
+    return given
+
+
+Frictions = Annotated[Positives, AfterValidator(_are_frictions)]
+
+# Errors, each a distribution.
+
+Error = Annotated[StrictFloat, within(-MAX_ERROR, MAX_ERROR)]
+Spread = Annotated[StrictFloat, Field(ge=0), within(0, MAX_ERROR)]
+
+
+class _Normal(CheckedRecord):
+    distribution: Literal["normal"]
+    mean: Error = Field(0.0, description="mean")
+    sd: Spread = Field(description="standard deviation")
+
+    def made(self) -> Distribution:
+        return Distribution(DistributionShape.NORMAL, self.mean, self.sd)
+
+
+class _Uniform(CheckedRecord):
+    distribution: Literal["uniform"]
+    low: Error = Field(description="smallest value")
+    high: Error = Field(description="largest value")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.high < self.low:
+            raise complaint(f"must be ≥ low = {self.low:g}, got {self.high:g}", "high")
+        return self
+
+    def made(self) -> Distribution:
+        return Distribution(DistributionShape.UNIFORM, (self.low + self.high) / 2, (self.high - self.low) / 2)
+
+
+class _FixedError(CheckedRecord):
+    distribution: Literal["fixed"]
+    value: Error = Field(description="the error itself")
+
+    def made(self) -> Distribution:
+        return Distribution(DistributionShape.FIXED, self.value)
+
+
+_Table = Annotated[
+    Annotated[_Normal, Tag("<normal>")]
+    | Annotated[_Uniform, Tag("<uniform>")]
+    | Annotated[_FixedError, Tag("<fixed>")],
+    by_entry("distribution"),
+    AfterValidator(lambda table: table.made()),
+    Tag(TABLE),
+]
+_Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(DistributionShape.NORMAL, 0.0, sd)), Tag(VALUE)]
+_Height = Annotated[Spread, AfterValidator(lambda height: Distribution(DistributionShape.FIXED, height)), Tag(VALUE)]
+Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
+"""Distributions; a plain number is the standard deviation of a normal one around 0."""
+Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
+"""Distributions; a plain number is that height itself."""
+
+
+def _up_to(largest: float) -> AfterValidator:
+    """A check of errors against a smaller range than that of places."""
+
+    def check(given: Any) -> Any:
+        for error in _value_list(given):
+            if max(abs(error.centre), error.spread) > largest:
+                raise ValueError(f"must be from {-largest:g} to {largest:g}, got {error.label()}")
+        return given
+
+    return AfterValidator(check)
+
+
+SizeErrors = Annotated[Errors, _up_to(MAX_SIZE_ERROR_MM)]
+RelativeErrors = Annotated[Errors, _up_to(MAX_RELATIVE_ERROR)]
+YawErrors = Annotated[Errors, _up_to(MAX_YAW_ERROR_DEG)]
+
+
+@dataclass(frozen=True)
+class AxisKind:
+    """The values of an axis, what they change, and its column in the results.
+
+    Attributes:
+        unit: of its column in the results; "1" for factors, "" for names.
+        values: the type that checks its values.
+        meaning: one line.
+        changes: fields of `PlacementChange` that get its value; none: the axis changes the drive.
+        suffix: end of the column's name, after the name of the axis.
+        plain: for axes of errors: the distribution that a plain number means. Normal: the number is the standard
+            deviation, around 0. Fixed: it is the value itself.
+    """
+
+    name: str
+    unit: str
+    values: Any
+    meaning: str
+    changes: tuple[str, ...] = ()
+    suffix: str = ""
+    plain: DistributionShape = DistributionShape.NORMAL
+
+    @property
+    def column(self) -> str:
+        return self.name + self.suffix
+
+    @property
+    def placement(self) -> bool:
+        """Whether a new value needs a new placement."""
+        return bool(self.changes)
+
+
+_BOX, _CARRIER = "box_friction_factor", "carrier_friction_factor"
+
+AXIS_KINDS: Final = {
+    kind.name: kind
+    for kind in (
+        AxisKind("profile", "", Names, "names of profiles"),
+        AxisKind("direction", "deg", Directions, "turn of the profile from +x to +y", suffix="_deg"),
+        AxisKind("scale", "1", Positives, "factor on the profile"),
+        AxisKind("level", "g", Positives, "level of the profile", suffix="_g"),
+        AxisKind("friction_factor", "1", Frictions, "factor on the friction of boxes and carrier", (_BOX, _CARRIER)),
+        AxisKind(_BOX, "1", Frictions, "factor on the friction of boxes alone", (_BOX,)),
+        AxisKind(_CARRIER, "1", Frictions, "factor on the friction of the carrier alone", (_CARRIER,)),
+        AxisKind(
+            "friction_tolerance_rel",
+            "1",
+            RelativeErrors,
+            "error of the friction of boxes and carrier as a share, one for a whole world",
+            ("friction_rel",),
+        ),
+        AxisKind("mass_factor", "1", Masses, "factor on the mass of boxes", ("mass_factor",)),
+        AxisKind("mass_tolerance_rel", "1", RelativeErrors, "error of each box's mass as a share", ("mass_rel",)),
+        AxisKind("size_tolerance_mm", "mm", SizeErrors, "error of each dimension of each box", ("size_mm",)),
+        AxisKind("size_tolerance_rel", "1", RelativeErrors, "the same as a share of the dimension", ("size_rel",)),
+        AxisKind("placement_error_mm", "mm", Errors, "error of each box's place in x and in y", ("x_mm", "y_mm")),
+        AxisKind("placement_error_x_mm", "mm", Errors, "the same in x alone", ("x_mm",)),
+        AxisKind("placement_error_y_mm", "mm", Errors, "the same in y alone", ("y_mm",)),
+        AxisKind("yaw_error_deg", "deg", YawErrors, "turn of each box about the vertical", ("yaw_deg",)),
+        AxisKind(
+            "drop_height_mm",
+            "mm",
+            Heights,
+            "height of release above the place",
+            ("drop_height_mm",),
+            plain=DistributionShape.FIXED,
+        ),
+        AxisKind("placing", "", Ways, "how boxes are placed", ("placing_name",)),
+        AxisKind("placing_height_mm", "mm", Positives, "height at which placed boxes begin", ("placing_height_mm",)),
+        AxisKind("placing_side_mm", "mm", Positives, "how far beside its place a box begins", ("placing_side_mm",)),
+        AxisKind("placing_speed_m_s", "m/s", Positives, "largest speed of a carried box", ("placing_speed_m_s",)),
+        AxisKind("placing_force_n", "N", Positives, "what a hand presses with at most", ("placing_force_n",)),
+        AxisKind("wrap_turns", "1", Turns, "turns of stretch film around the pallet", ("wrap_turns",)),
+        AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
+    )
+}
+"""All axes of sweep files, in the order of nesting: of each half the last axis varies fastest."""
+
+_FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
+_Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a sweep: its values, or (mode ``sample``) a continuous range."""
+
+    name: str
+    values: tuple[Value, ...] = ()
+    low: float = math.nan
+    high: float = math.nan
+
+    @property
+    def continuous(self) -> bool:
+        return not self.values
+
+    @property
+    def kind(self) -> AxisKind:
+        return AXIS_KINDS[self.name]
+
+    @property
+    def random(self) -> bool:
+        """Whether replicates differ in it."""
+        return any(isinstance(value, Distribution) and value.random for value in self.values)
+
+    def pick(self, key: WorldKey) -> Value:
+        """A random value. It depends only on the key and the axis."""
+        rng = key.rng(f"design:{self.name}")
+        if self.continuous:
+            return float(rng.uniform(self.low, self.high))
+        return self.values[int(rng.integers(len(self.values)))]
+
+    def cell(self, value: Value) -> float | str:
+        """A value as the results have it. A distribution is written as a plain number if all values of the axis can be,
+        else as text."""
+        if not isinstance(value, Distribution):
+            return value
+        number = self._plain_number(value)
+        one_shape = all(self._plain_number(other) is not None for other in self.values)
+        return number if one_shape and number is not None else value.label()
+
+    def _plain_number(self, value: Value) -> float | None:
+        """The plain number that a sweep file can have for a value; None if it needs a table."""
+        if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
+            return None
+        if value.shape is DistributionShape.FIXED:
+            return value.centre
+        return value.spread if value.centre == 0 else None
+
+    def described(self) -> object:
+        """The axis as plain JSON values."""
+        if self.continuous:
+            return {"from": self.low, "to": self.high}
+        return [value.label() if isinstance(value, Distribution) else value for value in self.values]
+
+
+def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
+    """The table ``[axes]`` as axes by name, in the order of the file. Called by a validator.
+
+    Args:
+        sampled: whether {from, to} without step or count is allowed (mode ``sample``).
+
+    Raises:
+        ValidationError: names the axis and what it should be.
+    """
+    checked = _Axes.model_validate(tables)
+    given = {name: getattr(checked, name) for name in tables}
+    return {name: _axis(name, value, sampled) for name, value in given.items() if value is not None}
+
+
+def _axis(name: str, given: Any, sampled: bool) -> Axis:
+    if not isinstance(given, Range):
+        return Axis(name, _value_list(given))
+    if not given.continuous:
+        return Axis(name, given.values())
+    if not sampled:
+        raise complaint("needs step or count: a grid has no continuous axes", name)
+    return Axis(name, (), given.low, given.high)

@@ -1,0 +1,249 @@
+"""The variants of a sweep, which are the same for every plan: their number, and each one.
+
+What of a sweep its results depend on: two sweeps of one identity have the same worlds.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Final
+
+from petmjx.runs.sweep_axes import AXIS_KINDS, Axis, Value
+from petmjx.runs.sweep_file import Sweep
+from petmjx.world.profiles.profile import Profile
+from petmjx.world.random_streams import WorldKey
+from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
+
+MOST_KEPT: Final = 100_000
+"""Variants that are made once for all plans: they take 1 kB each. More are made for every plan."""
+
+Point = Mapping[str, Value]
+"""A value on each axis, by the axis's name."""
+
+
+@dataclass(frozen=True)
+class SearchItem:
+    """One question of a search: how much of this profile in this direction does a placement survive?"""
+
+    profile: str
+    direction_deg: float
+
+
+@dataclass(eq=False)
+class Design:
+    """The variants of a sweep.
+
+    They are numbered from 1, in the order of the axes. Number 0 is the nominal world, which is simulated only if the
+    sweep asks for it. A grid is counted without enumerating it, so that one that is too large is refused at once.
+    """
+
+    sweep: Sweep
+
+    @property
+    def parameter_columns(self) -> dict[str, str]:
+        """Result column → unit ("1" for factors, "" for names)."""
+        columns = {axis.kind.column: axis.kind.unit for axis in self.sweep.axes.values()}
+        if self.sweep.search is not None:
+            strength = AXIS_KINDS[self.sweep.strength]
+            columns[strength.column] = strength.unit
+        if self._has_replicates:
+            columns["replicate"] = ""
+        return columns
+
+    @property
+    def _has_replicates(self) -> bool:
+        return self.sweep.replicates > 1 or self.sweep.sample is not None
+
+    # Counting.
+
+    @property
+    def n_variants(self) -> int:
+        """Variants per plan, with the nominal one. In a search: at most, if every item takes all its rounds."""
+        sweep = self.sweep
+        nominal = int(sweep.nominal)
+        if sweep.sample is not None:
+            return sweep.sample + nominal
+        per_profile = _n_points(axis for axis in self._axes(placement=False) if axis.name != "profile")
+        profiles: list[Profile | None] = [*sweep.profiles.values()] or [None]
+        total = 0
+        for points, repeats in self._placement_counts():
+            for profile in profiles:
+                again = sweep.replicates if repeats == 1 and profile is not None and profile.random else 1
+                total += points * repeats * again * per_profile
+        if sweep.search is not None:
+            total *= sweep.search.tests(len(sweep.search_levels))
+        return total + nominal
+
+    @property
+    def n_placements(self) -> int:
+        """Placements per plan, without the nominal world."""
+        if self.sweep.sample is not None:
+            return len({variant.placement_key for variant in self._sampled()})
+        return sum(points * repeats for points, repeats in self._placement_counts())
+
+    @property
+    def n_random_placements(self) -> int:
+        """Placements per plan that have random errors."""
+        if self.sweep.sample is not None:
+            return self.n_placements if any(axis.random for axis in self._axes(placement=True)) else 0
+        return sum(points * repeats for points, repeats in self._placement_counts()[1:])
+
+    def _placement_counts(self) -> tuple[tuple[int, int], ...]:
+        """(points, replicates of each): points with a random error are repeated, the others are not."""
+        if not self.sweep.axes:
+            return ()
+        axes = self._axes(placement=True)
+        calm = math.prod(
+            sum(not (isinstance(value, Distribution) and value.random) for value in axis.values) for axis in axes
+        )
+        return (calm, 1), (_n_points(axes) - calm, self.sweep.replicates)
+
+    def _axes(self, placement: bool) -> list[Axis]:
+        """In the order of nesting, not in the order of the file."""
+        axes = self.sweep.axes
+        return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
+
+    # Enumeration.
+
+    def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
+        """Each placement with the worlds that share it. In a search there are none: they are made level by level."""
+        return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
+
+    @cached_property
+    def _kept_placements(self) -> tuple[tuple[Variant, tuple[Variant, ...]], ...]:
+        return tuple(self._placements())
+
+    def _placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
+        sweep = self.sweep
+        if sweep.nominal:
+            nominal = Variant(0, self._change({}))
+            yield nominal, (nominal,)
+        if not sweep.axes:
+            return
+        if sweep.sample is not None:
+            grouped: dict[PlacementKey, list[Variant]] = {}
+            for variant in self._sampled():
+                grouped.setdefault(variant.placement_key, []).append(variant)
+            for members in grouped.values():
+                yield replace(members[0], drive=None), tuple(members)
+            return
+        index = itertools.count(1)
+        for point in _points(self._axes(placement=True)):
+            change = self._change(point)
+            for replicate in range(sweep.replicates if change.random else 1):
+                placement = self._variant(0, point, replicate, change)
+                if sweep.search is not None:
+                    yield placement, ()
+                    continue
+                variants = tuple(
+                    self._variant(next(index), {**point, **drive_point}, again, change)
+                    for drive_point in _points(self._axes(placement=False))
+                    for again in self._drive_replicates(drive_point, replicate, change)
+                )
+                yield placement, variants
+
+    def draws(self) -> dict[int, int]:
+        """Index of each variant with something random → its draw. Variants of one draw share their random numbers.
+
+        In a grid a draw is a replicate, with random numbers of each plan's own. In a sample it is the variant itself,
+        whose parameters are the same for every plan.
+        """
+        sweep = self.sweep
+        if sweep.sample is not None:
+            return {number: number for number in range(1, sweep.sample + 1)}
+        drawn = (
+            variant
+            for _, variants in self.placements()
+            for variant in variants
+            if variant.placement.random or (variant.drive and sweep.profiles[variant.drive.profile].random)
+        )
+        return {variant.index: variant.replicate for variant in drawn}
+
+    def search_items(self) -> tuple[SearchItem, ...]:
+        """The questions of a search for each placement: every profile in every direction."""
+        directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)
+        return tuple(
+            SearchItem(name, direction)
+            for name in self.sweep.profiles
+            for direction in directions
+            if isinstance(direction, float)
+        )
+
+    def _drive_replicates(self, point: Point, replicate: int, change: PlacementChange) -> Sequence[int]:
+        name = point.get("profile")
+        if not change.random and isinstance(name, str) and self.sweep.profiles[name].random:
+            return range(self.sweep.replicates)
+        return (replicate,)
+
+    def _sampled(self) -> Iterator[Variant]:
+        """Variants drawn from the axes, the same for every plan. Each has its own replicate number."""
+        axes = [*self._axes(placement=True), *self._axes(placement=False)]
+        for number in range(1, (self.sweep.sample or 0) + 1):
+            key = WorldKey(self.sweep.seed, "", number)
+            point = {axis.name: axis.pick(key) for axis in axes}
+            yield self._variant(number, point, number, self._change(point))
+
+    def _variant(self, index: int, point: Point, replicate: int, change: PlacementChange) -> Variant:
+        parameters: dict[str, float | int | str] = {
+            AXIS_KINDS[name].column: self.sweep.axes[name].cell(value) for name, value in point.items()
+        }
+        if self._has_replicates:
+            parameters["replicate"] = replicate
+        drive = None
+        if "profile" in point:
+            strength = point.get("level", point.get("scale", 1.0))
+            direction = point.get("direction", 0.0)
+            assert isinstance(strength, float)
+            assert isinstance(direction, float)
+            drive = DriveSpec(str(point["profile"]), strength, direction)
+        return Variant(index, change, drive, replicate, parameters)
+
+    def _change(self, point: Point) -> PlacementChange:
+        # Axes that change the same field are never in the same sweep.
+        changes: dict[str, Any] = {field: value for name, value in point.items() for field in AXIS_KINDS[name].changes}
+        return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
+
+
+def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
+    """The full grid; the last axis varies fastest. One empty point if there is no axis."""
+    names = [axis.name for axis in axes]
+    for values in itertools.product(*(axis.values for axis in axes)):
+        yield dict(zip(names, values, strict=True))
+
+
+def _n_points(axes: Iterable[Axis]) -> int:
+    return math.prod(len(axis.values) for axis in axes)
+
+
+_BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
+"""Fields of a sweep file that change no world, or are compared separately."""
+
+
+def sweep_identity(sweep: Sweep) -> dict[str, Any]:
+    """The settings of a sweep as plain JSON values, without its simulation; profiles by a digest of their samples."""
+    settings = sweep.model_dump(mode="json", exclude=_BESIDE)
+    if sweep.search is not None:
+        settings["search"]["levels"] = len(sweep.search_levels)
+    settings["axes"] = {name: _values(axis) for name, axis in sweep.axes.items()}
+    settings["profiles"] = {name: _digest(sweep, name) for name in sweep.profiles}
+    return settings
+
+
+def _values(axis: Axis) -> object:
+    if axis.continuous:
+        return {"from": axis.low, "to": axis.high}
+    return [value if isinstance(value, float | int | str) else repr(value) for value in axis.values]
+
+
+def _digest(sweep: Sweep, name: str) -> str:
+    """Digest of what a profile's first realisation does. Realisations differ by random numbers alone."""
+    profile = sweep.profiles[name]
+    excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))
+    digest = hashlib.blake2b(f"{excitation.kind} {excitation.samples.shape}".encode(), digest_size=8)
+    digest.update(excitation.samples.tobytes())
+    return digest.hexdigest()

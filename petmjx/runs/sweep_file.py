@@ -1,0 +1,377 @@
+"""The ready-made sweep files: in ``sweeps/`` of a checkout, or their copies in an installed package.
+
+Sweep files (``sweeps/*.toml``): reading and checking. What they may contain: docs/sweeps.md.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    PlainValidator,
+    StrictBool,
+    StrictFloat,
+    StrictInt,
+    Tag,
+    ValidationInfo,
+    model_validator,
+)
+
+from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, complaint, read_toml, shape
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
+from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Simulation
+from petmjx.runs.sweep_axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
+from petmjx.world.profiles.profile import Profile, Strength
+from petmjx.world.profiles.profile_registry import resolve
+from petmjx.world.profiles.profile_tables import MAX_NAME, FileName, define_profiles
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+_FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")
+"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout it is beside the package."""
+
+
+def ready_sweeps() -> dict[str, Path]:
+    """Name → file of each ready-made sweep, sorted by name."""
+    folder = next((folder for folder in _FOLDERS if folder.is_dir()), None)
+    return {} if folder is None else {path.stem: path for path in sorted(folder.glob("*.toml"))}
+
+
+def find_sweep(name_or_path: str | Path) -> Path:
+    """The file of a sweep: a path to one, or the name of a ready-made one such as ``eumos``.
+
+    Raises:
+        InputError: there is no such file or name; the line lists the ready-made names.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    ready = ready_sweeps()
+    if str(name_or_path) in ready:
+        return ready[str(name_or_path)]
+    raise InputError(f"{name_or_path}: no such sweep file; ready-made sweeps are {', '.join(ready) or 'not installed'}")
+
+
+SAMPLES: Final = "samples"
+"""Value of ``plans`` for the bundled samples."""
+
+DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
+"""How exactly a search finds the largest level (g) or scale survived."""
+
+MAX_SEARCH_LEVELS: Final = 1_000_000
+MAX_PROFILE_STEPS: Final = 4_000_000
+"""Steps of one profile: its samples take 24 bytes a step."""
+MAX_TEXT: Final = 100_000
+"""Characters of the name and of the description."""
+MIN_TOLERANCE: Final = 1e-5
+"""Smallest tolerance of a search. Levels are rounded to 1e-12: much closer ones would become equal."""
+MAX_REPEATS: Final = 2**31 - 1
+"""Largest number of samples or replicates; the results hold it in 32 bits."""
+
+
+class Search(CheckedRecord):
+    """``[search]``: instead of an axis ``level`` or ``scale``, find the largest one survived."""
+
+    lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
+    upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
+    tolerance: StrictFloat | None = Field(
+        None,
+        ge=MIN_TOLERANCE,
+        description="accuracy of the largest level survived; by default 0.01 g, or a scale of 0.02",
+    )
+    sections: StrictInt = Field(3, ge=1, le=1000, description="levels tested at a time, for each direction")
+
+    @model_validator(mode="after")
+    def _upper_above_lower(self) -> Self:
+        if self.upper <= self.lower:
+            raise complaint(f"must be > lower = {self.lower:g}, got {self.upper:g}", "upper")
+        return self
+
+    def tests(self, n_levels: int) -> int:
+        """Most worlds that one question needs: the sum of the levels over all rounds."""
+        tests = 0
+        while n_levels > 0:
+            tests += min(self.sections, n_levels)
+            n_levels = -(-(n_levels - min(self.sections, n_levels)) // (self.sections + 1))
+        return tests
+
+
+def _plan_paths(plans: str) -> str | tuple[Path, ...]:
+    return plans if plans == SAMPLES else (Path(plans),)
+
+
+def _own_profiles(tables: Any, info: ValidationInfo) -> dict[str, Profile]:
+    return define_profiles(tables, info.context.parent if isinstance(info.context, Path) else Path())
+
+
+def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
+    """Axes by name, with profiles instead of families of them."""
+    axes = read_axes(tables, info.data.get("mode") == "sample")
+    if "profile" in axes:
+        names: list[str] = []
+        for value in axes["profile"].values:
+            try:
+                profiles = resolve(str(value), info.data.get("own_profiles"))
+            except InputError as error:
+                raise complaint(f": {error}", "profile") from None
+            names += [profile.name for profile in profiles]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise complaint(f"holds {twice[0]!r} twice", "profile")
+        axes["profile"] = Axis("profile", tuple(names))
+    return axes
+
+
+class Sweep(CheckedRecord):
+    """A checked sweep file."""
+
+    name: str = Field("", max_length=MAX_NAME, description="name of the sweep; by default the file's")
+    description: str = Field("", max_length=MAX_TEXT, description="what it asks")
+    plans: (
+        Annotated[
+            Annotated[tuple[Path, ...], Tag(LIST)] | Annotated[FileName, AfterValidator(_plan_paths), Tag(VALUE)],
+            Discriminator(shape),
+        ]
+        | None
+    ) = Field(None, description='a path, a list of paths (from the file\'s folder), or "samples"')
+    mode: Literal["grid", "sample"] = Field("grid", description="every combination, or random ones")
+    sample: StrictInt | None = Field(None, ge=1, le=MAX_REPEATS, description="number of random combinations")
+    seed: StrictInt = Field(
+        0, ge=0, lt=2**63, description="together with plan id and replicate it determines every random number"
+    )
+    replicates: StrictInt = Field(1, ge=1, le=MAX_REPEATS, description="repetitions of everything random")
+    nominal: StrictBool = Field(
+        False, description="whether variant 0, the unchanged world without a drive, is simulated too"
+    )
+    shifts_from: Literal["plan", "release"] = Field("plan", description="from where shifts are measured")
+    simulation: Simulation = Field(Simulation(), description="how worlds are simulated")
+    search: Search | None = Field(None, description="what to search for instead of an axis level or scale")
+    own_profiles: Annotated[dict[str, Any], PlainValidator(_own_profiles)] = Field(
+        {}, alias="profiles", description="the file's own profiles, by name"
+    )
+    axes: Annotated[dict[str, Axis], PlainValidator(_named_axes)] = Field(
+        {}, description="what is varied: axes by name, in the order of the file"
+    )
+
+    _file: Path | None = None
+    _tables: Mapping[str, Any] | None = None
+
+    def model_post_init(self, context: Any) -> None:
+        """Keep the file's path, which is the context of the validation."""
+        self._file = context
+
+    @property
+    def file(self) -> str:
+        """The file as the user named it, for messages."""
+        return str(self._file or self.name)
+
+    @cached_property
+    def profiles(self) -> dict[str, Profile]:
+        """The profiles that the sweep uses, by name."""
+        names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
+        return {name: resolve(name, self.own_profiles)[0] for name in names}
+
+    @property
+    def strength(self) -> Strength:
+        """What a search looks for: a level, or a scale. Its value is the name of the axis."""
+        levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
+        return Strength.LEVEL if levels else Strength.SCALE
+
+    @cached_property
+    def search_levels(self) -> FloatArray:
+        """(n,) the levels a search can test, rising: from `lower` by its tolerance, and `upper` itself.
+
+        The last step is shorter where the tolerance does not lead to `upper`. No level lies beyond it.
+        """
+        if self.search is None:
+            return np.zeros(0)
+        lower, upper = self.search.lower, self.search.upper
+        # A hair less than the quotient, so that 0 … 2 by 0.01 has `upper` once and not also a level beside it.
+        count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
+        return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
+
+    @property
+    def _tolerance(self) -> float:
+        given = self.search.tolerance if self.search is not None else None
+        return given or DEFAULT_TOLERANCE[self.strength]
+
+    def resolved(self) -> dict[str, Any]:
+        """What ``run.json`` has of the sweep: every setting, with defaults, as plain JSON values."""
+        record = {
+            "file": self.file,
+            "tables": _json_tables(self._tables),
+            **self.model_dump(mode="json", exclude={"axes", "own_profiles"}),
+        }
+        if self.search is not None:
+            record["search"]["tolerance"] = self._tolerance
+        record["axes"] = {name: axis.described() for name, axis in self.axes.items()}
+        record["profiles"] = {name: {"kind": p.kind, "source": p.source} for name, p in self.profiles.items()}
+        return record
+
+    # Combinations that are refused.
+
+    @model_validator(mode="after")
+    def _mode(self) -> Self:
+        if self.mode == "grid":
+            if self.sample is not None:
+                raise complaint('contradicts mode = "grid": set mode = "sample"', "sample")
+            return self
+        if self.sample is None:
+            raise complaint('is missing: mode = "sample" needs the number of variants to draw', "sample")
+        if self.search is not None:
+            raise ValueError('[search] contradicts mode = "sample": a search needs the full grid of the other axes')
+        if self.replicates > 1:
+            raise complaint('contradicts mode = "sample": every sample has random numbers of its own', "replicates")
+        return self
+
+    @model_validator(mode="after")
+    def _search_has_one_strength(self) -> Self:
+        if self.search is None:
+            return self
+        for axis in (Strength.LEVEL, Strength.SCALE):
+            if axis in self.axes:
+                raise _contradiction(axis, f"[search], which looks for the largest {axis}: drop one of them")
+        if not self.profiles:
+            raise ValueError("[search] needs axes.profile: without a profile there is no level to search for")
+        for name, profile in self.profiles.items():
+            if profile.strength is Strength.ANGLE:
+                raise ValueError(
+                    f"[search] cannot be used with profile {name!r}, which passes through all its angles itself"
+                )
+            if profile.strength is not self.strength:
+                raise ValueError("[search] needs profiles of one kind: some of these have a level in g, others a scale")
+        if (self.search.upper - self.search.lower) / self._tolerance > MAX_SEARCH_LEVELS:
+            raise complaint(f"{self._tolerance:g} makes more than {MAX_SEARCH_LEVELS:,} levels", "search", "tolerance")
+        return self
+
+    @model_validator(mode="after")
+    def _strengths_fit_profiles(self) -> Self:
+        axes = self.axes
+        for name in ("scale", "level", "direction"):
+            if name in axes and not self.profiles:
+                raise complaint("needs axes.profile: without a profile there is nothing to apply it to", "axes", name)
+        if "scale" in axes and "level" in axes:
+            raise _contradiction("scale", "axes.level: both set how strong the profile is; drop one of them")
+        for name, profile in self.profiles.items():
+            wrong = next((other for other in ("scale", "level") if other in axes and other != profile.strength), None)
+            if wrong is None:
+                continue
+            why = {
+                Strength.ANGLE: "whose strength is its angle",
+                Strength.LEVEL: "whose strength is a level in g: use axes.level",
+                Strength.SCALE: "which has no level in g: use axes.scale",
+            }
+            raise _contradiction(wrong, f"profile {name!r}, {why[profile.strength]}")
+        return self
+
+    @model_validator(mode="after")
+    def _profiles_fit_the_timestep(self) -> Self:
+        timestep_s = self.simulation.physics.timestep_s
+        for name, profile in self.profiles.items():
+            n_steps = profile.n_steps(timestep_s)
+            if n_steps > MAX_PROFILE_STEPS:
+                text = f"{n_steps:,} steps of {timestep_s:g} s, more than {MAX_PROFILE_STEPS:,}"
+                raise complaint(f": profile {name!r} takes {text}", "axes", "profile")
+        return self
+
+    @model_validator(mode="after")
+    def _axes_do_not_overlap(self) -> Self:
+        given = [kind for kind in AXIS_KINDS.values() if kind.name in self.axes]
+        for one, other in itertools.combinations(given, 2):
+            if set(one.changes) & set(other.changes):
+                raise _contradiction(one.name, f"axes.{other.name}: drop one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _something_varies(self) -> Self:
+        if not self.axes and not self.nominal:
+            text = "is empty: nothing is varied (nominal = true simulates the unchanged plans)"
+            raise complaint(text, "axes")
+        varies = [axis.random for axis in self.axes.values()] + [profile.random for profile in self.profiles.values()]
+        if self.replicates > 1 and not any(varies):
+            raise ValueError(f"replicates = {self.replicates} needs something random: no axis and no profile is")
+        return self
+
+
+def _contradiction(axis: str, other: str) -> ValueError:
+    return complaint(f"contradicts {other}", "axes", axis)
+
+
+def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None) -> Sweep:
+    """Read and check a sweep file.
+
+    Args:
+        plans_given: the caller gives plans, so the file may name none, and those that it names may be missing.
+        simulation: fields of ``Simulation`` that replace those of the file.
+
+    Raises:
+        InputError: one line with file and field, such as "x.toml: axes.scale must be > 0, got -1".
+    """
+    path = Path(path)
+    return sweep_of_tables(read_toml(path), path, plans_given, simulation)
+
+
+def sweep_of_tables(
+    tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
+) -> Sweep:
+    """As :func:`load_sweep`, of the tables of a file that was there once."""
+    said_by_file = _json_tables(tables)
+    simulation_table = tables.get("simulation")
+    if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
+        simulation_table.pop(
+            "carrier", None
+        )  # of a run that is looked at again: its file may be gone, or another one by now
+    try:
+        sweep = Sweep.read({"name": path.stem, **tables}, context=path)
+        changes: dict[str, Any] = {"plans": None if plans_given else _existing_files(sweep.plans, path.parent)}
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if simulation:
+        changes["simulation"] = sweep.simulation.changed(**simulation)
+    sweep = sweep.model_copy(update=changes)
+    sweep._tables = said_by_file
+    return sweep
+
+
+def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
+    """Tables of TOML as JSON has them; None where they have times, infinities or too many levels."""
+    try:
+        return None if tables is None else json.loads(json.dumps(tables, allow_nan=False))
+    except (TypeError, ValueError, RecursionError):
+        return None
+
+
+def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
+    """Plan files; their names are relative to the sweep file's folder."""
+    if plans is None:
+        raise InputError("plans is missing: name plan files here or on the command line "
+                         f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip
+    if isinstance(plans, str):
+        return plans
+    if not plans:
+        raise InputError("plans is empty: name at least one plan file")
+    paths = tuple(folder / plan for plan in plans)
+    for path in paths:
+        try:
+            exists = path.exists()
+        except (OSError, ValueError):  # a name that is too long, for instance, or holds a zero
+            exists = False
+        if not exists:
+            raise InputError(f"plans: no such file or folder: {printable(str(path))}")
+    return paths
+
+
+def nominal_sweep(sim: Simulation) -> Sweep:
+    """The sweep with one variant, the unchanged plan: a score."""
+    return Sweep(name="nominal", nominal=True, simulation=sim)

@@ -1,0 +1,492 @@
+"""How much of a sweep is simulated at the same time, and what it has cost.
+
+What a sweep's runner tells: placements that have settled, answers of searches.
+
+Runs a sweep: simulates each placement once, forks the settled states into all drives, and searches levels.
+
+The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
+``Batching`` limits what is in memory, for sweeps of any size.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain, islice
+from typing import Any
+
+from petmjx.engines.attempt_stream import DEFAULT_CHUNK_WORLDS, FIRST_WORLDS, check_pool_for, score_worlds
+from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.subprocess.check_pool import CheckPool
+from petmjx.engines.verdict import Attempt, Flag, Outcome, Verdict, judge
+from petmjx.engines.world_results import AnyWorld, World, WorldResult
+from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.plans.plan import Plan
+from petmjx.results.history_tables import NO_RECORDING, Recording
+from petmjx.results.resume import CompletedWorlds
+from petmjx.runs.level_search import Bisection, Probe, SearchBracket
+from petmjx.runs.study import FinishedWorld
+from petmjx.runs.sweep_design import SearchItem
+from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
+from petmjx.runs.transport_limits import load_height_m
+from petmjx.world.job import Job
+from petmjx.world.scene import Scene
+from petmjx.world.variants import Variant
+
+
+@dataclass(frozen=True)
+class Batching:
+    """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
+
+    Attributes:
+        undriven: most worlds without a drive in one call of the engine; their states are not kept.
+        placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
+        worlds: most variants into which these states are forked (a single placement may have more).
+        drives: most forked worlds in one call of the engine; in a search the first tests of all its items.
+        histories: most settled states whose histories are kept with them; one with 43 boxes takes 1 MB.
+    """
+
+    undriven: int = DEFAULT_CHUNK_WORLDS
+    placements: int = 4096
+    worlds: int = 65_536
+    drives: int = 16_384
+    histories: int = 256
+
+
+@dataclass
+class Tally:
+    """What a sweep has cost so far. Steps are world-steps after the soft start, of each world's last attempt."""
+
+    placements: int = 0
+    placement_steps: int = 0
+    placement_s: float = 0.0
+    drives: int = 0
+    drive_steps: int = 0
+    drive_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SettledPlacement:
+    """A placement that has settled: its outcome, with the state from which drives start."""
+
+    group: PlacementGroup
+    scene: Scene
+    outcome: Outcome
+    attempts: tuple[Attempt, ...]
+
+    @cached_property
+    def load_height_m(self) -> float:
+        """Of the load at rest, m: the same for all its drives."""
+        return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
+
+    def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
+        """What a fork came to, judged with its placement. Its history begins with that of the placement."""
+        placed = self.outcome
+        if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
+            judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
+            verdict, reason = judge(*judge_args, placement=(placed.verdict, placed.reason))
+            outcome = replace(
+                outcome,
+                verdict=verdict,
+                reason=reason,
+                culprit=placed.culprit,
+                first_sign_s=placed.first_sign_s,
+                margin=min(outcome.margin, placed.margin),
+            )
+        if outcome.history is None or placed.history is None:
+            return outcome
+        return replace(outcome, history=placed.history.then(outcome.history))
+
+    def undriven(self, variant: Variant) -> FinishedWorld:
+        """A world with this outcome: no step was simulated for it."""
+        outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
+        return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The answer of a search for one placement, profile and direction.
+
+    Attributes:
+        largest_survived, first_failed: level in g, or scale; None where there is none.
+        at_largest, at_failure: what the worlds that say so came to; None where no world was simulated for it.
+    """
+
+    group: PlacementGroup
+    item: SearchItem
+    found: SearchBracket
+    largest_survived: float | None
+    first_failed: float | None
+    at_largest: Probe | None
+    at_failure: Probe | None
+
+
+SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
+"""The attempts at placements whose states are kept, and at their forks. A state counts time in steps, so no world can
+start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
+
+Test = tuple[int, int]
+"""Item of a search and index of the tested level, as in `Bisection`."""
+
+
+@dataclass(frozen=True, eq=False)
+class _PlacementWorld(World):
+    """A placement as a world that the engine simulates."""
+
+    group: PlacementGroup
+
+
+@dataclass(frozen=True, eq=False)
+class _DriveWorld(World):
+    """A fork as a world that the engine simulates; ``test``: which test of a search it is."""
+
+    settled: SettledPlacement
+    change: Variant
+    test: Test = (-1, -1)
+
+
+@dataclass(eq=False)
+class SweepRun:
+    """One sweep on one engine. Iterate over :meth:`worlds` once; ``tally`` fills meanwhile.
+
+    Args:
+        plan: what to simulate.
+        engine: placements and drives run on this one object, since only it can use its states.
+        progress: kept up to date; while boxes are placed its message says how many placements have ended.
+        on_answer: called with each answer of a search.
+        values_of: columns that the sweep adds to a world's row, column → value: answers are made from them.
+        recorded: the worlds that the run already has; they are not simulated again.
+        recording: which worlds' histories are recorded, and kept.
+    """
+
+    plan: SweepPlan
+    engine: Engine
+    on_answer: Callable[[Answer], None] = lambda answer: None
+    values_of: Callable[[FinishedWorld], Mapping[str, Any]] = lambda world: {}
+    recorded: CompletedWorlds = field(default_factory=CompletedWorlds)
+    recording: Recording = NO_RECORDING
+    progress: Progress = field(default_factory=Progress)
+    batching: Batching = field(default_factory=Batching)
+    tally: Tally = field(default_factory=Tally)
+    _lookers: CheckPool[Any] | None = field(default=None, init=False)
+
+    @cached_property
+    def sim(self) -> Simulation:
+        """The options of every world, before attempts change them."""
+        return self.plan.sweep.simulation
+
+    def worlds(self) -> Iterator[FinishedWorld]:
+        """Simulate everything that is missing; yield each world when it is final, in any order."""
+        # of drives many may end when these have just begun: what looks at outcomes starts while boxes are placed
+        known = self.plan.sweep.search is None
+        self._lookers = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if known else None
+        try:
+            yield from self._all_worlds()
+        finally:
+            if self._lookers is not None:
+                self._lookers.close()
+
+    def _all_worlds(self) -> Iterator[FinishedWorld]:
+        profiles = bool(self.plan.sweep.profiles)
+        if self.plan.sweep.nominal or not profiles:
+            yield from self._run_placements(group for group in self._groups() if not group.driven)
+        if not profiles:
+            return
+        for chunk in self._chunks():
+            if self.plan.sweep.search is None:
+                yield from self._fork(chunk)
+            else:
+                yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
+
+    def world(self, plan_id: str, index: int) -> FinishedWorld:
+        """One world alone, simulated as among all others.
+
+        Args:
+            index: of the variant, as in ``worlds``.
+
+        Raises:
+            InputError: the plan has no such variant.
+        """
+        group, variant = self.plan.find(plan_id, index)
+        if not group.driven:
+            return next(world for world in self._run_placements([group]) if world.variant.index == index)
+        (start,) = self._settle([group])
+        if not self._can_be_driven(start):
+            return start.undriven(variant)
+        ((_, world),) = self._drive([self._driving(start, variant)])
+        return world
+
+    def _groups(self) -> Iterator[PlacementGroup]:
+        """Placements with worlds that are missing; of a search every one, since its worlds follow from each other."""
+        return (group for group in self.plan.groups(self._whole) if not group.variants or self._missing(group))
+
+    def _whole(self, plan: Plan) -> bool:
+        """Whether no world of a plan is missing: then it is not looked at world by world."""
+        known = self.plan.sweep.search is None
+        return known and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
+
+    def _missing(self, group: PlacementGroup) -> list[Variant]:
+        """Those of a placement's worlds that are not recorded."""
+        return [variant for variant in group.variants if (group.plan.plan_id, variant.index) not in self.recorded]
+
+    def _chunks(self) -> Iterator[list[PlacementGroup]]:
+        """Placements with drives, in chunks as large as ``Batching`` allows."""
+        search = self.plan.sweep.search
+        most = self.batching.worlds
+        per_search = 0
+        if search is not None:
+            per_search = len(self.plan.search_items()) * search.sections
+            most = self.batching.drives
+        chunk: list[PlacementGroup] = []
+        worlds = histories = 0
+        for group in (group for group in self._groups() if group.driven):
+            more = len(group.variants) or per_search
+            more_histories = int(self.recording.of(group.plan) is not None)
+            full = worlds + more > most or len(chunk) >= self.batching.placements
+            if chunk and (full or histories + more_histories > self.batching.histories):
+                yield chunk
+                chunk, worlds, histories = [], 0, 0
+            chunk.append(group)
+            worlds += more
+            histories += more_histories
+        if chunk:
+            yield chunk
+
+    def _score(
+        self,
+        worlds: Iterable[AnyWorld],
+        chunk_worlds: int,
+        first_worlds: int = FIRST_WORLDS,
+        *,
+        forks: bool,
+        more: Callable[[], Iterable[AnyWorld]] | None = None,
+    ) -> Iterator[WorldResult[AnyWorld]]:
+        return score_worlds(
+            worlds,
+            self.sim,
+            self.engine,
+            progress=self.progress,
+            chunk_worlds=chunk_worlds,
+            first_worlds=first_worlds,
+            attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
+            more=more,
+            lookers=self._lookers,
+        )
+
+    # Placements.
+
+    def _place(
+        self, groups: Iterable[PlacementGroup], chunk_worlds: int, keep_state: bool
+    ) -> Iterator[SettledPlacement]:
+        begin = time.perf_counter()
+        worlds = (
+            _PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
+            for group, scene in self.plan.scenes(groups)
+        )
+        for result in self._score(worlds, chunk_worlds, forks=keep_state):
+            self.tally.placements += 1
+            self.tally.placement_steps += result.outcome.n_steps
+            yield SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
+        self.tally.placement_s += time.perf_counter() - begin
+
+    def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
+        return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
+
+    def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
+        """Worlds without a drive: they have the placement's outcome, with rest window."""
+        for placed in self._place(groups, self.batching.undriven, keep_state=False):
+            for variant in self._missing(placed.group):
+                if variant is placed.group.variants[0]:
+                    yield FinishedWorld(placed.group.plan, variant, placed.scene, placed.outcome, placed.attempts)
+                else:
+                    yield placed.undriven(variant)
+
+    def _settling(self, groups: Sequence[PlacementGroup]) -> Iterator[SettledPlacement]:
+        """Simulate placements and keep their states."""
+        placed = self._place(groups, self.batching.placements, keep_state=True)
+        for count, settled in enumerate(placed, start=1):
+            self.progress.message = f"placed {count:,} of {len(groups):,}"
+            yield settled
+        self.progress.message = ""
+
+    def _settle(self, groups: Sequence[PlacementGroup]) -> list[SettledPlacement]:
+        """The same, in the order of the groups."""
+        settled_by_group = {id(settled.group): settled for settled in self._settling(groups)}
+        return [settled_by_group[id(group)] for group in groups]
+
+    def _can_be_driven(self, settled: SettledPlacement) -> bool:
+        """Not if the placement does not stand; without early stop, not if it is invalid."""
+        outcome = settled.outcome
+        shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
+        return shaken and outcome.state is not None
+
+    # Drives.
+
+    def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
+        """All variants of placements. While some are placed, the first drives are made, for which a device waits, and
+        what others give that are not driven is written."""
+        drives: dict[int, Iterable[_DriveWorld]] = {}
+        made = 0
+        for start in self._settling(groups):
+            if not self._can_be_driven(start):
+                for variant in self._missing(start.group):
+                    yield start.undriven(variant)
+                continue
+            of_start = self._drives_of(start)
+            ready = list(islice(of_start, self.batching.drives - made))
+            drives[id(start.group)] = chain(ready, of_start)
+            made += len(ready)
+        in_order = (drive for group in groups for drive in drives.pop(id(group), ()))
+        for _, world in self._drive(in_order):
+            yield world
+
+    def _drives_of(self, start: SettledPlacement) -> Iterator[_DriveWorld]:
+        return (self._driving(start, variant) for variant in self._missing(start.group))
+
+    def _driving(self, start: SettledPlacement, variant: Variant, test: Test = (-1, -1)) -> _DriveWorld:
+        plan = start.group.plan
+        drive, record = self.plan.drive(plan, variant, start.load_height_m), self.recording.of(plan)
+        job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
+        return _DriveWorld(plan, variant.index, job, start, variant, test)
+
+    def _drive(
+        self, worlds: Iterable[_DriveWorld], more: Callable[[], Iterable[_DriveWorld]] | None = None
+    ) -> Iterator[tuple[Test, FinishedWorld]]:
+        """Simulate forks; yield each one with its test. ``more``: those that follow from the ones before."""
+        begin = time.perf_counter()
+        most = self.batching.drives  # at once, since they are made of scenes that are there
+        for result in self._score(worlds, most, most, forks=True, more=more):
+            world, outcome = result.world, result.outcome
+            self.tally.drives += 1
+            self.tally.drive_steps += outcome.n_steps
+            final = world.settled.shaken(outcome, self.sim.thresholds)
+            swept = FinishedWorld(
+                world.plan, world.change, world.job.scene, final, result.attempts, world.settled.outcome, driven=True
+            )
+            yield world.test, swept
+        self.tally.drive_s += time.perf_counter() - begin
+
+    # Search.
+
+    def _search(self, settled: Sequence[SettledPlacement]) -> Iterator[FinishedWorld]:
+        """Bisection over all placements, profiles and directions of a chunk together.
+
+        When all tests of an item have ended, its next ones begin, beside those of others that still run. A placement
+        that does not stand has one row per profile and direction, at the lowest level, with its own outcome. Nothing
+        more is simulated for it.
+        """
+        items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
+        searches = [(start, number) for start in settled for number in range(len(items))]
+        bisection = self._bisection([Probe.of(start.outcome, tilt_deg) for start, _ in searches])
+
+        def variant(which: int, level: int) -> Variant:
+            start, number = searches[which]
+            return self.plan.search_variant(start.group, number, level)
+
+        def recorded(which: int, level: int) -> Probe | None:
+            start, number = searches[which]
+            return self._recorded_test(start.group, number, level)
+
+        for which, bracket in enumerate(bisection.items):
+            if not bracket.stands_at_rest and recorded(which, 0) is None:
+                yield searches[which][0].undriven(variant(which, 0))
+        tested: dict[Test, Probe] = {}
+        missing: dict[int, set[Test]] = {}
+
+        def next_drives(which: int) -> list[_DriveWorld]:
+            """Those that an item needs next; none if it is through."""
+            while tests := bisection.next_tests(which):
+                known = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
+                tested.update(known)
+                if missing_now := [test for test in tests if test not in known]:
+                    missing[which] = set(missing_now)
+                    return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
+                # only the worlds at the bounds of an item's search may yet be an answer
+                now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
+                bisection.record(tests, [now[test] for test in tests])
+                tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
+            return []
+
+        following: list[_DriveWorld] = []
+
+        def more() -> list[_DriveWorld]:
+            drives = following.copy()
+            following.clear()
+            return drives
+
+        first = (drive for which in range(len(searches)) for drive in next_drives(which))
+        for test, world in self._drive(first, more):
+            which, _ = test
+            tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
+            missing[which].remove(test)
+            if not missing[which]:
+                following += next_drives(which)
+            yield world
+        self._answer([(start.group, number) for start, number in searches], bisection, tested)
+
+    def _bisection(self, at_rest: Sequence[Probe]) -> Bisection:
+        sweep = self.plan.sweep
+        assert sweep.search is not None
+        return Bisection(sweep.search_levels, at_rest, sweep.search.sections)
+
+    def _answer(
+        self, searches: Sequence[tuple[PlacementGroup, int]], bisection: Bisection, tested: Mapping[Test, Probe]
+    ) -> None:
+        items = self.plan.search_items()
+        for which, ((group, number), bracket) in enumerate(zip(searches, bisection.items, strict=True)):
+            self.on_answer(
+                Answer(
+                    group,
+                    items[number],
+                    bracket,
+                    bisection.largest_survived(which),
+                    bisection.first_failed(which),
+                    tested.get((which, bracket.survived)),
+                    tested.get((which, bracket.failed)),
+                )
+            )
+
+    def _answer_again(self, group: PlacementGroup) -> bool:
+        """Answer all of a placement's questions from recorded worlds; False where one of these is missing."""
+        if not len(self.recorded):
+            return False
+        numbers = range(len(self.plan.search_items()))
+        bisection = self._bisection([self._recorded_rest(group, number) for number in numbers])
+        if any(
+            bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
+        ):
+            return False  # a search of one level, of which no world tells that the placement stood
+        tested: dict[Test, Probe] = {}
+        for which in range(len(bisection.items)):
+            while tests := bisection.next_tests(which):
+                worlds = [self._recorded_test(group, *test) for test in tests]
+                known = [world for world in worlds if world is not None]
+                if len(known) < len(tests):
+                    return False
+                tested |= zip(tests, known, strict=True)
+                bisection.record(tests, known)
+        self._answer([(group, number) for number in numbers], bisection, tested)
+        return True
+
+    def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
+        """The outcome of a placement, as far as it is recorded: one that did not stand has one world, without steps.
+
+        A test that failed has no steps either, but a search that tests also has its first tests.
+        """
+        row = self._row(group, number, 0)
+        first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)
+        tested = any(self._row(group, number, level) is not None for _, level in first if level > 0)
+        fell = row is not None and row["n_steps"] == 0 and not tested
+        return Probe.from_row(row) if fell and row is not None else Probe(Verdict.STABLE)
+
+    def _recorded_test(self, group: PlacementGroup, number: int, level: int) -> Probe | None:
+        row = self._row(group, number, level)
+        return None if row is None else Probe.from_row(row)
+
+    def _row(self, group: PlacementGroup, number: int, level: int) -> dict[str, Any] | None:
+        if not len(self.recorded):
+            return None
+        return self.recorded.row(group.plan.plan_id, self.plan.search_variant(group, number, level).index)

@@ -1,0 +1,116 @@
+"""The study of a run with variants: of sweeps, and of scores that say how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from petmjx.engines.protocol import Engine, Progress
+from petmjx.options.run_options import RunOptions
+from petmjx.plans.plan import Plan
+from petmjx.results.history_tables import Recording
+from petmjx.results.resume import CompletedWorlds
+from petmjx.results.run_writer import RunWriter
+from petmjx.results.schema import summary_table
+from petmjx.runs.confidence import write_confidence
+from petmjx.runs.study import FinishedWorld, Study
+from petmjx.runs.sweep_design import sweep_identity
+from petmjx.runs.sweep_file import Sweep
+from petmjx.runs.sweep_run import Answer, Batching, SweepRun, Tally
+from petmjx.runs.sweep_summary import (
+    ShareColumns,
+    SweepColumns,
+    search_frame,
+    search_row,
+    summarise_shares,
+    summary_units,
+)
+from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.runs.transport_limits import hopeless_profiles
+
+
+class SweepStudy(Study):
+    """All variants of each plan.
+
+    Args:
+        confidence: worlds with errors for each plan, if their share is asked for: then it is a score.
+
+    Raises:
+        InputError: as ``SweepPlan``.
+    """
+
+    def __init__(
+        self,
+        sweep: Sweep,
+        plans: Sequence[Plan],
+        options: RunOptions,
+        *,
+        confidence: int | None = None,
+        batching: Batching | None = None,
+    ) -> None:
+        plan = SweepPlan(sweep, plans, options.allow_large, options.strict)
+        everything = tuple(plan.plans)
+        plan.plans = [input_plan for input_plan in everything if options.takes(input_plan.plan_id)]
+        self._plan, self._columns = plan, SweepColumns(plan)
+        self._confidence, self._batching = confidence, batching or Batching()
+        self._shares = ShareColumns.of(plan) if confidence is None and sweep.search is None else None
+        self._answers: list[dict[str, Any]] = []
+        self._tally = Tally()
+        super().__init__(
+            sim=sweep.simulation,
+            everything=everything,
+            plans=plan.plans,
+            work=plan.work(),
+            n_worlds=plan.n_worlds,
+            known=sweep.search is None,
+            first_variant=int(not sweep.nominal),
+            amount=plan.amount,
+            command="sweep" if confidence is None else "score",
+            what="world",
+            skipped=plan.skipped,
+            # friction by materials may hold what that of boxes and carrier does not
+            notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
+            params=self._columns.params,
+            dynamic=self._columns.has_drives,
+            axes=tuple(sweep.axes),
+            has_errors=plan.has_errors,
+            identity={"sweep": sweep_identity(sweep)},
+            config={
+                **({"confidence": confidence} if confidence is not None else {}),
+                "sweep": sweep.resolved(),
+                **({"shares": asdict(self._shares)} if self._shares else {}),
+            },
+        )
+
+    def worlds(
+        self, engine: Engine, recorded: CompletedWorlds, recording: Recording, progress: Progress
+    ) -> Iterator[FinishedWorld]:
+        yield from SweepRun(
+            self._plan,
+            engine,
+            on_answer=self._take_answer,
+            values_of=self._columns.of,
+            recorded=recorded,
+            recording=recording,
+            progress=progress,
+            batching=self._batching,
+            tally=self._tally,
+        ).worlds()
+
+    def _take_answer(self, answer: Answer) -> None:
+        self._answers.append(search_row(answer, self._columns))
+
+    def values(self, world: FinishedWorld) -> Mapping[str, Any]:
+        return self._columns.of(world)
+
+    def timings(self) -> Mapping[str, float]:
+        return vars(self._tally)
+
+    def summarise(self, writer: RunWriter) -> None:
+        writer.flush()  # it is made of what is on disk
+        if self._confidence is not None:
+            write_confidence(writer, self._plan.sweep.axes)
+            return
+        frame = summarise_shares(writer.parts, self._shares) if self._shares else search_frame(self._answers)
+        writer.write_summary(summary_table(frame, *summary_units(frame, self._plan)))

@@ -1,0 +1,283 @@
+"""What a sweep adds to the results: parameters and answers as columns of ``worlds``, and the table ``summary``."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from petmjx.engines.metrics import DIMENSIONLESS, TEXT
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.results.run_tables import Parts
+from petmjx.results.schema import Param
+from petmjx.results.shares import KEYS, by_plan_and_axis, share_standing
+from petmjx.runs.level_search import failure_mode
+from petmjx.runs.study import FinishedWorld
+from petmjx.runs.sweep_axes import AXIS_KINDS, Axis
+from petmjx.runs.sweep_run import Answer
+from petmjx.runs.sweep_worlds import SweepPlan
+from petmjx.runs.transport_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
+from petmjx.world.profiles.accelerations import Tilt
+
+RANGE_BINS = 8
+"""Number of equal parts into which the summary divides an axis with a continuous range."""
+
+MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty where stable", str)
+SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
+FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
+
+
+class SweepColumns:
+    """The additional columns of a sweep's worlds."""
+
+    def __init__(self, plan: SweepPlan) -> None:
+        self._plan = plan
+        sweep = plan.sweep
+        self._sim = sweep.simulation
+        self.parameters = [
+            Param(name, unit, "parameter of the variant", _type_of(name, sweep.axes))
+            for name, unit in plan.parameter_columns.items()
+        ]
+        self.strength = AXIS_KINDS[sweep.strength].column
+        self.has_drives = bool(sweep.profiles)
+        self.has_tilt = any(isinstance(profile, Tilt) for profile in sweep.profiles.values())
+        self.has_eumos = EUMOS_PROFILE in sweep.profiles
+
+    @property
+    def params(self) -> list[Param]:
+        """All of these columns, in order."""
+        columns = [*self.parameters, MODE]
+        columns += [SIGN] if self.has_drives else []
+        columns += [FAIL_ANGLE] if self.has_tilt else []
+        columns += EUMOS_COLUMNS if self.has_eumos else ()
+        return columns
+
+    def of(self, world: FinishedWorld) -> dict[str, Any]:
+        """Column → value of one world; missing ones become null."""
+        values: dict[str, Any] = dict(world.variant.parameters)
+        values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
+        values |= self.during_drive(world)
+        return values
+
+    def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
+        """The values that come from the drive."""
+        values: dict[str, Any] = {}
+        drive = world.variant.drive
+        if drive is None:
+            return values
+        if world.driven:
+            sign_s = self._sign_in_profile_s(world.outcome)
+            values[SIGN.name] = sign_s
+            profile = self._plan.sweep.profiles[drive.profile]
+            if isinstance(profile, Tilt) and sign_s is not None:
+                values[FAIL_ANGLE.name] = min(sign_s * profile.rate_deg_s, profile.max_deg)
+        if drive.profile == EUMOS_PROFILE and world.placement is not None:
+            values |= self._eumos(world, world.placement)
+        return values
+
+    def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
+        """EUMOS's figures, which count from where the boxes stood; what did not stand has none, or has not passed."""
+        values: dict[str, Any] = {}
+        if world.driven:
+            assessment = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
+            values = {name: None if value != value else value for name, value in assessment.items()}
+        if placement.verdict is not Verdict.STABLE:
+            values["eumos_passed"] = False
+        if world.outcome.verdict is Verdict.INVALID:
+            values["eumos_passed"] = None
+        return values
+
+    def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
+        """Time from the profile's beginning to the first sign; None if there is none, or one from before."""
+        began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
+        since_s = outcome.first_sign_s - began_s
+        # half a step, because the running sum of the timestep differs from a multiple in the last digits
+        return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
+
+
+def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] | type[str]:
+    if column == "replicate":
+        return int
+    cells = [axis.cell(value) for axis in axes.values() if axis.kind.column == column for value in axis.values]
+    return str if any(isinstance(cell, str) for cell in cells) else float
+
+
+# Grids and samples.
+
+
+@dataclass(frozen=True)
+class ShareColumns:
+    """Over which columns of ``worlds`` shares are taken. Stands in ``run.json``, so that shards can be joined.
+
+    Attributes:
+        axes: columns, in the order of the summary.
+        ranges: column → (low, high) of those whose values were drawn from a range.
+        eumos, tilt: whether the sweep has EUMOS's profile, and profiles that tilt.
+        draws: (variant, draw) of the variants with something random; see `Design.draws`.
+        same_draws: whether a draw is the same for every plan.
+    """
+
+    axes: tuple[str, ...]
+    ranges: Mapping[str, tuple[float, float]]
+    eumos: bool
+    tilt: bool
+    draws: Sequence[tuple[int, int]]
+    same_draws: bool
+
+    @classmethod
+    def of(cls, plan: SweepPlan) -> ShareColumns:
+        """Those of a grid or a sample."""
+        columns = SweepColumns(plan)
+        axes = tuple(AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes)
+        drawn = [axis for axis in plan.sweep.axes.values() if axis.continuous]
+        ranges = {axis.kind.column: (axis.low, axis.high) for axis in drawn}
+        draws = tuple(plan.draws().items())
+        return cls(axes, ranges, columns.has_eumos, columns.has_tilt, draws, plan.sweep.sample is not None)
+
+
+def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
+    """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
+
+    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there is also the share that
+    passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
+
+    Args:
+        parts: of the run, all of them written.
+    """
+    axes = list(columns.axes)
+    extra = ["eumos_passed"] if columns.eumos else []
+    extra += [FAIL_ANGLE.name] if columns.tilt else []
+    world_columns = ["plan_id", "variant", "verdict", *axes, *extra]
+    worlds = pa.concat_tables(parts.table("worlds", world_columns)).to_pandas()
+    for name, (low, high) in columns.ranges.items():
+        worlds[name] = _binned_values(worlds[name], low, high)
+    worlds["draw"] = _draws(worlds, columns)
+    keys = [*KEYS]
+    summary = share_standing(worlds, axes)
+    if columns.eumos:
+        tested = worlds[worlds["eumos_passed"].notna()]
+        verdict = np.where(tested["eumos_passed"].astype(bool), Verdict.STABLE, Verdict.UNSTABLE)
+        eumos = share_standing(tested.assign(verdict=verdict), axes)
+        names = {"n_worlds": "n_eumos", "n_standing": "n_eumos_passed", "share": "eumos_share"}
+        names |= {"low": "eumos_low", "high": "eumos_high"}
+        summary = summary.merge(eumos[[*keys, *names]].rename(columns=names), on=keys, how="left")
+        summary[["n_eumos", "n_eumos_passed"]] = summary[["n_eumos", "n_eumos_passed"]].fillna(0).astype("int64")
+    if columns.tilt:
+        angles = by_plan_and_axis(worlds, axes, smallest_fail_angle_deg=(FAIL_ANGLE.name, "min"))
+        summary = summary.merge(angles, on=keys, how="left")
+    return summary
+
+
+def _draws(worlds: pd.DataFrame, columns: ShareColumns) -> pd.Series[float]:
+    """A number that worlds with the same random numbers share; NaN for worlds without any."""
+    drawn = worlds["variant"].map(dict(columns.draws))
+    if columns.same_draws:
+        return drawn
+    return worlds.assign(draw=drawn).groupby(["plan_id", "draw"]).ngroup().where(drawn.notna())
+
+
+def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> pd.Series[str]:
+    edges = np.linspace(lowest, highest, RANGE_BINS + 1)
+    labels = [f"{low:.4g} to {high:.4g}" for low, high in itertools.pairwise(edges)]
+    place = np.clip(np.searchsorted(edges, values.to_numpy(), side="right") - 1, 0, RANGE_BINS - 1)
+    named = pd.Series(pd.Categorical.from_codes(place, labels, ordered=True), index=values.index)
+    return named.where(values.notna())
+
+
+# Searches.
+
+
+def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
+    """One row of a search's summary."""
+    group, bracket = answer.group, answer.found
+    box = bracket.box if bracket.box >= 0 else None
+    at_failure: Mapping[str, Any] = answer.at_failure.values if answer.at_failure is not None else {}
+    row: dict[str, Any] = {
+        "plan_id": group.plan.plan_id,
+        "placement": group.number,
+        **group.placement.parameters,
+        "profile": answer.item.profile,
+        "direction_deg": answer.item.direction_deg,
+        "stands_at_rest": bracket.stands_at_rest,
+        f"largest_{columns.strength}": answer.largest_survived,
+        f"first_failed_{columns.strength}": answer.first_failed,
+        "box": box,
+        "article": group.plan.articles[box] if box is not None else "",
+        "mode": bracket.mode,
+        SIGN.name: at_failure.get(SIGN.name),
+        "monotone": bracket.monotone,
+        "n_tests": bracket.n_tests,
+        "n_invalid": bracket.n_invalid,
+        "n_moving": bracket.n_moving,
+        "moving": any(probe.moving for probe in (answer.at_largest, answer.at_failure) if probe is not None),
+    }
+    if columns.has_eumos:
+        at_largest: Mapping[str, Any] = answer.at_largest.values if answer.at_largest is not None else {}
+        row |= {param.name: at_largest.get(param.name) for param in EUMOS_COLUMNS}
+    return row
+
+
+def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
+    """The summary of a search, in an order that does not depend on when answers came."""
+    frame = pd.DataFrame(list(rows))
+    numbers = {
+        "box": "Int32",
+        "placement": "int32",
+        "n_tests": "int32",
+        "n_invalid": "int32",
+        "n_moving": "int32",
+        "eumos_passed": "boolean",
+    }
+    floats = [name for name in frame if str(name).endswith(("_g", "_s", "_share", "_m", "_scale"))]
+    frame = frame.astype({name: kind for name, kind in numbers.items() if name in frame})
+    frame = frame.astype(dict.fromkeys(floats, "float64"))
+    return frame.sort_values(["plan_id", "placement", "profile", "direction_deg"], ignore_index=True)
+
+
+def summary_units(frame: pd.DataFrame, plan: SweepPlan) -> tuple[dict[str, str], dict[str, str]]:
+    """(units, descriptions) of a summary's columns."""
+    known = {param.name: (param.unit, param.description) for param in SweepColumns(plan).params}
+    units: dict[str, str] = {}
+    texts = dict(_DESCRIPTIONS)
+    for name in map(str, frame):
+        if name in known:
+            units[name], text = known[name]
+            texts.setdefault(name, text)
+        elif pd.api.types.is_numeric_dtype(frame[name]):
+            units[name] = "g" if name.endswith("_g") else "deg" if name.endswith("_deg") else DIMENSIONLESS
+    return units, texts
+
+
+_DESCRIPTIONS = {
+    "scope": "all: the row is about all plans together; plan: about one",
+    "plan_id": "id of the packing plan; null where the row is about all of them",
+    "axis": "which parameter the row is about; empty: all worlds",
+    "value": "the parameter's value",
+    "n_standing": "worlds that are stable",
+    "n_invalid": "worlds without a verdict; not in the share",
+    "share": "stable worlds / worlds with a verdict",
+    "n_draws": "independent random draws behind the share; 0 where a world of the row has nothing random",
+    "low": "lower end of the share's Wilson 95 % interval over these draws; null without draws",
+    "high": "upper end of it; null without draws",
+    "n_eumos": "worlds that were checked against EUMOS 40509's own limits",
+    "n_eumos_passed": "those that keep them",
+    "eumos_share": "n_eumos_passed / n_eumos, with its interval in eumos_low and eumos_high",
+    "smallest_fail_angle_deg": "smallest angle at which a world failed; null where none did",
+    "placement": "number of the plan's placement, from 0",
+    "stands_at_rest": "whether the placement stands without a profile; if not, nothing was tested",
+    "largest_level_g": "largest level survived below every failure; null: none",
+    "largest_scale": "largest scale survived below every failure; null: none",
+    "first_failed_level_g": "smallest level that failed; null: none up to the search's upper end",
+    "first_failed_scale": "smallest scale that failed; null: none up to the search's upper end",
+    "box": "box that failed first at the smallest level that failed, or at rest",
+    "mode": "how it failed: slide, tilt or drop; the reason where that world was invalid",
+    "monotone": "no tested level above the smallest that failed was survived",
+    "n_tests": "levels tested",
+    "n_moving": "levels at which boxes still moved when the world's time was up (longest_wait_s)",
+    "moving": "they did at the largest level survived or at the smallest that failed: the answer may change with time",
+}

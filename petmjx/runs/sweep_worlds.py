@@ -1,0 +1,312 @@
+"""All worlds of a sweep and its plans, in groups that share one placement."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.common.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
+from petmjx.engines.cost_model import Work, rest_steps
+from petmjx.options.placing import Way
+from petmjx.options.simulation import Check, Schedule
+from petmjx.plans.loose_boxes import placed_shares
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import Skipped
+from petmjx.runs.study import MAX_WORLDS
+from petmjx.runs.sweep_axes import AXIS_KINDS
+from petmjx.runs.sweep_design import Design
+from petmjx.runs.transport_limits import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE
+from petmjx.world.history import Record
+from petmjx.world.job import Drive, Job
+from petmjx.world.profiles.profile import Profile, Strength, allowed_sway_m
+from petmjx.world.random_streams import WorldKey
+from petmjx.world.scene import Scene, build_scene
+from petmjx.world.variants import DriveSpec, Variant, apply_all
+
+_TILTED: Final = 0.5
+"""Steps of a tilt that are simulated, as a share: pallets slide or topple before its end."""
+
+_ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
+"""What axes change that give places or sizes errors: boxes are then placed by hand, unless told otherwise."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacementGroup:
+    """Worlds of one plan that share a placement: it is simulated once, and its settled state is forked.
+
+    Attributes:
+        number: number of the placement within its plan, from 0.
+        placement: the variant whose scene is simulated (its drive is not used).
+        variants: the worlds. A world without a drive has the outcome of the placement. Empty in a search, whose
+            variants are made level by level with `SweepPlan.search_variant`.
+    """
+
+    plan: Plan
+    number: int
+    placement: Variant
+    variants: tuple[Variant, ...] = ()
+
+    @property
+    def index(self) -> int:
+        """``variant`` of the first of its worlds; in a search, which has none yet, the placement's number."""
+        return self.variants[0].index if self.variants else self.number
+
+    @property
+    def driven(self) -> bool:
+        """Whether its worlds have drives. All worlds of a group have one, or none has. True for a search."""
+        return all(variant.drive is not None for variant in self.variants)
+
+
+@dataclass(eq=False)
+class SweepPlan(Design):
+    """All worlds of a sweep, made one placement at a time.
+
+    Args:
+        plans: the plans of the sweep; later only those that can be simulated.
+        allow_large: accept more than a million worlds.
+        strict: refuse plans that would be skipped.
+
+    Attributes:
+        skipped: plans whose run ``total_time_factor`` would end before the profile begins.
+
+    Raises:
+        InputError: no usable plan, more than a million worlds without ``allow_large``, an axis placing where boxes may
+            not be carried, or a profile whose frequencies are too high for the timestep.
+    """
+
+    plans: Sequence[Plan]
+    allow_large: bool = False
+    strict: bool = False
+    skipped: list[Skipped] = field(init=False, default_factory=list)
+    _drives: dict[tuple[object, ...], Drive] = field(init=False, default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        file = self.sweep.file
+        self.plans = [plan for plan in self.plans if self._has_time(plan)]
+        if not self.plans:
+            first = f"; the first: {self.skipped[0].message}" if self.skipped else ""
+            raise InputError(f"{file}: plans: no usable plan to sweep over{first}")
+        if self.n_worlds > MAX_WORLDS and not self.allow_large:
+            raise InputError(
+                f"{file}: axes make {self.n_worlds:,} worlds ({self._plans_and_variants}), more than {MAX_WORLDS:,}: "
+                f"pass {option('--yes', 'True', python='allow_large')} to confirm"
+            )
+        if "placing" in self.sweep.axes and not self.sweep.simulation.may_carry:
+            needs = "simulation.placing auto, hand or tines, check one-by-one and schedule adaptive"
+            raise InputError(f"{file}: axes.placing needs {needs}")
+        # once before the run: it raises for a profile whose frequencies are too high for the timestep
+        for profile in self.sweep.profiles.values():
+            try:
+                profile.excitation(self.sweep.simulation.physics.timestep_s)
+            except InputError as error:
+                raise InputError(f"{file}: {error}") from None
+
+    def _has_time(self, plan: Plan) -> bool:
+        """Whether the run is long enough for a profile to begin. If not, the plan is added to ``skipped``."""
+        left = self._drive_steps_left(plan)
+        if left is None or left > 0:
+            return True
+        at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
+        why = f": the run ends before its profile begins, {at}"
+        self.skipped.append(Skipped.plan(plan, why, self.strict))
+        return False
+
+    @property
+    def n_worlds(self) -> int:
+        """Worlds of all plans; at most, in a search."""
+        return len(self.plans) * self.n_variants
+
+    def groups(self, without: Callable[[Plan], bool] = lambda plan: False) -> Iterator[PlacementGroup]:
+        """Every placement of every plan with its worlds, plan by plan; ``without``: plans that are left out."""
+        for plan in (plan for plan in self.plans if not without(plan)):
+            for number, (placement, variants) in enumerate(self.placements()):
+                yield PlacementGroup(plan, number, placement, variants)
+
+    def find(self, plan_id: str, index: int) -> tuple[PlacementGroup, Variant]:
+        """The world of a plan with that index, and the placement that it belongs to.
+
+        Raises:
+            InputError: the sweep has no such plan, or no such variant of it.
+        """
+        groups = (group for group in self.groups() if group.plan.plan_id == plan_id)
+        levels = len(self.sweep.search_levels)
+        for group in groups:
+            for variant in group.variants:
+                if variant.index == index:
+                    return group, variant
+            number, level = divmod(index - 1, levels) if levels and not group.variants else (-1, 0)
+            placement, item = divmod(number, max(len(self.search_items()), 1))
+            if not group.variants and placement == group.number:
+                return group, self.search_variant(group, item, level)
+        raise InputError(f"{self.sweep.file}: plan {printable_name(plan_id)} has no variant {index}")
+
+    def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
+        """The world of a placement that tests one level of an item of a search. Its index is the same in any order."""
+        items, levels = self.search_items(), self.sweep.search_levels
+        search_item, level = items[item], float(levels[level_index])
+        index = 1 + (group.number * len(items) + item) * len(levels) + level_index
+        drive = DriveSpec(search_item.profile, level, search_item.direction_deg)
+        column = AXIS_KINDS[self.sweep.strength].column
+        parameters = {**group.placement.parameters, "profile": search_item.profile, column: level}
+        if "direction" in self.sweep.axes:
+            parameters["direction_deg"] = search_item.direction_deg
+        return replace(group.placement, index=index, drive=drive, parameters=parameters)
+
+    def scene(self, group: PlacementGroup) -> Scene:
+        """The scene of a group's placement."""
+        ((_, scene),) = self.scenes([group])
+        return scene
+
+    def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
+        """Groups with the scenes of their placements; those of one plan, in a row, are made together."""
+        for plan, some in itertools.groupby(groups, key=lambda group: group.plan):
+            these, same = itertools.tee(some)
+            placements = (group.placement for group in same)
+            nominal = build_scene(plan, self.sweep.simulation)
+            yield from zip(these, apply_all(nominal, plan.plan_id, placements, self.sweep.seed), strict=True)
+
+    def job(
+        self, group: PlacementGroup, scene: Scene, *, keep_state: bool = False, record: Record | None = None
+    ) -> Job:
+        """What is simulated of a group's placement. One with random errors is asked whether it stands: it ends when a
+        box is lost."""
+        has_errors = group.placement.placement.random
+        return Job(scene, keep_state=keep_state, record=record, has_errors=has_errors)
+
+    # Drives.
+
+    def drive_start_s(self, plan: Plan) -> float:
+        """Absolute time at which a drive begins with the fixed schedule, s: ``settle_s`` after the nominal end of
+        placement, n × interval, as in the reference implementation."""
+        sim = self.sweep.simulation
+        placed_s = sim.interval_s * plan.n_boxes if sim.check is Check.ONE_BY_ONE else 0.0
+        return placed_s + sim.settle_s
+
+    def drive(self, plan: Plan, variant: Variant, load_height_m: float = 0.0) -> Drive | None:
+        """The drive of one world. Worlds with the same samples share the array.
+
+        Args:
+            load_height_m: of the settled load, m; EUMOS's test may be passed until boxes have swayed by a share of it.
+        """
+        spec = variant.drive
+        if spec is None:
+            return None
+        profile = self.sweep.profiles[spec.profile]
+        start_s = self.drive_start_s(plan) if self.sweep.simulation.schedule is Schedule.FIXED else 0.0
+        key: tuple[object, ...] = (spec.profile, start_s)
+        if profile.random:
+            key = (*key, plan.plan_id, variant.replicate)
+            self._drives = {k: v for k, v in self._drives.items() if len(k) == 2 or k[2] == plan.plan_id}
+        if key not in self._drives:
+            world = WorldKey(self.sweep.seed, plan.plan_id, variant.replicate)
+            self._drives[key] = self._unit_drive(profile, plan, start_s, world)
+        unit, yaw_rad = self._drives[key], deg_to_rad(spec.direction_deg)
+        tested = spec.profile == EUMOS_PROFILE
+        allowed_m = EUMOS_ELASTIC_SHARE * load_height_m if tested else allowed_sway_m(profile)
+        return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
+
+    def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
+        """A profile at scale 1, not turned.
+
+        With ``total_time_factor`` the run ends at a multiple of the placement time, as the reference's demo does, even
+        if the profile is not over.
+        """
+        sim = self.sweep.simulation
+        timestep_s = sim.physics.timestep_s
+        excitation = profile.excitation(timestep_s, start_s, world)
+        if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
+            # gravity turns, whatever it is; accelerations in m/s² do not depend on it
+            turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
+            excitation = replace(excitation, samples=turned)
+        left = self._drive_steps_left(plan)
+        if left is None:
+            return Drive(excitation, rest_s=sim.rest_s)
+        samples = excitation.samples[:left]
+        # Half a step more, so that truncation to whole steps gives exactly this number.
+        rest_s = (left - len(samples) + 0.5) * timestep_s
+        return Drive(replace(excitation, samples=samples), rest_s=rest_s)
+
+    def _drive_steps_left(self, plan: Plan) -> int | None:
+        """Steps from a drive's beginning to the run's end if ``total_time_factor`` sets the end, else None."""
+        sim = self.sweep.simulation
+        if sim.total_time_factor is None or not self.sweep.profiles:
+            return None
+        timestep_s = sim.physics.timestep_s
+        total_s = sim.total_time_factor * (sim.interval_s * plan.n_boxes)
+        return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
+
+    # Cost.
+
+    def work(self) -> Work:
+        """The amount of work of all worlds, for estimates of time."""
+        sim, profiles = self.sweep.simulation, list(self.sweep.profiles.values())
+        drives = [
+            profile.n_steps(sim.physics.timestep_s) * (_TILTED if profile.strength is Strength.ANGLE else 1)
+            + rest_steps(sim, sim.rest_s)
+            for profile in profiles
+        ]
+        nominal = int(self.sweep.nominal)
+        return Work(
+            sim=sim,
+            boxes=[plan.n_boxes for plan in self.plans],
+            placements=self._all_placements,
+            displaced=self._displaced,
+            carried=self._carried,
+            drives=self.n_variants - nominal if profiles else 0,
+            drive_steps=sum(drives) / len(drives) if drives else 0.0,
+            filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes,
+            placed_share=placed_shares(self.plans),
+        )
+
+    @property
+    def amount(self) -> str:
+        """What is simulated, in words."""
+        if not self.sweep.axes:
+            return count_text(len(self.plans), "plan")
+        most = "at most " if self.sweep.search is not None else ""
+        placements = count_text(len(self.plans) * self._all_placements, "placement")
+        return f"{most}{count_text(self.n_worlds, 'world')} ({self._plans_and_variants}) from {placements}"
+
+    @property
+    def has_errors(self) -> bool:
+        """Whether places or sizes have errors in some worlds."""
+        return any(_ERRORS & {*AXIS_KINDS[name].changes} for name in self.sweep.axes)
+
+    @property
+    def _displaced(self) -> int:
+        """Placements per plan in which boxes appear at places with errors, and are waited for."""
+        sim = self.sweep.simulation
+        waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
+        if "placing" in self.sweep.axes:
+            return self._with_errors - min(self._carried, self._with_errors)
+        return self._with_errors if waits and not sim.may_carry else 0
+
+    @property
+    def _carried(self) -> int:
+        """Placements per plan in which boxes are carried to their places."""
+        sim = self.sweep.simulation
+        if not sim.may_carry:
+            return 0
+        if "placing" in self.sweep.axes:
+            ways = self.sweep.axes["placing"].values
+            return self.n_placements * sum(Way(str(way)) in (Way.HAND, Way.TINES) for way in ways) // len(ways)
+        return self._all_placements if sim.placing.carries else self._with_errors
+
+    @property
+    def _with_errors(self) -> int:
+        """Placements per plan in which places or sizes have random errors."""
+        return self.n_random_placements if self.has_errors else 0
+
+    @property
+    def _all_placements(self) -> int:
+        """Placements per plan, with that of the nominal world."""
+        return self.n_placements + int(self.sweep.nominal)
+
+    @property
+    def _plans_and_variants(self) -> str:
+        return f"{count_text(len(self.plans), 'plan')} × {count_text(self.n_variants, 'variant')}"

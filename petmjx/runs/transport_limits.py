@@ -1,0 +1,209 @@
+"""The limits of EUMOS 40509:2020 for a pallet after its test.
+
+Which profiles of a sweep no unsecured load can survive: those that slide it off its place, whatever the plan.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
+from petmjx.engines.metrics import DIMENSIONLESS, TEXT, BoxMetrics
+from petmjx.options.simulation import Simulation
+from petmjx.results.schema import Param
+from petmjx.runs.sweep_file import Sweep
+from petmjx.world.carrier_boards import carrier_friction
+from petmjx.world.contact_laws import friction_share, kinetic_share
+from petmjx.world.job import ACCELERATION
+from petmjx.world.profiles.accelerations import Tilt
+from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
+
+EUMOS_PROFILE = "eumos-40509"
+"""Worlds with this profile are also compared with the limits of the standard."""
+
+EUMOS_ELASTIC_SHARE = 0.10
+"""Largest displacement during the test as a share of the load's height."""
+EUMOS_PERMANENT_SHARE = 0.05
+"""Largest displacement left after the test as a share of the load's height."""
+EUMOS_FOOT_HEIGHT_M = 0.20
+EUMOS_FOOT_PERMANENT_M = 0.04
+"""Largest displacement left after the test in the lowest 20 cm."""
+
+EUMOS_COLUMNS = (
+    Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
+    Param("eumos_permanent_share", DIMENSIONLESS, "largest horizontal displacement left after it / load height"),
+    Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
+    Param("eumos_passed", TEXT, "whether it stood, all limits of EUMOS 40509 hold and nothing fell", bool),
+)
+"""Additional columns of these worlds."""
+
+
+def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
+    """Height of a load above the carrier's top, z = 0, from (n, 3) settled centres and half extents, m."""
+    return float((settled_pos[:, 2] + half_size[:, 2]).max())
+
+
+def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> dict[str, Any]:
+    """The values of ``EUMOS_COLUMNS`` for one world after the test.
+
+    Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
+    of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from where
+    they had settled; the load's height counts from the carrier's top, z = 0. What stays is included in the elastic
+    deformation, as on film the two cannot be distinguished before the end. A world in which a box fell never passes,
+    however small the shares, nor does one with a NaN, because the profile never ran to its end. Source: EUMOS
+    40509:2020, criteria as published by ESTL, the laboratory behind the standard.
+
+    Args:
+        settled_pos: (n, 3) centres before the profile, m.
+        half_size: (n, 3) half extents, m.
+    """
+    bottom = settled_pos[:, 2] - half_size[:, 2]
+    height = load_height_m(settled_pos, half_size)
+    permanent = np.linalg.norm(boxes.pos[:, :2] - settled_pos[:, :2], axis=1)
+    elastic_share = float(np.max(boxes.max_sway_m)) / height
+    permanent_share = float(permanent.max()) / height
+    foot_permanent_m = float(permanent[bottom < EUMOS_FOOT_HEIGHT_M].max(initial=0.0))
+    passed = (
+        elastic_share <= EUMOS_ELASTIC_SHARE
+        and permanent_share <= EUMOS_PERMANENT_SHARE
+        and foot_permanent_m <= EUMOS_FOOT_PERMANENT_M
+        and not bool(boxes.dropped.any())
+    )
+    values = (elastic_share, permanent_share, foot_permanent_m, passed)
+    return dict(zip((column.name for column in EUMOS_COLUMNS), values, strict=True))
+
+
+RANGE_POINTS = 9
+"""Values looked at on an axis whose values are drawn from a range."""
+
+LARGEST_SD = 4.0
+"""Standard deviations above the mean up to which a normal error is looked at: one draw in 30,000 is larger."""
+
+
+def slide_m(
+    acceleration: FloatArray,
+    friction: float,
+    gravity_m_s2: float,
+    timestep_s: float,
+    enough_m: float = math.inf,
+    kinetic: float = 1.0,
+) -> float:
+    """How far a block slides on a carrier that moves: its largest distance from where it stood, m.
+
+    Coulomb's friction: the block stays while the carrier's horizontal acceleration is at most friction × (gravity +
+    vertical acceleration); beyond that friction has just this value, against the sliding, or what a block that slides
+    has of it. Exact for an acceleration along one line that is constant within each step, except for the steps in which
+    the block stops or its friction changes.
+
+    A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
+    horizontal force is at most friction × the vertical one, as on the block. So its centre of mass, and with it at
+    least one box, moves as far.
+
+    Args:
+        acceleration: (n_steps, 3) of the carrier, m/s².
+        enough_m: ends as soon as it has slid farther than that.
+        kinetic: friction of a block that slides fast, as a share of that at rest (petmjx/world/contact_laws.py).
+    """
+    grip = friction * np.maximum(gravity_m_s2 + acceleration[:, 2], 0.0)
+    slips = np.flatnonzero(np.hypot(acceleration[:, 0], acceleration[:, 1]) > grip)
+    vx = vy = x = y = farthest = 0.0
+    step = 0
+    while farthest <= enough_m:
+        if vx == vy == 0.0:  # on to the next step that makes it slip
+            next_slip = int(np.searchsorted(slips, step))
+            if next_slip == len(slips):
+                break
+            step = int(slips[next_slip])
+        if step == len(acceleration):  # what is left of its speed is braked on a carrier at rest
+            speed, brake = math.hypot(vx, vy), friction * kinetic * gravity_m_s2
+            if brake == 0:
+                return math.inf
+            stop_s = speed / (2 * brake)
+            return max(farthest, math.hypot(x + vx * stop_s, y + vy * stop_s))
+        held = float(grip[step] * friction_share(np.array(math.hypot(vx, vy)), kinetic))
+        pushed_x, pushed_y = (v - float(a) * timestep_s for v, a in zip((vx, vy), acceleration[step, :2], strict=True))
+        speed = math.hypot(pushed_x, pushed_y)
+        kept = max(1.0 - held * timestep_s / speed, 0.0) if speed > 0 else 0.0
+        x += (vx + pushed_x * kept) / 2 * timestep_s
+        y += (vy + pushed_y * kept) / 2 * timestep_s
+        vx, vy = pushed_x * kept, pushed_y * kept
+        farthest = max(farthest, math.hypot(x, y))
+        step += 1
+    return farthest
+
+
+def hopeless_profiles(sweep: Sweep) -> list[str]:
+    """A line for each profile that slides every unsecured load farther than the shift threshold, from some strength on.
+
+    It is about accelerations only, which are the same for every plan. Searches find such a strength themselves. Runs
+    that end at a multiple of their placement time may end before it, and are left out.
+    """
+    sim, axes = sweep.simulation, sweep.axes
+    if sweep.search is not None or sim.total_time_factor is not None:
+        return []
+    turns = sweep.axes.get("wrap_turns")
+    least = sim.wrap.turns if turns is None else min(float(str(value)) for value in turns.values or (turns.low,))
+    if least > 0:
+        return []  # film secures every load
+
+    def values(name: str) -> list[float]:
+        """On an axis that multiplies something, rising."""
+        if name not in axes:
+            return [1.0]
+        given = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
+        return sorted(value for value in given if isinstance(value, float))
+
+    both = values("friction_factor")
+    box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
+    # MuJoCo takes the larger coefficient of two partners
+    friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
+    errors = _friction_errors(sweep)
+    friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
+    varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(error.random for error in errors)
+    up_to = "up to " if varies else ""
+    lines = []
+    for name, profile in sweep.profiles.items():
+        if profile.kind != ACCELERATION or profile.random:
+            continue
+        unit = profile.excitation(sim.physics.timestep_s).samples
+        strengths = values(profile.strength)
+        first = _first_hopeless(unit, strengths, friction, sim)
+        if first == len(strengths):
+            continue
+        peak_g = strengths[first] * float(np.hypot(unit[:, 0], unit[:, 1]).max()) / STANDARD_GRAVITY
+        peak = f"{profile.max_deg:g}°" if isinstance(profile, Tilt) else f"{peak_g:.3g} g"
+        since = f" from {profile.strength} {strengths[first]:g} on" if len(strengths) > 1 else ""
+        why = f"with friction {up_to}{friction:.3g} no unsecured load stays in place"
+        lines.append(f"{name} reaches {peak}{since}: {why}")
+    return lines
+
+
+def _friction_errors(sweep: Sweep) -> list[Distribution]:
+    axis = sweep.axes.get("friction_tolerance_rel")
+    return [value for value in axis.values if isinstance(value, Distribution)] if axis else []
+
+
+def _largest(error: Distribution) -> float:
+    """The largest error that is looked at."""
+    return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
+
+
+def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
+    """Index of the first strength, of rising ones, that slides a block too far; their number where none does.
+
+    What slides a block does so too when it is stronger.
+    """
+    physics, limit_m = sim.physics, sim.thresholds.shift_m
+
+    def slides(strength: float) -> bool:
+        way = slide_m(
+            strength * unit, friction, physics.gravity_m_s2, physics.timestep_s, limit_m, kinetic_share(physics)
+        )
+        return way > limit_m
+
+    return bisect_left(strengths, True, key=slides)

@@ -1,0 +1,79 @@
+"""``petmjx.figure``: results as a figure for a paper."""
+
+from __future__ import annotations
+
+import importlib.util
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.analysis.criteria_run import CriteriaResults
+from petmjx.analysis.packer_comparison import PackerComparison
+from petmjx.common.argument_checks import path_of
+from petmjx.common.atomic_write import atomic_write, check_writable
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
+from petmjx.results.run_reader import RunResults
+from petmjx.show.figures.criteria_figure import draw_criteria
+from petmjx.show.figures.figure_style import paper_style, write
+from petmjx.show.figures.packer_figure import draw_packers
+from petmjx.show.figures.sweep_figures import draw_answers
+
+KINDS: Final = ("pdf", "svg", "png")
+"""Endings of files."""
+
+
+def figure(found: PackerComparison | CriteriaResults | RunResults, *files: str | PathLike[str]) -> list[Path]:
+    """Draw results as a figure for a paper, as wide as a page's text: ``.pdf``, ``.svg`` or ``.png``.
+
+    ``petmjx.figure(petmjx.compare_packers(["A", "B"]), "packers.pdf")``
+
+    The same results give the same bytes, with the same version of matplotlib.
+
+    Args:
+        found: packers compared: shares and differences, with a sentence about each two. Criteria beside a run:
+            precision, recall and correlation. The run of a search: the share of plans that survive each level; of
+            another sweep: shares along its axes; of a score with confidence: the share that stands of each plan.
+        files: where to; the ending says what. Each file appears whole or not at all, and replaces one that is there.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        InputError: results that have no figure, an unknown ending, a file that cannot be written, or matplotlib is
+            missing.
+    """
+    paths = [path_of(file, "files") for file in files]
+    check_figures(paths)
+    with paper_style():
+        for path in paths:
+            drawn = _drawn_figure(found)  # for each file: writing one changes the figure
+            with atomic_write(path) as temporary:
+                write(drawn, temporary, path.suffix.lower().removeprefix("."))
+    return paths
+
+
+def check_figures(paths: list[Path]) -> None:
+    """Make sure that figures can be written, before anything is worked out.
+
+    Raises:
+        InputError: an unknown ending, a path that cannot be written, or matplotlib is missing.
+    """
+    for path in paths:
+        name = printable(str(path))
+        if path.suffix.lower().removeprefix(".") not in KINDS:
+            raise InputError(f"{name}: unknown ending; there are {', '.join(f'.{kind}' for kind in KINDS)}")
+        if importlib.util.find_spec("matplotlib") is None:
+            raise InputError(f"{name}: needs matplotlib, not installed: pip install 'petmjx[show]'")
+        check_writable(path)
+
+
+def _drawn_figure(results: Any) -> Any:
+    if isinstance(results, PackerComparison):
+        return draw_packers(results)
+    if isinstance(results, CriteriaResults):
+        return draw_criteria(results)
+    if isinstance(results, RunResults):
+        return draw_answers(results)
+    raise InputError(f"found must be results of compare_packers, criteria, sweep or score, {shown_value(results)}")

@@ -1,0 +1,57 @@
+"""How figures for papers look, and how they are written: text stays text, and nothing depends on the day."""
+
+from __future__ import annotations
+
+import textwrap
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+WIDTH_IN: Final = 6.3
+"""The width of a page's text (A4 with usual margins), inches."""
+
+POINTS: Final = 8.0
+"""Size of text, points."""
+
+DOTS_PER_INCH: Final = 200
+
+SETTINGS: Final[Any] = {
+    "svg.fonttype": "none",  # text, not outlines
+    "svg.hashsalt": "petmjx",  # the same ids every time
+    "pdf.fonttype": 42,  # TrueType, which journals ask for
+    "font.family": "DejaVu Sans",  # comes with matplotlib
+    "text.parse_math": False,  # a $ in a name is a $, and begins no formula
+    "font.size": POINTS,
+    "axes.titlesize": POINTS,
+    "axes.labelsize": POINTS,
+    "xtick.labelsize": POINTS,
+    "ytick.labelsize": POINTS,
+    "legend.fontsize": POINTS,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+_UNDATED: Final[dict[str, dict[str, Any]]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+
+
+@contextmanager
+def paper_style() -> Iterator[None]:
+    """Matplotlib's settings of all figures."""
+    from matplotlib import rc_context
+
+    with rc_context(SETTINGS), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # names may have characters that no font has
+        yield
+
+
+def write(figure: Any, path: Path, kind: str, dots_per_inch: float = DOTS_PER_INCH) -> None:
+    """Write a figure as ``png``, ``pdf`` or ``svg``; the same figure gives the same bytes."""
+    figure.savefig(path, format=kind, dpi=dots_per_inch, metadata=_UNDATED.get(kind))
+
+
+def wrapped_sentences(sentences: Sequence[str], width_in: float = WIDTH_IN) -> str:
+    """Sentences as lines that fit below a figure, each sentence on lines of its own."""
+    letters = int(width_in * 72 / (POINTS * 0.55))  # a letter is about 0.55 of its size wide
+    return "\n".join(line for sentence in sentences for line in textwrap.wrap(sentence, letters))

@@ -1,0 +1,160 @@
+"""The answers of sweeps as figures: levels that plans survive, and shares that stand along an axis."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable, printable_name
+from petmjx.results.run_reader import RunResults
+from petmjx.results.shares import ALL_PLANS, ONE_PLAN
+from petmjx.show.figures.figure_style import POINTS, WIDTH_IN
+from petmjx.show.pages.palette import category
+
+PANEL_IN: Final = (3.1, 2.4)
+"""Width and height of a panel, inches."""
+
+MOST_LINES: Final = 12
+"""Most directions that a reader can distinguish in one panel."""
+
+MOST_PANELS: Final = 8
+
+MOST_PLANS: Final = 60
+"""Plans whose shares one panel has room for."""
+
+_DASHES: Final = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1.5, 1, 1.5)))
+
+_AXES: Final = {
+    "direction_deg": "direction, °",
+    "level_g": "level, g",
+    "scale": "scale",
+    "friction_factor": "factor on friction",
+    "mass_factor": "factor on masses",
+    "placement_error_mm": "error of placement, mm",
+    "yaw_error_deg": "error of yaw, °",
+    "drop_height_mm": "height of release, mm",
+}
+"""Columns of summaries, in words; others are called by their name."""
+
+
+def draw_answers(run: RunResults) -> Any:
+    """A matplotlib figure of the table ``summary``.
+
+    Of a search: for each profile, which share of all plans survives a level, a line for each direction. Of a grid or a
+    sample: the share that stands, with its interval, along each axis with several values. Of a score with confidence:
+    the share that stands of each plan.
+
+    Raises:
+        InputError: the run has no summary, or nothing in it that can be drawn.
+    """
+    summary = run.summary
+    if summary is None:
+        raise InputError(f"{run.path}: no figure of this run; sweeps and scores with {option('--confidence')} have one")
+    if "axis" in summary:
+        return _shares(summary)
+    if "profile" in summary:
+        return _levels(summary)
+    return _plans(summary)
+
+
+def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
+    """Levels, and the share of plans that survive more than nothing up to each: a curve of steps.
+
+    Args:
+        levels: the largest level that each plan survives; null where it survives none, which counts as 0.
+
+    Returns:
+        (m,) levels in rising order from 0, and (m,) the share of plans whose largest level is at least that.
+    """
+    survived = np.sort(levels.fillna(0.0).to_numpy(np.float64))
+    at = np.unique(np.concatenate(([0.0], survived)))
+    return at, 1.0 - np.searchsorted(survived, at, side="left") / len(survived)
+
+
+def _levels(summary: pd.DataFrame) -> Any:
+    (strength,) = (name for name in summary if str(name).startswith("largest_"))
+    profiles = list(summary["profile"].unique())
+    figure, panels = _panels(len(profiles))
+    for axes, profile in zip(panels, profiles, strict=True):
+        rows = summary[summary["profile"] == profile]
+        directions = list(rows["direction_deg"].unique())
+        for number, direction in enumerate(directions[:MOST_LINES]):
+            at, share = survival_curve(rows.loc[rows["direction_deg"] == direction, strength])
+            label = "" if pd.isna(direction) else f"{direction:g}°"
+            # the last step falls to 0 where the last plan fails
+            axes.step([*at, at[-1]], [*(100 * share), 0.0], where="pre", label=label, **_line(number))
+        axes.set_xlabel(f"{'level, g' if strength.endswith('_g') else 'scale'}")
+        axes.set_ylabel("plans that survive it, %")
+        axes.set_ylim(0, 103)
+        axes.set_xlim(left=0)
+        more = f" ({MOST_LINES} of {len(directions)})" if len(directions) > MOST_LINES else ""
+        axes.set_title(f"{printable(str(profile))}, {count_text(rows['plan_id'].nunique(), 'plan')}")
+        axes.legend(title=f"direction{more}", frameon=False, title_fontsize=POINTS)
+    return figure
+
+
+def _line(number: int) -> dict[str, Any]:
+    """Colour and dashes of a line: lines that lie on each other are both seen."""
+    return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
+
+
+def _shares(summary: pd.DataFrame) -> Any:
+    overall = summary[(summary["scope"] == ALL_PLANS) & (summary["axis"] != "")]
+    names = [name for name, rows in overall.groupby("axis", sort=False) if len(rows) > 1]
+    if not names:
+        rows = summary[(summary["scope"] == ONE_PLAN) & (summary["axis"] == "")]
+        return _plans(rows)
+    figure, panels = _panels(len(names))
+    for axes, name in zip(panels, names, strict=True):
+        rows = overall[overall["axis"] == name]
+        numbers = pd.to_numeric(rows["value"], errors="coerce")
+        numeric = bool(numbers.notna().all())
+        places = numbers.to_numpy(np.float64) if numeric else np.arange(len(rows), dtype=np.float64)
+        shares = 100 * rows[["share", "low", "high"]].to_numpy(np.float64)
+        axes.vlines(places, shares[:, 1], shares[:, 2], color=category(4), linewidth=1.4)
+        axes.plot(places, shares[:, 0], "o-" if numeric else "o", color=category(4), markersize=4, linewidth=0.8)
+        if not numeric:
+            texts = [printable(str(value)) for value in rows["value"]]
+            axes.set_xticks(places, texts, rotation=30, ha="right")
+        axes.set_xlabel(_AXES.get(str(name), str(name)))
+        axes.set_ylabel("worlds that stand, %")
+        axes.set_ylim(0, 103)
+    return figure
+
+
+def _plans(rows: pd.DataFrame) -> Any:
+    """A row for each plan: the share of its worlds that stand."""
+    from matplotlib.figure import Figure
+
+    if not len(rows) or len(rows) > MOST_PLANS:
+        raise InputError(f"no figure of {count_text(len(rows), 'plan')}: one has room for 1 to {MOST_PLANS}")
+    figure = Figure(figsize=(WIDTH_IN, 0.2 * len(rows) + 0.7), facecolor="white", layout="constrained")
+    axes = figure.subplots()
+    for place, row in enumerate(rows.to_dict("records")):
+        axes.plot([100 * row["low"], 100 * row["high"]], [place, place], color=category(4), linewidth=1.4)
+        axes.plot(100 * row["share"], place, "o", color=category(4), markersize=4)
+    axes.set_yticks(range(len(rows)), [printable_name(name) for name in rows["plan_id"]])
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_xlim(-2, 102)
+    axes.set_xlabel("worlds that stand, %; lines: 95 % intervals")
+    axes.grid(axis="x", color="0.9", linewidth=0.6)
+    return figure
+
+
+def _panels(count: int) -> tuple[Any, list[Any]]:
+    """A figure with panels, two in a row."""
+    from matplotlib.figure import Figure
+
+    if count > MOST_PANELS:
+        raise InputError(f"no figure with {count} panels: {MOST_PANELS} fit at most")
+    columns, rows = min(2, count), -(-count // 2)
+    size = (PANEL_IN[0] * columns, PANEL_IN[1] * rows)
+    figure = Figure(figsize=size, facecolor="white", layout="constrained")
+    every = list(np.ravel(figure.subplots(rows, columns, squeeze=False)))
+    for axes in every[count:]:
+        axes.set_axis_off()
+    return figure, every[:count]

@@ -1,0 +1,122 @@
+"""The entries of a leaderboard: runs, or plans that are scored for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from petmjx.analysis.packer_runs import check_names
+from petmjx.api import score
+from petmjx.common.argument_checks import path_of
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable, printable_name
+from petmjx.packers.packer_registry import PACKERS
+from petmjx.packers.sample_plans import pack_orders
+from petmjx.plans.json_writer import write_plans
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_writer import save_plans
+from petmjx.results.plan_lookup import find_plans
+from petmjx.results.run_folder import RUN_FILE
+from petmjx.results.run_manifest import Manifest
+from petmjx.results.run_reader import RunResults, load_run
+from petmjx.runs.simulate import Watcher
+from petmjx.show.leaderboard.leaderboard_files import PLANS, RUNS
+
+Watch = Callable[[str], AbstractContextManager[Watcher]]
+"""Name of a packer → the watcher of its run."""
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A packer on the board.
+
+    Attributes:
+        name: of the packer.
+        run: its run.
+        plans: its plans by id, as far as they were found again.
+        ours: whether it is a packer of petmjx.
+        scored: whether the board has just simulated all of its plans itself.
+    """
+
+    name: str
+    run: RunResults
+    plans: Mapping[str, Plan]
+    ours: bool = False
+    scored: bool = False
+
+
+def packer_sources(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, Path]:
+    """Name of each packer → its run or plans. Without given names they are named as their folders and files.
+
+    Raises:
+        InputError: no path, one that is not there, a name that cannot be that of a folder, or two of one name.
+    """
+    if isinstance(paths, Mapping):
+        pairs = [(name, path_of(path, f"packers[{name!r}]")) for name, path in paths.items()]
+    else:
+        given = [path_of(path, f"packers[{number}]") for number, path in enumerate(paths)]
+        pairs = [(_name_of(path), path) for path in given]
+    names = [name for name, _ in pairs]
+    check_names(names)
+    for number, (name, path) in enumerate(pairs):
+        if name in names[:number]:
+            raise InputError(f"{printable_name(name)}: two packers have this name; give others, as NAME=PATH")
+        if not path.exists():
+            raise InputError(f"{printable(str(path))}: no such file or folder")
+    return dict(pairs)
+
+
+def _name_of(path: Path) -> str:
+    """A folder's name, or a file's without its endings."""
+    path = path.resolve()
+    return path.name if path.is_dir() else path.name.partition(".")[0]
+
+
+def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
+    """Pack orders with each of petmjx's packers. Name of the packer → the file of its plans.
+
+    Raises:
+        InputError: the orders cannot be read, or a file cannot be written.
+    """
+    files = {name: folder / PLANS / f"{name}.json" for name in PACKERS}
+    for name, file in files.items():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_plans(file, pack_orders(orders, packer=name, on_bad_order=lambda error: None))
+    return files
+
+
+def enter(
+    name: str, path: Path, folder: Path, watch: Watch | None, options: Mapping[str, Any], *, ours: bool = False
+) -> Entry:
+    """Take a run as it is, or score plans into the board's folder. A run that is there already is continued.
+
+    Args:
+        options: of ``petmjx.score``, for plans.
+
+    Raises:
+        InputError: unusable plans or options, or the run that is there is another one.
+    """
+    scored = False
+    if (path / RUN_FILE).is_file():
+        run = load_run(path)
+    else:
+        scored = not (folder / RUNS / name / RUN_FILE).exists()
+        with nullcontext() if watch is None else watch(name) as watcher:
+            run = score(path, watcher=watcher, **{**options, "out": folder / RUNS / name, "resume": True})
+    records = Manifest.read(run.parts, run.info).plans
+    ids = dict.fromkeys(run.worlds["plan_id"])
+    plans = find_plans(run, records, ids).plans
+    return Entry(name, run, {plan_id: plans[plan_id] for plan_id in ids if plan_id in plans}, ours, scored)
+
+
+def keep_plans(entry: Entry, folder: Path) -> str:
+    """Write an entry's plans into the board's folder, from which it can be made again; "" if they were not found."""
+    if not entry.plans:
+        return ""
+    file = folder / PLANS / f"{entry.name}.json"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    save_plans(list(entry.plans.values()), file)
+    return file.name

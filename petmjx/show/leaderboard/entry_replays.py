@@ -1,0 +1,197 @@
+"""Some plans of each entry, simulated again by the board itself: an entry that they contradict is not rated."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.common.errors import EngineUnavailable
+from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.engines.engine_choice import ENGINES
+from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+from petmjx.runs.simulate import simulate
+from petmjx.runs.study import Nominal
+from petmjx.show.leaderboard.entries import Entry
+from petmjx.version import __version__
+
+NEAR_MARGIN: Final = 0.1
+"""Verdicts with a smaller margin, of either sign, may differ from engine to engine and from machine to machine."""
+
+NEAR_FLAGS: Final = Flag.SINKING | Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP
+"""Flags of worlds of which the same holds."""
+
+_VALID: Final = (Verdict.STABLE.value, Verdict.UNSTABLE.value)
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A plan of an entry, simulated again.
+
+    Attributes:
+        claimed: the verdict of its run.
+        verdict, reason: those found again.
+        near: whether these may differ by chance: they are near a threshold, or there is no valid one.
+    """
+
+    plan_id: str
+    claimed: str
+    verdict: str
+    reason: str
+    near: bool
+
+    @classmethod
+    def of(cls, plan_id: str, claimed: str, outcome: Outcome) -> Replay:
+        """A replay from its outcome."""
+        reason = outcome.reason.value
+        return cls.from_row(plan_id, claimed, outcome.verdict.value, reason, outcome.margin, int(outcome.flags))
+
+    @classmethod
+    def from_row(cls, plan_id: str, claimed: str, verdict: str, reason: str, margin: float, flags: int) -> Replay:
+        """A replay from a row of the table ``worlds``."""
+        near = verdict not in _VALID or not abs(margin) >= NEAR_MARGIN or bool(flags & NEAR_FLAGS)
+        return cls(plan_id, claimed, verdict, reason, near)
+
+    @property
+    def differs(self) -> bool:
+        """Whether the run says something else."""
+        return self.claimed in _VALID and self.verdict != self.claimed
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What came of an entry's plans that were simulated again.
+
+    Attributes:
+        engine: which simulated them.
+        exact: it is the run's own engine, of the same version of petmjx, so that verdicts are the run's but for
+            rounding.
+        fault: what is wrong with the run besides; "" for nothing.
+    """
+
+    packer: str
+    engine: str
+    exact: bool
+    replays: tuple[Replay, ...] = ()
+    fault: str = ""
+
+    def with_replays(self, more: Collection[Replay]) -> Sample:
+        """With further plans; one that is there already counts once."""
+        known = {replay.plan_id for replay in self.replays}
+        return replace(self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in known)))
+
+    @property
+    def refusal(self) -> str:
+        """Why the entry is not rated, in a line; "": it is.
+
+        A verdict that is not near a threshold is wrong if it comes from the same engine, and if it is one of several
+        that come from another engine. Of verdicts that are near one, more than half must be the run's.
+        """
+        differing = [replay for replay in self.replays if replay.differs]
+        firm = [replay for replay in differing if not replay.near]
+        most = 2 * len(differing) > len(self.replays) and len(differing) > 1
+        if not (self.fault or len(firm) > 1 or (firm and self.exact) or most):
+            return ""
+        if self.fault:
+            return f"{printable_name(self.packer)} is not rated: {self.fault}"
+        first = (firm or differing)[0]
+        by = f" by {first.reason}" if first.reason else ""
+        many = (
+            f"{len(differing):,} of {count_text(len(self.replays), 'plan')} that the board simulated again contradict"
+        )
+        return (
+            f"{printable_name(self.packer)} is not rated: {many} its run; the first: plan "
+            f"{printable_name(first.plan_id)}, "
+            f"{first.claimed} in the run and {first.verdict}{by} here"
+        )
+
+    @property
+    def note(self) -> str:
+        """A line on verdicts that differ and prove nothing; "" where there is none."""
+        differing = [replay.plan_id for replay in self.replays if replay.differs]
+        if not differing or self.refusal:
+            return ""
+        verb = "has" if len(differing) == 1 else "have"
+        many = f"{len(differing):,} of {count_text(len(self.replays), 'plan')} of {printable_name(self.packer)}"
+        return f"{many} that the board simulated again {verb} another verdict here: {first_names(differing)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """As plain values."""
+        differing = [replay.plan_id for replay in self.replays if replay.differs]
+        plans = [replay.plan_id for replay in self.replays]
+        return {"packer": self.packer, "engine": self.engine, "plans": plans, "differ": differing}
+
+
+def sample_entry(
+    entry: Entry, most: int, sim: Simulation, options: RunOptions, wanted: Collection[str] | None
+) -> Sample:
+    """Simulate some plans of an entry again.
+
+    Which ones is drawn from the operating system's random numbers, so that no entry can know. Plans that stand in the
+    run come first, since they are what it is rated for.
+
+    Args:
+        most: how many; as many again, where one differs on another engine than the run's.
+        sim: the options of the board.
+        options: how it simulates. The engine is the run's, if none is named and it can run here, else ``mujoco``.
+        wanted: ids of the plans that count; None: all.
+    """
+    config = entry.run.info.get("config", {})
+    engine = options.engine if "engine" in options.model_fields_set else str(config.get("engine"))
+    sample = Sample(entry.name, "", exact=False)
+    worlds = entry.run.worlds
+    worlds = worlds[worlds["variant"] == 0].set_index("plan_id")
+    counted_ids = [name for name in worlds.index if wanted is None or name in wanted]
+    if counted_ids and not (kept_ids := [name for name in counted_ids if name in entry.plans]):
+        return replace(sample, fault="its plans were not found again, so none can be simulated again")
+    if not counted_ids or not most:
+        return sample
+    if wrong := [name for name in kept_ids if worlds.at[name, "n_boxes"] != entry.plans[name].n_boxes]:
+        boxes = count_text(entry.plans[wrong[0]].n_boxes, "box", "boxes")
+        run_count = f"{worlds.at[wrong[0], 'n_boxes']:,} in the run"
+        return replace(sample, fault=f"plan {printable_name(wrong[0])} has {boxes}, and {run_count}")
+    claimed = worlds.loc[kept_ids, "verdict"].to_dict()
+    drawn = _drawn(claimed)
+    for _ in range(2):
+        chosen, drawn = drawn[:most], drawn[most:]
+        run = _simulate([entry.plans[name] for name in chosen], sim, options, engine)
+        used = run.info["config"]["engine"]
+        exact = used == config.get("engine") and entry.run.info.get("versions", {}).get("petmjx") == __version__
+        rows = run.worlds.set_index("plan_id")
+        sample = replace(sample, engine=used, exact=exact).with_replays(
+            [_replay(name, claimed[name], rows.loc[name]) for name in chosen if name in rows.index]
+        )
+        if not drawn or sample.refusal or not any(replay.differs for replay in sample.replays):
+            break
+    return sample
+
+
+def _replay(plan_id: str, claimed: str, row: pd.Series) -> Replay:
+    return Replay.from_row(plan_id, claimed, row["verdict"], row["reason"], row["margin"], int(row["flags"]))
+
+
+def _drawn(claimed: Mapping[str, str]) -> list[str]:
+    """All plans with a valid verdict in a random order, those that stand first."""
+    valid = [name for name, verdict in claimed.items() if verdict in _VALID]
+    shuffled = [valid[at] for at in np.random.default_rng().permutation(len(valid))]
+    return sorted(shuffled, key=lambda name: claimed[name] != Verdict.STABLE.value)
+
+
+def _simulate(plans: Sequence[Any], sim: Simulation, options: RunOptions, engine: Any) -> Any:
+    """Score plans; where the run's engine cannot run here, on ``mujoco``."""
+    named = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
+    for candidate in dict.fromkeys((named, "mujoco")):
+        try:
+            return simulate(
+                partial(Nominal, sim), sim, list(plans), RunOptions(engine=candidate, threads=options.threads)
+            )
+        except EngineUnavailable:
+            if candidate == "mujoco" or "engine" in options.model_fields_set:
+                raise
+    raise AssertionError("mujoco runs everywhere")

@@ -1,0 +1,247 @@
+"""``petmjx.leaderboard``: packers rated by physics, as a folder of static pages."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.analysis.packer_comparison import PackerComparison, comparison_of
+from petmjx.analysis.packer_rating import rate
+from petmjx.analysis.packer_runs import runs_by_packer
+from petmjx.analysis.story import tell
+from petmjx.common.argument_checks import flag_of, integer_of, list_of, path_of
+from petmjx.common.atomic_write import atomic_write, write_errors
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable, printable_name
+from petmjx.engines.verdict import Verdict
+from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.options.simulation import Simulation
+from petmjx.packers.packer_registry import PACKERS
+from petmjx.plans.convention_checks import warn
+from petmjx.plans.order_reader import read_orders
+from petmjx.results.read_files import source_files
+from petmjx.results.shares import DEFAULT_CONFIDENCE
+from petmjx.show.leaderboard.entries import Entry, Watch, enter, keep_plans, pack_ours, packer_sources
+from petmjx.show.leaderboard.entry_replays import Replay, Sample, sample_entry
+from petmjx.show.leaderboard.leaderboard_files import ORDERS, PAGE, PLANS, STORIES, BoardFolder, names_of
+from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_page
+from petmjx.show.pages.story_page import story_page
+
+MOST_STORIES: Final = 100
+"""Of each packer: a story is a page of 0.1 to 1 MB."""
+
+
+def leaderboard(
+    packers: Mapping[str, str | PathLike[str]] | Sequence[str | PathLike[str]],
+    out: str | PathLike[str],
+    *,
+    orders: str | PathLike[str] | None = None,
+    baselines: bool = False,
+    stories: int = 3,
+    replays: int = 8,
+    watch: Watch | None = None,
+    overwrite: bool = False,
+    **options: Any,
+) -> Path:
+    """Rate packers by physics, and write a folder of static pages about them: a site that works offline.
+
+    ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
+
+    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, the pages of stories, and everything that
+    is needed to make it again: ``plans/`` and ``orders.json``, and the command in the page. Plans are scored into
+    ``runs/`` there; what was scored already is not simulated again, but for ``replays`` of them: an entry whose run
+    they contradict is not rated, and a ``PlanWarning`` says so.
+
+    Args:
+        packers: name → a run's folder, or plans. Without given names they are named as their folders and files.
+        out: the folder.
+        orders: BED-BPP orders of the plans. The rating is about these orders, and there are KPIs. Without them the
+            orders are those of which any packer has a plan, so a packer's rating depends on the others.
+        baselines: also pack the orders with each of petmjx's packers.
+        stories: how many plans of each packer get a page. Plans that fall while another packer's stands come first.
+        replays: how many plans of each entry that the board did not just score it simulates again, drawn at random,
+            with the options given, or those that all runs have.
+        watch: packer → what follows its run, entered before and left after it.
+        overwrite: replace a leaderboard that is there.
+        options: of ``petmjx.score``, for plans that are scored.
+
+    Returns:
+        The path of ``index.html``.
+
+    Raises:
+        InputError: fewer than two packers, unusable plans, runs or options, no packer whose run its replays confirm, or
+            the folder cannot be written or holds something that is no leaderboard.
+    """
+    flag_of(baselines, "baselines")
+    integer_of(stories, "stories", 0, MOST_STORIES)
+    integer_of(replays, "replays", 0)
+    folder = path_of(out, "out")
+    given = packers if isinstance(packers, Mapping) else list_of(packers, "packers", object, "runs or files of plans")
+    paths = packer_sources(given)  # type: ignore[arg-type]  # what they hold is checked there
+    source = None if orders is None else path_of(orders, "orders")
+    if baselines and source is None:
+        raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack them")
+    if baselines and (clash := next((name for name in paths if name in PACKERS), None)):
+        raise InputError(
+            f"{clash}: {option('--baselines')} has a packer of this name; give yours another, as NAME=PATH"
+        )
+    keeps_orders = source is not None and not _is_same(source, folder / ORDERS)
+    packed = [*(PACKERS if baselines else ()), *paths]
+    names = names_of(packed, stories, keeps_orders)
+    read = source_files(paths, source if keeps_orders else None)
+    files_of_board = BoardFolder(folder, packed, names, read, overwrite)
+    if len(packed) < 2:
+        raise InputError(f"give at least two packers to rate, or one with {option('--baselines')}")
+    with write_errors(folder):
+        files_of_board.begin()
+        entries = _entries(paths, folder, source, baselines, watch, options)
+        rated = _rated_entries(entries, folder, source, options, stories, replays)
+        files_of_board.check()
+        files = {entry.name: keep_plans(entry, folder) for entry in rated.entries}
+        if source is not None and keeps_orders:
+            with atomic_write(folder / ORDERS) as file:
+                shutil.copyfile(source, file)
+        digests = {name: _digest(folder / PLANS / file) for name, file in files.items() if file}
+        board = Board(
+            rated.entries,
+            rated.found,
+            rate(rated.found),
+            digests,
+            rated.told,
+            orders=source is not None,
+            stories=stories,
+            options=rated.options,
+            samples=rated.samples,
+        )
+        with atomic_write(folder / PAGE) as file:
+            file.write_text(board_page(board), encoding="utf-8", errors="backslashreplace")
+        kept = [ORDERS] if ORDERS in files_of_board.own and source is not None else []
+        plan_files = [f"{PLANS}/{name}" for name in files.values() if name]
+        files_of_board.finish(board.to_dict(), [PAGE, *kept, *plan_files, *(story.file for story in rated.told)])
+    warn(sample.refusal for sample in rated.samples if sample.refusal)
+    return folder / PAGE
+
+
+@dataclass(frozen=True, eq=False)
+class _RatedEntries:
+    """The entries that are rated, and how they compare; of the others only their samples are there.
+
+    Attributes:
+        options: of the simulation, which the board has.
+        samples: of all entries that were simulated again.
+    """
+
+    entries: Sequence[Entry]
+    found: PackerComparison
+    told: Sequence[StoryEntry]
+    options: Simulation
+    samples: Sequence[Sample]
+
+
+def _rated_entries(
+    entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
+) -> _RatedEntries:
+    """Compare the entries whose runs are confirmed by what the board simulates again: samples, and stories."""
+    runs_by_packer({entry.name: entry.run for entry in entries})
+    of_simulation, of_run, _ = sorted_options(options, Confidence)
+    sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
+    order_ids = None if orders is None else {order_id for order_id, _ in read_orders(orders, lambda error: None)}
+    samples = {
+        entry.name: Sample(entry.name, "", exact=True)
+        if entry.scored
+        else sample_entry(entry, replays, sim, run_options, order_ids)
+        for entry in entries
+    }
+    while True:
+        left = [entry for entry in entries if not samples[entry.name].refusal]
+        if not left:
+            lines = "; ".join(sample.refusal for sample in samples.values())
+            raise InputError(f"no packer is left to rate: {lines}")
+        comparison = comparison_of({entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders)
+        board_stories, seen = _stories(left, comparison, folder / STORIES, stories)
+        samples |= {name: samples[name].with_replays(more) for name, more in seen.items()}
+        if not any(samples[entry.name].refusal for entry in left):
+            kept = [sample for name, sample in samples.items() if sample.replays or sample.fault]
+            return _RatedEntries(
+                left, comparison, board_stories, sim, [sample for sample in kept if sample.engine or sample.refusal]
+            )
+
+
+def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
+    """The options of the board: those given; else those of its runs, if all have the same."""
+    settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
+    if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
+        return Simulation(**of_simulation)
+    return Simulation.read(settings[0])
+
+
+def _entries(
+    paths: Mapping[str, Path],
+    folder: Path,
+    orders: Path | None,
+    baselines: bool,
+    watch: Watch | None,
+    options: Mapping[str, Any],
+) -> list[Entry]:
+    options = options if orders is None else {**options, "orders": orders}
+    ours: dict[str, Path] = {}
+    if baselines and orders is not None:
+        ours = pack_ours(orders, folder)
+    first = [enter(name, path, folder, watch, options, ours=True) for name, path in ours.items()]
+    return first + [enter(name, path, folder, watch, options) for name, path in paths.items()]
+
+
+def _is_same(source: Path, target: Path) -> bool:
+    """Whether the board's own file of orders is the one that it is made with."""
+    return source.exists() and target.is_file() and not target.is_symlink() and source.samefile(target)
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _stories(
+    entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
+) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
+    """Tell some plans of each packer, each simulated again as its run did. Also what that says of the verdicts of each
+    packer's run."""
+    folder.mkdir(exist_ok=True)
+    stories: list[StoryEntry] = []
+    seen: dict[str, list[Replay]] = {}
+    claimed = comparison.plans.set_index(["packer", "plan_id"])["verdict"]
+    for number, entry in enumerate(entries, start=1):
+        for plan_id in worth_telling(comparison, entry.name, entry.plans)[:most]:
+            story = tell(plan_id, entry.run, plans=[entry.plans[plan_id]])
+            file = folder / f"{number}-{sum(earlier.packer == entry.name for earlier in stories) + 1}.html"
+            with atomic_write(file) as page:
+                page.write_text(story_page(story), encoding="utf-8", errors="backslashreplace")
+            stories.append(StoryEntry(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
+            replay = Replay.of(plan_id, str(claimed[entry.name, plan_id]), story.outcome)
+            seen.setdefault(entry.name, []).append(replay)
+    return stories, seen
+
+
+def worth_telling(found: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
+    """Plans of a packer: first those that do not stand while another packer's do, then others that do not stand, then
+    those that stand while another packer's do not, then the rest; with most boxes first."""
+    mine = found.plans[(found.plans["packer"] == packer) & found.plans["plan_id"].isin(list(plans))]
+    lost = set(found.decided.loc[found.decided["lost_by"] == packer, "plan_id"])
+    falls = mine["verdict"] == Verdict.UNSTABLE.value
+    won = set(found.decided.loc[found.decided["won_by"] == packer, "plan_id"])
+    rest = np.where(mine["plan_id"].isin(won), 2, 3)
+    group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, rest))
+    order = mine.assign(group=group, large=-mine["boxes"].fillna(0))
+    return [str(name) for name in order.sort_values(["group", "large", "plan_id"])["plan_id"]]
+
+
+def board_line(page: Path) -> str:
+    """What the command line says at the end."""
+    return f"leaderboard in {printable(str(page.parent))}: open {printable_name(page.name)}"

@@ -1,0 +1,167 @@
+"""The files of a leaderboard: which it will have, and which of those that are there are its own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from pathlib import Path, PurePosixPath
+from typing import Any, Final
+
+from petmjx.common.atomic_write import atomic_write, write_errors
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.safe_read import read_regular
+from petmjx.common.text import printable, printable_name
+from petmjx.results.to_json import to_json
+from petmjx.version import __version__
+
+PAGE: Final = "index.html"
+DATA: Final = "leaderboard.json"
+STORIES: Final = "stories"
+PLANS: Final = "plans"
+RUNS: Final = "runs"
+ORDERS: Final = "orders.json"
+"""Files and folders of a leaderboard."""
+
+FILES: Final = "files"
+UNFINISHED: Final = "unfinished"
+"""Entries of ``leaderboard.json``: the files that are the board's own, and that it is not done yet."""
+
+_MOST_BYTES: Final = 1 << 30
+_NO_FILE: Final = ".none"
+"""A name in a run's folder that no file has: the way to it is looked at."""
+
+
+def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
+    """The files that a board may have beside its runs, as paths from its folder.
+
+    Args:
+        packers: their names.
+        stories: most stories of a packer.
+        orders: whether it keeps a file of orders.
+    """
+    pages = [f"{STORIES}/{packer}-{story}.html" for packer in range(1, len(packers) + 1) for story in _up_to(stories)]
+    return [PAGE, DATA, *([ORDERS] if orders else ()), *(f"{PLANS}/{name}.json" for name in packers), *pages]
+
+
+def _up_to(number: int) -> range:
+    return range(1, number + 1)
+
+
+class BoardFolder:
+    """A folder that is to be a leaderboard.
+
+    Args:
+        folder: made by :meth:`begin`.
+        names: the files that will be written there, of :func:`names_of`.
+        packers: names of the packers that will be scored there.
+        inputs: files and folders that are read.
+        overwrite: a board that is there is to be replaced. One that was not finished goes on without it.
+
+    Attributes:
+        own: the files that are the board's own, as paths from its folder.
+
+    Raises:
+        InputError: the folder has something that is no leaderboard, a file with a name of the board's that the board
+            did not write, or a board that may not be replaced.
+    """
+
+    def __init__(
+        self, folder: Path, packers: Collection[str], names: Collection[str], inputs: Iterable[Path], overwrite: bool
+    ) -> None:
+        self._folder, self._names, self._inputs = folder, list(names), list(inputs)
+        self._runs = [f"{RUNS}/{name}/{_NO_FILE}" for name in packers]
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{printable(str(folder))}: is a file; name a folder for the leaderboard")
+        before = _board_in(folder)
+        self._before: Mapping[str, Any] = before or {}
+        self.own = frozenset(_own_of(self._before))
+        self._overwrite = overwrite or bool(self._before.get(UNFINISHED))
+        if before is None and folder.is_dir():
+            with write_errors(folder):
+                first = min((path.name for path in folder.iterdir()), default=None)
+            if first is not None:
+                raise InputError(
+                    f"{printable(str(folder))}: has {printable_name(first)} in it; name a new folder for the "
+                    "leaderboard"
+                )
+        self.check()
+
+    def check(self) -> None:
+        """Check once more that nothing of others would be replaced or removed: work in between may take hours."""
+        check_outputs(
+            [self._folder / name for name in dict.fromkeys((*self._names, *self.own, *self._runs))],
+            overwrite=self._overwrite,
+            inputs=self._inputs,
+            folder=self._folder,
+            is_ours=lambda file: file.relative_to(self._folder).as_posix() in self.own,
+        )
+
+    def begin(self) -> None:
+        """Make the folder, and write down which files are the board's own before the first of them is there."""
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self.own |= frozenset(self._names)
+        self._write({**self._before, "petmjx": __version__, UNFINISHED: True, FILES: sorted(self.own)})
+        self._overwrite = True  # from here on what is there of these names is of this board
+
+    def finish(self, board: Mapping[str, Any], written: Collection[str]) -> None:
+        """Write what the board says, and remove what an earlier one has left.
+
+        Args:
+            written: the files that it has, of ``names``.
+        """
+        self.check()
+        for name in self.own.difference(written, (DATA,)):
+            (self._folder / name).unlink(missing_ok=True)
+        self._write({**board, FILES: sorted({*written, DATA})})
+
+    def _write(self, data: Mapping[str, Any]) -> None:
+        with atomic_write(self._folder / DATA) as file:
+            text = json.dumps(to_json(data), indent=1) + "\n"
+            file.write_text(text, encoding="utf-8", errors="backslashreplace")
+
+
+def _board_in(folder: Path) -> Mapping[str, Any] | None:
+    """What the board in a folder says; None: there is none.
+
+    Raises:
+        InputError: its file is not one that petmjx wrote.
+    """
+    file = folder / DATA
+    try:
+        data = json.loads(read_regular(file, _MOST_BYTES))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, RecursionError):
+        data = None
+    if not isinstance(data, dict) or not (data.keys() >= {"petmjx", FILES} or data.keys() >= {"petmjx", "rating"}):
+        raise InputError(f"{printable(str(file))}: was not written by petmjx; name a new folder for the leaderboard")
+    return data
+
+
+def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
+    """The files of a board, as it says. One without a list has those of its packers and stories."""
+    if not board:
+        return
+    listed = board.get(FILES)
+    if listed is None:
+        pages = [story.get("file") for story in _tables(board.get("stories"))]
+        plans = board.get("plans_sha256")
+        names = list(plans) if isinstance(plans, dict) else []
+        listed = [PAGE, DATA, ORDERS, *(f"{PLANS}/{name}.json" for name in names), *pages]
+    for name in listed if isinstance(listed, list) else ():
+        if isinstance(name, str) and _is_a_board_file(name):
+            yield name
+
+
+def _tables(value: Any) -> list[dict[str, Any]]:
+    return [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else []
+
+
+def _is_a_board_file(name: str) -> bool:
+    """Whether a name is one that boards have: whoever edits ``leaderboard.json`` must not lead petmjx elsewhere."""
+    path = PurePosixPath(name)
+    if len(path.parts) == 1:
+        return name in (PAGE, DATA, ORDERS)
+    inner = len(path.parts) == 2 and path.name not in ("", ".", "..") and "\0" not in name
+    return inner and (path.parts[0], path.suffix) in ((PLANS, ".json"), (STORIES, ".html"))

@@ -1,0 +1,88 @@
+"""One offline HTML page from parts: styles, scripts and data are in it, and its policy lets it ask for nothing else.
+
+Nothing that comes from plans is ever markup: in HTML it goes through :func:`escaped_html`, in data through
+:func:`page`, and scripts write it as text.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import re
+from collections.abc import Mapping, Sequence
+from string import Template
+from typing import Any, Final
+
+from petmjx.common.text import printable
+from petmjx.results.to_json import to_json
+from petmjx.show.pages.page_scripts import joined_modules, joined_styles, static_text
+
+_BLOCK_NAME: Final = re.compile(r"[a-z][a-z0-9-]*")
+
+
+def escaped_html(value: object) -> str:
+    """A value as text within HTML, or within a quoted attribute."""
+    return html.escape(printable(str(value)))
+
+
+def filled_template(template: str, **parts: str) -> str:
+    """A file of ``petmjx/show/pages/static`` with its ``$names`` replaced. The parts are markup, so escape what is
+    not."""
+    return Template(static_text(template)).substitute(parts)
+
+
+def page(
+    title: str,
+    body: str,
+    *,
+    script: str,
+    styles: Sequence[str] = (),
+    info: Mapping[str, Any] | None = None,
+    blocks: Mapping[str, str] | None = None,
+) -> str:
+    """A page of one file.
+
+    The policy allows this script and this style sheet, by their hashes, and images that are within the page. So there
+    are no ``style`` attributes and no event handlers in ``body``: use classes, and attributes of SVG.
+
+    Args:
+        title: text.
+        body: markup.
+        script: the entry module in ``petmjx/show/pages/static``; what it imports comes with it. "": the page has none.
+        styles: style sheets there, after ``base.css``.
+        info: plain values; the script gets them from ``readInfo()``.
+        blocks: name → :func:`petmjx.show.pages.page_arrays.block`; the script gets them from ``readBlock(name)``.
+
+    Raises:
+        ValueError: a block's name is not of lower-case letters, digits and hyphens.
+    """
+    code, look = joined_modules(script) if script else "", joined_styles(("base.css", *styles))
+    policy = (
+        f"default-src 'none'; script-src {_source(code)}; style-src {_source(look)}; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    data = [_data_block("info", "application/json", _json(info or {}))]
+    for name, text in (blocks or {}).items():
+        if not _BLOCK_NAME.fullmatch(name):
+            raise ValueError(f"{name!r} cannot be the name of a block")
+        data.append(_data_block(f"block-{name}", "application/octet-stream", text))
+    return filled_template(
+        "page.html", title=escaped_html(title), policy=policy, style=look, body=body, data="\n".join(data), script=code
+    )
+
+
+def _source(text: str) -> str:
+    """The source of a Content-Security-Policy that is this very text."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+def _json(info: Mapping[str, Any]) -> str:
+    """JSON that cannot end the element it is in: ASCII only, and without ``<``, ``>`` and ``&``."""
+    text = json.dumps(to_json(info), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _data_block(name: str, kind: str, text: str) -> str:
+    return f'<script type="{kind}" id="{name}">{text}</script>'

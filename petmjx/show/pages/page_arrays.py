@@ -1,0 +1,96 @@
+"""Arrays in a page: compact, as base64 of deflated bytes. ``petmjx/show/pages/static/blocks.js`` reads them.
+
+A *block* is: length of the header (4 bytes), header (JSON, padded with spaces to a multiple of 8), the arrays, each
+from a multiple of 8; all little-endian, deflated (zlib), in base64.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+_TYPES: Final = {"int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"}
+_MISSING: Final = -32768
+"""Stands for NaN among int16."""
+_LARGEST: Final = 32767
+_ALIGNED: Final = 8
+
+
+@dataclass(frozen=True, eq=False)
+class PackedArray:
+    """An array as a block has it: ``values`` × ``scale`` + ``offset``; with ``steps`` the values of axis 0 are
+    differences to the row before, modulo the type's range, which deflate better."""
+
+    values: NDArray[Any]
+    scale: float | None = None
+    offset: float = 0.0
+    steps: bool = False
+
+
+def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> PackedArray:
+    """Numbers as int16, in 65,534 equal parts of their range. The error is at most half a part; NaN stays NaN.
+
+    Args:
+        values: any shape; infinities become NaN.
+        steps: store differences along axis 0, for values that change slowly along it.
+    """
+    finite = np.isfinite(values)
+    low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)
+    offset = (low + high) / 2
+    scale = (high - low) / (2 * _LARGEST) or 1.0
+    parts = np.full(values.shape, _MISSING, dtype=np.int16)
+    parts[finite] = np.clip(np.rint((values[finite] - offset) / scale), -_LARGEST, _LARGEST).astype(np.int16)
+    return PackedArray(_differences(parts) if steps else parts, scale, offset, steps)
+
+
+def integer_column(values: NDArray[np.integer[Any]], steps: bool = False) -> PackedArray:
+    """Whole numbers, in the smallest type that holds them.
+
+    Raises:
+        ValueError: numbers beyond 32 bits.
+    """
+    low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
+    for name in ("uint8", "int8", "uint16", "int16", "uint32", "int32"):
+        if np.iinfo(name).min <= low and high <= np.iinfo(name).max:
+            narrow = values.astype(name)
+            return PackedArray(_differences(narrow) if steps else narrow, steps=steps)
+    raise ValueError(f"whole numbers from {low} to {high} do not fit into 32 bits")
+
+
+def _differences(values: NDArray[Any]) -> NDArray[Any]:
+    """Along axis 0, modulo the type's range; the first row stays."""
+    out = values.copy()
+    out[1:] -= values[:-1]
+    return out
+
+
+def block(columns: Mapping[str, NDArray[Any] | PackedArray]) -> str:
+    """Arrays by name as the text of a block. Plain arrays are kept as they are.
+
+    Raises:
+        ValueError: an array of another type than integers of up to 32 bits and floats.
+    """
+    header: list[dict[str, Any]] = []
+    body = bytearray()
+    for name, column in columns.items():
+        packed = column if isinstance(column, PackedArray) else PackedArray(column)
+        values = np.ascontiguousarray(packed.values)
+        if values.dtype.name not in _TYPES:
+            raise ValueError(f"{name}: {values.dtype} has no place in a page")
+        entry: dict[str, Any] = {"name": name, "type": values.dtype.name, "shape": values.shape, "at": len(body)}
+        if packed.scale is not None:
+            entry |= {"scale": packed.scale, "offset": packed.offset}
+        header.append(entry | ({"steps": True} if packed.steps else {}))
+        body += values.astype(values.dtype.newbyteorder("<")).tobytes()
+        body += bytes(-len(body) % _ALIGNED)
+    head = json.dumps(header, allow_nan=False).encode()
+    head += b" " * (-(len(head) + 4) % _ALIGNED)
+    raw = len(head).to_bytes(4, "little") + head + bytes(body)
+    return base64.b64encode(zlib.compress(raw)).decode("ascii")

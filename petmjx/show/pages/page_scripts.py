@@ -1,0 +1,61 @@
+"""Scripts and styles of pages: files of ``petmjx/show/pages/static``, joined into one text each.
+
+Scripts are ES modules, so that editors, linters and Node understand them. A page is one file, in which modules cannot
+import each other, so each becomes a function that is called once and returns what the module exports.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Final
+
+_IMPORT: Final = re.compile(r'^import (\{[^}]*\}|\* as \w+) from "\./(\w+)\.js";$', flags=re.MULTILINE)
+_EXPORT: Final = re.compile(r"^export (?=(?:async function|function|const|class) )", flags=re.MULTILINE)
+_EXPORTED: Final = re.compile(r"^export (?:async function|function|const|class) (\w+)", flags=re.MULTILINE)
+
+
+@functools.cache
+def static_text(name: str) -> str:
+    """The text of a file of ``petmjx/show/pages/static``."""
+    return files("petmjx.show.pages").joinpath("static", name).read_text(encoding="utf-8")
+
+
+def joined_modules(entry: str) -> str:
+    """A module and all that it imports, as one module. What ``viewer.js`` exports is in the object ``viewer_js``.
+
+    Raises:
+        ValueError: modules that import each other; an import or export of another form than
+            ``import {a, b} from "./c.js";``, ``import * as c from "./c.js";`` and
+            ``export function``, ``async function``, ``class`` or ``const``.
+    """
+    texts: dict[str, str] = {}
+    _gather(entry.removesuffix(".js"), texts, ())
+    return "\n".join(texts.values())
+
+
+def _gather(name: str, texts: dict[str, str], trail: tuple[str, ...]) -> None:
+    """Add a module to ``texts`` after those that it imports."""
+    if name in trail:
+        raise ValueError(f"modules import each other: {' → '.join((*trail, name))}")
+    if name in texts:
+        return
+    text = static_text(f"{name}.js")
+    for _, imported in _IMPORT.findall(text):
+        _gather(imported, texts, (*trail, name))
+    body = _EXPORT.sub("", _IMPORT.sub(_object_import, text))
+    if left := re.search(r"^(?:import|export)\b.*", body, flags=re.MULTILINE):
+        raise ValueError(f"{name}.js: {left[0]!r} cannot be joined")
+    texts[name] = f"const {name}_js = (() => {{\n{body}return {{ {', '.join(_EXPORTED.findall(text))} }};\n}})();\n"
+
+
+def _object_import(imported: re.Match[str]) -> str:
+    """An import, as a look into the object of its module."""
+    return f"const {imported[1].removeprefix('* as ')} = {imported[2]}_js;"
+
+
+def joined_styles(names: Sequence[str]) -> str:
+    """Style sheets, one after the other."""
+    return "\n".join(static_text(name) for name in names)

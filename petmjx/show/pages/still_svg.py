@@ -1,0 +1,139 @@
+"""A still picture of boxes as SVG, for browsers without WebGL: seen from the front left, far things first."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.analysis.story import Story
+from petmjx.common.text import box_label
+from petmjx.common.units import FloatArray
+from petmjx.show.pages.page import escaped_html
+from petmjx.show.pages.palette import article_colours, hex_of, look, rgb_of
+from petmjx.show.pages.story_data import framed_corners
+from petmjx.world.rotation import corners, rotations
+from petmjx.world.scene import IDENTITY_QUAT
+
+# The first view of petmjx/show/pages/static/camera.js, without its perspective.
+_LOOK: Final = look()
+_AZIMUTH, _ELEVATION = _LOOK["view"]["azimuth"], _LOOK["view"]["elevation"]
+_TOWARDS: Final = np.array(
+    [np.sin(_AZIMUTH) * np.cos(_ELEVATION), -np.cos(_AZIMUTH) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
+)
+"""(3,) unit vector from what is seen to the eye."""
+_RIGHT: Final = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
+_DOWN: Final = -np.cross(_TOWARDS, _RIGHT)
+_SUNWARD: Final = np.array(_LOOK["sunward"]) / np.linalg.norm(_LOOK["sunward"])
+
+_WIDTH: Final = 800.0
+_MARGIN: Final = 12.0
+_TOUCHING_M: Final = 1e-3
+"""Boxes whose bodies are this deep in each other still count as side by side."""
+
+# The four corners around each face of a box: −x, +x, −y, +y, −z, +z.
+_FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
+
+
+def still_svg(story: Story) -> str:
+    """The last frame of a story; the first box to fail is outlined."""
+    history, scene = story.history, story.scene
+    shown = np.flatnonzero(np.isfinite(history.pos[-1]).all(axis=1))
+    carrier_pos, carrier_quat = history.carrier_pos[-1], history.carrier_quat[-1]
+    if not np.isfinite(carrier_pos).all():
+        carrier_pos, carrier_quat = scene.carrier.pos, np.array(IDENTITY_QUAT)
+    boards = scene.carrier.shapes_at(carrier_pos, carrier_quat)
+    pos = np.concatenate([history.pos[-1][shown], boards[0]])
+    axes = np.concatenate([rotations(history.quat[-1][shown]), boards[1]])
+    half = np.concatenate([scene.half_size[shown], boards[2]])
+    colours = article_colours(story.plan.articles)
+    names = [*(box_label(int(box), story.plan.articles[box]) for box in shown), *["carrier"] * len(boards[0])]
+    fills = [*(colours[box] for box in shown), *[hex_of(_LOOK["wood"])] * len(boards[0])]
+    points = corners(pos, axes, half)
+    low, scale, height = _picture_fit(story, points)
+    flat = (_projection(points) - low) * scale + _MARGIN
+    parts = []
+    for k in drawing_order(pos, axes, half):
+        first = k < len(shown) and shown[k] == story.outcome.culprit
+        faces = "".join(_face(flat[k], axes[k], fills[k], number) for number in range(6))
+        mark = ' class="first"' if first else ""
+        parts.append(f"<g{mark}><title>{escaped_html(names[k])}</title>{faces}</g>")
+    label = f"Still picture of plan {story.plan.plan_id} as it ended"
+    return (
+        f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
+        f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'
+    )
+
+
+def _projection(points: FloatArray) -> FloatArray:
+    """(…, 2) places in the picture, m to the right and down."""
+    return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
+
+
+def _picture_fit(story: Story, points: FloatArray) -> tuple[FloatArray, float, float]:
+    """Upper left corner (2,), pixels per m and height of a picture that shows all boxes but those far off."""
+    ends = np.array(framed_corners(story))
+    room = _projection(np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)]))
+    flat = _projection(points).reshape(-1, 2)
+    low, high = room.min(axis=0), room.max(axis=0)
+    seen = np.vstack([np.clip(flat, low - 0.2, high + 0.2), [low, high]])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    scale = (_WIDTH - 2 * _MARGIN) / max(high[0] - low[0], 1.25 * (high[1] - low[1]))
+    low[0] -= ((_WIDTH - 2 * _MARGIN) / scale - (high[0] - low[0])) / 2
+    return low, float(scale), float((high[1] - low[1]) * scale + 2 * _MARGIN)
+
+
+def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
+    """One face of a box as a polygon; "" for a face that looks away."""
+    normal = axes[:, number // 2] * (1 if number % 2 else -1)
+    if normal @ _TOWARDS <= 1e-9:
+        return ""
+    light = 0.62 + 0.38 * max(float(normal @ _SUNWARD), 0.0)
+    red, green, blue = (light * part for part in rgb_of(fill))
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in flat[list(_FACES[number])])
+    return f'<polygon points="{points}" fill="{hex_of((red, green, blue))}"/>'
+
+
+def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[int]:
+    """The order in which boxes are drawn so that near ones cover far ones.
+
+    A plane through a face of one box with the other box beyond it says which of the two is nearer. Boxes that no face
+    parts, and rings of boxes each behind the next, go by the distance of their centres.
+
+    Args:
+        pos: (k, 3) centres; axes: (k, 3, 3) columns are their axes; half: (k, 3) half sizes; all in m.
+    """
+    before = _before(pos, axes, half)
+    depth = pos @ _TOWARDS
+    waiting = before.sum(axis=0)
+    order: list[int] = []
+    left = np.ones(len(pos), dtype=bool)
+    while left.any():
+        free = left & (waiting == 0)
+        among = np.flatnonzero(free if free.any() else left)
+        chosen = int(among[np.argmin(depth[among])])
+        order.append(chosen)
+        left[chosen] = False
+        waiting -= before[chosen]
+    return order
+
+
+def _before(pos: FloatArray, axes: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
+    """(k, k): whether the row's box must be drawn before the column's."""
+    points = corners(pos, axes, half)
+    flat = _projection(points)
+    low, high = flat.min(axis=1), flat.max(axis=1)
+    apart = ((low[:, None] > high[None]) | (high[:, None] < low[None])).any(axis=2)
+    before = np.zeros(apart.shape, dtype=bool)
+    for k in range(len(pos)):
+        local = (points - pos[k]) @ axes[k]
+        facing = _TOWARDS @ axes[k]
+        above = local.min(axis=1) >= half[k] - _TOUCHING_M
+        below = local.max(axis=1) <= -half[k] + _TOUCHING_M
+        nearer = (above & (facing > 0) | below & (facing < 0)).any(axis=1)
+        farther = (above & (facing < 0) | below & (facing > 0)).any(axis=1)
+        before[k] |= nearer & ~farther
+        before[:, k] |= farther & ~nearer
+    np.fill_diagonal(before, False)
+    return np.asarray(before & ~apart)

@@ -1,0 +1,143 @@
+"""What the page of a story carries: values for its script, and its frames as arrays."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.analysis.story import Story, first_box_in_words, sinks_of, thresholds_of
+from petmjx.common.text import printable
+from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
+from petmjx.engines.mujoco import box_motion
+from petmjx.options.simulation import Thresholds
+from petmjx.show.pages.contact_forces import pushes
+from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
+from petmjx.show.pages.palette import article_colours, ramp
+from petmjx.world.history import Contacts, History
+from petmjx.world.job import FORCE
+
+_FAR_M: Final = 0.8
+_FAR_SHARE: Final = 0.5
+"""Boxes farther beside the pallet than ``_FAR_M`` and this share of its height do not make the picture smaller."""
+_LOST_M: Final = 50.0
+"""Boxes beyond it, of simulations that blew up, are not drawn, and do not make all other places inexact."""
+_ARROW_M: Final = 0.45
+"""Room to the left of the carrier for the arrow of gravity (petmjx/show/pages/static/arrows.js)."""
+
+
+def story_info(story: Story) -> dict[str, Any]:
+    """What the script reads by ``readInfo()``. Lengths in m unless the name says mm."""
+    limits, outcome = thresholds_of(story), story.outcome
+    first = None
+    if outcome.culprit >= 0:
+        first = {"box": outcome.culprit, "time": outcome.first_sign_s, "words": first_box_in_words(story)}
+    low, high = framed_corners(story)
+    return {
+        "boxes": _boxes(story),
+        "first": first,
+        "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
+        "ramp": ramp(),
+        "carrier": {"pos": story.scene.carrier.pos, "boards": story.scene.carrier.boards.ravel()},
+        "floorZ": story.scene.floor_z,
+        "frame": {"low": low, "high": high},
+        "drive": _drive(story),
+    }
+
+
+def _boxes(story: Story) -> dict[str, Any]:
+    """Columns of the boxes, in packing order."""
+    plan, metrics = story.plan, story.outcome.boxes
+    return {
+        "article": [printable(name) for name in plan.articles],
+        "item": [printable(name) for name in plan.item_ids],
+        "colour": article_colours(plan.articles),
+        "size": (2 * story.scene.half_size).ravel(),
+        "target": story.scene.target.ravel(),
+        "size_mm": plan.size_mm,
+        "mass_kg": story.scene.mass,
+        "sequence": plan.sequence,
+        "placed_s": placed_s(story.history),
+        "drop_s": metrics.drop_s,
+        "end_shift_mm": MM_PER_M * np.abs(metrics.shift_m).max(axis=1, initial=0.0),
+        "max_tilt_deg": metrics.max_tilt_deg,
+        "max_force_n": metrics.max_top_force_n,
+        "rest_force_n": metrics.rest_top_force_n,
+    }
+
+
+def placed_s(history: History) -> FloatArray:
+    """(n,) when each box was placed, s; NaN for boxes that were not."""
+    frame = np.searchsorted(history.n_placed, np.arange(history.pos.shape[1]), side="right")
+    times = np.append(history.time_s, np.nan)
+    return np.asarray(times[frame], dtype=np.float64)
+
+
+def _drive(story: Story) -> dict[str, Any] | None:
+    """What shakes the world: "force" or "acceleration", and which value of it is 1 g; None if nothing does."""
+    if story.drive is None or not np.any(story.history.drive):
+        return None
+    kind = story.drive.excitation.kind
+    mass = story.scene.total_mass if kind == FORCE else 1.0
+    return {"kind": kind, "name": story.drive.excitation.name, "one_g": mass * STANDARD_GRAVITY}
+
+
+def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
+    """(3,) lowest and (3,) highest corner of what a picture shows: carrier, plan, boxes that lie near at the end."""
+    scene = story.scene
+    low = np.vstack([scene.target - scene.half_size, scene.carrier.low]).min(axis=0)
+    high = np.vstack([scene.target + scene.half_size, scene.carrier.high]).max(axis=0)
+    last = story.history.pos[-1]
+    last = last[np.isfinite(last).all(axis=1)]
+    far = _FAR_M + _FAR_SHARE * (high[2] - low[2])
+    near = np.clip(last, low - np.array([far, far, 0.0]), high + np.array([far, far, 0.2]))
+    if story.drive is not None:
+        low[0] -= _ARROW_M
+    return np.vstack([near, [low]]).min(axis=0), np.vstack([near, [high]]).max(axis=0)
+
+
+def story_blocks(story: Story) -> dict[str, str]:
+    """What the script reads by ``readBlock``: ``frames``, and ``contacts`` where they were recorded."""
+    blocks = {"frames": block(_frames(story, thresholds_of(story)))}
+    if story.history.contacts is not None:
+        blocks["contacts"] = block(_contacts(story.history.contacts))
+    return blocks
+
+
+def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | PackedArray]:
+    """The columns of f frames of n boxes; ``shift_mm`` and ``tilt_deg`` are those that limits are for.
+
+    Of forces there is the square root with their sign, as impacts are a thousand times what a box bears at rest.
+    """
+    history = story.history
+    n_frames, n = history.pos.shape[:2]
+    lost = ~(np.abs(history.pos) < _LOST_M).all(axis=2, keepdims=True)
+    pos, quat = np.where(lost, np.nan, history.pos), np.where(lost, np.nan, history.quat)
+    moved = box_motion.shift(pos, story.scene.target, limits.shift_floor_m, sinks_of(story))
+    shift = np.abs(moved).max(axis=2, initial=0.0)
+    tilt = box_motion.tilt_deg(quat.reshape(-1, 4)).reshape(n_frames, n)
+    force = history.top_force_n
+    return {
+        "time": history.time_s.astype(np.float64),
+        "placed": integer_column(history.n_placed, steps=True),
+        "pos": quantised_column(pos, steps=True),
+        "quat": quantised_column(quat, steps=True),
+        "shift_mm": quantised_column(MM_PER_M * shift, steps=True),
+        "tilt_deg": quantised_column(tilt, steps=True),
+        "force_root": quantised_column(np.copysign(np.sqrt(np.abs(force)), force), steps=True),
+        "carrier_pos": quantised_column(history.carrier_pos, steps=True),
+        "carrier_quat": quantised_column(history.carrier_quat, steps=True),
+        "drive": history.drive.astype(np.float32),
+    }
+
+
+def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | PackedArray]:
+    """One force for each two bodies and frame. Rows of a pair follow each other, so that a row differs little from the
+    one before and deflates well."""
+    forces = pushes(contacts)
+    return {
+        "frame": integer_column(forces.frame, steps=True),
+        "point": quantised_column(forces.point, steps=True),
+        "force": quantised_column(forces.force, steps=True),
+    }

@@ -1,0 +1,101 @@
+"""The page of one story: the pallet in 3D over time, the first box to fail, and the numbers of all boxes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from petmjx.analysis.story import Story, first_box_in_words, how_it_was_simulated, notes_in_words, reason_in_words
+from petmjx.common.text import count_text, shortened_text
+from petmjx.show.pages.page import escaped_html, filled_template, page
+from petmjx.show.pages.still_svg import still_svg
+from petmjx.show.pages.story_data import story_blocks, story_info
+from petmjx.version import __version__
+
+
+def story_page(story: Story) -> str:
+    """One offline HTML file with a story: to play, turn and ask; a still picture and numbers where there is no WebGL.
+
+    Returns:
+        The text of the file, to be written as UTF-8.
+    """
+    info = story_info(story)
+    outcome, plan = story.outcome, story.plan
+    facts = [*how_it_was_simulated(story), ("petmjx", __version__), ("units", "s, mm, °, kg, N; 1 g is 9.81 m/s²")]
+    body = filled_template(
+        "story.html",
+        plan=escaped_html(plan.plan_id),
+        verdict=escaped_html(outcome.verdict.value),
+        summary=escaped_html(_summary(story)),
+        first=escaped_html(first_box_in_words(story)),
+        variant=f"variant {story.variant}" if story.values else "",
+        note="".join(f'<p class="note">{escaped_html(note)}</p>' for note in _notes(story)),
+        still=still_svg(story),
+        facts="".join(f"<span>{escaped_html(name)} <b>{escaped_html(value)}</b></span>" for name, value in facts),
+        table=_table(story, info["boxes"]),
+        boxes=count_text(plan.n_boxes, "box", "boxes"),
+        end=f"{story.history.time_s[-1]:.2f}",
+    )
+    return page(
+        f"{shortened_text(plan.plan_id)}: {outcome.verdict.value}",
+        body,
+        script="story.js",
+        styles=("story.css",),
+        info=info,
+        blocks=story_blocks(story),
+    )
+
+
+def _notes(story: Story) -> list[str]:
+    """Warnings for the reader, one line each."""
+    notes = notes_in_words(story)
+    if story.drive is not None and not np.any(story.history.drive):
+        name = story.drive.excitation.name
+        notes.append(f"It was shaken by {name}, but no frame shows a push: record at shorter intervals.")
+    return notes
+
+
+def _summary(story: Story) -> str:
+    """How many boxes, and why the verdict is what it is."""
+    outcome = story.outcome
+    placed = "" if outcome.n_placed == outcome.n_boxes else f"{outcome.n_placed} of "
+    boxes = f"{placed}{count_text(outcome.n_boxes, 'box', 'boxes')} placed"
+    return f"{boxes}; {reason_in_words(story)}."
+
+
+_COLUMNS = (
+    ("mass_kg", "mass, kg", ".2f"),
+    ("sequence", "in the order", "d"),
+    ("placed_s", "placed, s", ".2f"),
+    ("end_shift_mm", "shift at the end, mm", ".1f"),
+    ("max_tilt_deg", "largest tilt, °", ".1f"),
+    ("max_force_n", "largest force on top, N", "z.1f"),
+    ("rest_force_n", "force on top at rest, N", "z.1f"),
+    ("drop_s", "dropped, s", ".2f"),
+)
+"""Columns of numbers: name in ``story_info``, heading with unit, format. Forces (z) have no "-0.0"."""
+
+
+def _table(story: Story, boxes: dict[str, Any]) -> str:
+    """The numbers of all boxes as an HTML table."""
+    heads = ['<th scope="col">box</th>', '<th scope="col" class="text">article</th>']
+    heads += ['<th scope="col" class="text">item</th>', '<th scope="col">size, mm</th>']
+    heads += [f'<th scope="col">{title}</th>' for _, title, _ in _COLUMNS]
+    rows = []
+    for box in range(story.plan.n_boxes):
+        size = " × ".join(f"{length:g}" for length in boxes["size_mm"][box])
+        cells = [f'<th scope="row">{box}</th>', *(_text(boxes[name][box]) for name in ("article", "item"))]
+        cells.append(f"<td>{size}</td>")
+        cells += [f"<td>{_number(boxes[name][box], form)}</td>" for name, _, form in _COLUMNS]
+        mark = ' class="first"' if box == story.outcome.culprit else ""
+        rows.append(f"<tr{mark}>{''.join(cells)}</tr>")
+    return f"<table><thead><tr>{''.join(heads)}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+
+
+def _text(value: str) -> str:
+    return f'<td class="text">{escaped_html(value)}</td>'
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "–"

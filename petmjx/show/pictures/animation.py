@@ -1,0 +1,171 @@
+"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg that imageio-ffmpeg brings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.analysis.story import Story
+from petmjx.common.errors import InputError
+from petmjx.common.text import one_line
+from petmjx.show.pictures.camera import framing
+from petmjx.show.pictures.draw_story import Painter, framed_points
+from petmjx.show.pictures.overlay import Overlay
+from petmjx.show.pictures.still_pictures import PictureStyle
+from petmjx.show.pictures.story_poses import poses_at
+from petmjx.show.pictures.video_encoder import h264_encoder
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+Progress = Callable[[int], None]
+
+HELD_S: Final = 2.0
+"""How long a film shows its last frame, s."""
+
+USUAL_LONGEST_S: Final = 20.0
+"""Without a given speed a film is in real time, or so much faster that it lasts no longer than this."""
+
+MOST_FRAMED: Final = 400
+"""Of how many frames the camera of a film makes sure that it sees them."""
+
+GIF_COLOURS: Final = 255
+"""One of 256 is kept for pixels that stay as they were."""
+
+
+def film_times(story: Story, speed: float, fps: float) -> list[float]:
+    """The times of a film's frames, s, from the first frame of the story to its last."""
+    first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
+    count = math.floor((last - first) * fps / speed + 1e-9)
+    times = [first + number * speed / fps for number in range(count + 1)]
+    return times if times[-1] >= last - 1e-9 else [*times, last]
+
+
+def usual_speed(story: Story) -> float:
+    """Real time, or the whole multiple of it with which the film lasts no longer than ``USUAL_LONGEST_S``."""
+    lasts_s = float(story.history.time_s[-1] - story.history.time_s[0])
+    return float(max(1, math.ceil(lasts_s / USUAL_LONGEST_S)))
+
+
+def spread_times(story: Story) -> list[float]:
+    """Some times of a story, s, whose pictures have all colours that others have: as boxes come, and as they fall."""
+    first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
+    signs = [story.outcome.first_sign_s] if math.isfinite(story.outcome.first_sign_s) else []
+    return sorted([first + share * (last - first) for share in (0.25, 0.5, 0.75, 1.0)] + signs)
+
+
+def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
+    """The pictures of a film at these times, s, by one camera that sees all of the story."""
+    count = len(story.history.time_s)
+    some = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
+    overlay = Overlay(look.colours, look.size, speed, look.arrows)
+    camera = framing(framed_points(story, sorted(some)), look.view, look.size, overlay.margins)
+    with Painter(look.colours, look.size, look.line_px(), look.newtons_per_m) as painter:
+        for time_s in times:
+            poses = poses_at(story.history, time_s)
+            yield overlay.on(painter.picture(poses, camera), poses, camera)
+
+
+def palette_of(frames: Iterable[Image]) -> Image:
+    """The colours of a GIF, from some of its frames: 255, one of them white, and one for pixels that stay."""
+    from PIL import Image
+
+    some = list(frames)
+    sheet = Image.new("RGB", (some[0].width, sum(frame.height for frame in some)))
+    for number, frame in enumerate(some):
+        sheet.paste(frame, (0, number * frame.height))
+    palette = sheet.quantize(GIF_COLOURS)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[np.abs(colours - 255).sum(axis=1).argmin()] = 255
+    palette.putpalette(colours.ravel().tolist())
+    return palette
+
+
+def write_gif(
+    frames: Iterator[Image], path: Path, palette: Image, fps: float, progress: Progress | None = None
+) -> None:
+    """Write a film that repeats. Each frame has the pixels that change, so that flat colours take little room.
+
+    GIF counts in hundredths of a second: the frame times are rounded so that their sum stays right.
+    """
+    from PIL import Image
+    from PIL.GifImagePlugin import getdata, getheader
+
+    previous: NDArray[np.uint8] | None = None
+    shown = 0
+    with path.open("wb") as file:
+        for number, (frame, last) in enumerate(_with_last(frames)):
+            pixels = _colour_indices(frame, palette)
+            until = round(100 * (number + 1) / fps) + (round(100 * HELD_S) if last else 0)
+            wait, shown = 10 * (until - shown), until
+            if previous is None:
+                first = Image.fromarray(pixels)
+                first.putpalette(palette.getpalette() or [])
+                header, _ = getheader(first, info={"loop": 0})
+                file.writelines(header)
+                file.writelines(getdata(first, duration=wait, disposal=1))
+            else:
+                part, offset = _changes(previous, pixels)
+                file.writelines(getdata(part, offset, duration=wait, disposal=1, transparency=GIF_COLOURS))
+            previous = pixels
+            if progress is not None:
+                progress(number + 1)
+        file.write(b";")
+
+
+def write_mp4(
+    frames: Iterator[Image], path: Path, size: tuple[int, int], fps: float, progress: Progress | None = None
+) -> None:
+    """Write a film in H.264, which all browsers and office programs play. Width and height must be even.
+
+    Raises:
+        InputError: the encoder is missing or gives up.
+    """
+    try:
+        with h264_encoder(path, size, fps) as add:
+            for number, (frame, last) in enumerate(_with_last(frames)):
+                for _ in range(1 + (round(HELD_S * fps) if last else 0)):
+                    add(frame.tobytes())
+                if progress is not None:
+                    progress(number + 1)
+    except (RuntimeError, OSError) as error:
+        raise InputError(f"{path}: the film cannot be encoded: {one_line(error)}") from error
+
+
+def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
+    """(height, width) the index of each pixel's colour. White stays white: Pillow takes a colour that is near."""
+    from PIL import Image
+
+    indices = np.array(frame.quantize(palette=palette, dither=Image.Dither.NONE), dtype=np.uint8)
+    whitest = int(np.array(palette.getpalette()).reshape(-1, 3).sum(axis=1).argmax())
+    indices[(np.asarray(frame) == 255).all(axis=2)] = whitest
+    return indices
+
+
+def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image, tuple[int, int]]:
+    """The smallest part of a picture that has all changed pixels, the others transparent, and where it lies."""
+    from PIL import Image
+
+    changed = before != after
+    rows, columns = (np.flatnonzero(changed.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        rows = columns = np.zeros(1, dtype=np.intp)
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    part = Image.fromarray(np.where(changed[box], after[box], GIF_COLOURS).astype(np.uint8))
+    return part, (int(columns[0]), int(rows[0]))
+
+
+def _with_last(frames: Iterator[Image]) -> Iterator[tuple[Image, bool]]:
+    """Each frame, and whether it is the last one."""
+    waiting = next(frames, None)
+    for frame in frames:
+        assert waiting is not None
+        yield waiting, False
+        waiting = frame
+    if waiting is not None:
+        yield waiting, True

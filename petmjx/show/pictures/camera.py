@@ -1,0 +1,149 @@
+"""Where a picture is seen from: named views, and a camera that has given points in the picture."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from petmjx.common.checked_records import hint
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray, deg_to_rad
+
+FIELD_OF_VIEW_DEG: Final = 24.0
+"""Vertical angle that a picture spans, as of a lens of 56 mm on 24 × 36 mm film: upright edges look nearly parallel."""
+
+NEAREST_M: Final = 0.3
+"""Least distance from the camera to what it shows, m."""
+
+
+class View(NamedTuple):
+    """Where a camera stands, seen from the pallet. ``azimuth_deg``: 0 in front (at −y), 90 on the right (at +x).
+    ``elevation_deg``: above the horizontal."""
+
+    azimuth_deg: float
+    elevation_deg: float
+
+
+VIEWS: Final = {
+    "front": View(0, 8),
+    "right": View(90, 8),
+    "back": View(180, 8),
+    "left": View(270, 8),
+    "top": View(0, 90),
+    "iso": View(35, 24),
+}
+
+_ANGLES: Final = re.compile(r"\s*([+-]?\d+(?:\.\d*)?)\s*/\s*([+-]?\d+(?:\.\d*)?)\s*")
+
+
+def view_of(text: str) -> View:
+    """A view by name, or from "AZIMUTH/ELEVATION" in degrees.
+
+    Raises:
+        InputError: neither, or an elevation beyond ±90°.
+    """
+    if text in VIEWS:
+        return VIEWS[text]
+    angles = _ANGLES.fullmatch(text)
+    if angles is None:
+        raise InputError(
+            f"unknown view {printable_name(text)}; {hint(text, VIEWS)} (or AZIMUTH/ELEVATION in degrees, such as 35/24)"
+        )
+    view = View(float(angles[1]), float(angles[2]))
+    if abs(view.elevation_deg) > 90:
+        raise InputError(f"{printable_name(text)}: the elevation must be from -90 to 90")
+    return view
+
+
+class Margins(NamedTuple):
+    """Strips at the edges of a picture that stay free, as shares of its width or height."""
+
+    left: float = 0.04
+    right: float = 0.04
+    top: float = 0.04
+    bottom: float = 0.04
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole camera.
+
+    Attributes:
+        pos: (3,) m; right, up, forward: (3,) unit vectors.
+        width, height: of the picture, px.
+        depth_m: distances of the nearest and the farthest framed point along ``forward``.
+    """
+
+    pos: FloatArray
+    right: FloatArray
+    up: FloatArray
+    forward: FloatArray
+    width: int
+    height: int
+    depth_m: tuple[float, float]
+
+    def scaled(self, factor: int) -> Camera:
+        """The same camera with a larger picture."""
+        return replace(self, width=factor * self.width, height=factor * self.height)
+
+    @property
+    def tangent(self) -> float:
+        """Of half the vertical angle that the picture spans."""
+        return _half_angle_tangent()
+
+    def project(self, points: FloatArray) -> FloatArray:
+        """(k, 3) points in front of the camera → (k, 2) pixels, right and down from the upper left corner."""
+        x, y, z = _along((self.right, self.up, self.forward), points - self.pos)
+        scale = self.height / (2 * self.tangent)
+        return np.stack((self.width / 2 + scale * x / z, self.height / 2 - scale * y / z), axis=1)
+
+
+def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Margins | None = None) -> Camera:
+    """The nearest camera that has all points within the margins of its picture.
+
+    In the camera's axes a point (x, y, z) is left of the right margin if x − cx ≤ r (z − cz), where (cx, cy, cz) is the
+    camera and r the tangent of the angle to that margin. So cx − r cz ≥ A with A = max(x − r z), likewise
+    −cx − l cz ≥ B on the left, and cz ≤ −(A + B) / (r + l); the same upright. The smaller cz holds for both.
+
+    Args:
+        points: (k, 3) m.
+        size: width and height of the picture, px.
+    """
+    margins = margins or Margins()
+    right, up, forward = _axes(view)
+    x, y, z = _along((right, up, forward), points)
+    tangent = _half_angle_tangent()
+    wide = tangent * size[0] / size[1]
+    to_right, to_left = wide * (1 - 2 * margins.right), wide * (1 - 2 * margins.left)
+    to_top, to_bottom = tangent * (1 - 2 * margins.top), tangent * (1 - 2 * margins.bottom)
+    limits = [(x - to_right * z).max(), (-x - to_left * z).max(), (y - to_top * z).max(), (-y - to_bottom * z).max()]
+    across = -(limits[0] + limits[1]) / (to_right + to_left)
+    upright = -(limits[2] + limits[3]) / (to_top + to_bottom)
+    cz = min(across, upright, z.min() - NEAREST_M)
+    cx = ((limits[0] + to_right * cz) - (limits[1] + to_left * cz)) / 2
+    cy = ((limits[2] + to_top * cz) - (limits[3] + to_bottom * cz)) / 2
+    pos = cx * right + cy * up + cz * forward
+    return Camera(pos, right, up, forward, *size, depth_m=(float(z.min() - cz), float(z.max() - cz)))
+
+
+def _half_angle_tangent() -> float:
+    return math.tan(deg_to_rad(FIELD_OF_VIEW_DEG / 2))
+
+
+def _axes(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Right, up and forward of a camera that looks at the pallet."""
+    azimuth, elevation = deg_to_rad(view.azimuth_deg), deg_to_rad(view.elevation_deg)
+    flat = math.cos(elevation)
+    right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+    forward = np.array([-math.sin(azimuth) * flat, math.cos(azimuth) * flat, -math.sin(elevation)])
+    return right, np.cross(right, forward), forward
+
+
+def _along(axes: tuple[FloatArray, ...], points: FloatArray) -> tuple[FloatArray, ...]:
+    """Coordinates of (k, 3) points along each axis, (k,) each."""
+    return tuple(np.asarray(points @ axis) for axis in axes)

@@ -1,0 +1,232 @@
+"""Draws a story at one time: boxes with their edges, carrier, shadows on the floor, planned places, contact forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from types import TracebackType
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.analysis.story import Story, thresholds_of
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
+from petmjx.show.pages.contact_forces import pushes
+from petmjx.show.pages.palette import Rgb
+from petmjx.show.pictures.camera import Camera
+from petmjx.show.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
+from petmjx.show.pictures.offscreen import Canvas
+from petmjx.show.pictures.picture_options import Colour
+from petmjx.show.pictures.story_poses import Poses, poses_of_frame, shaking_g, shift_mm, tilts_deg
+from petmjx.world.history import Contacts
+from petmjx.world.rotation import corners, rotations
+from petmjx.world.scene import IDENTITY_QUAT
+
+FLOOR: Final[Rgb] = (1.0, 1.0, 1.0)
+SHADOW: Final[Rgb] = (0.85, 0.86, 0.88)
+EDGE: Final[Rgb] = (0.0, 0.0, 0.0)
+
+_SUN: Final = (0.26, 0.36, -1.0)
+"""Direction of the light that casts the shadows on the floor."""
+
+_FLOOR_HALF_M: Final = 60.0
+
+_TOWARDS_CAMERA: Final = 1.5e-3
+"""Edges are drawn nearer to the camera than the faces that they bound, by this share of the distance, and smaller by
+the same share: at the same pixels, and in front."""
+
+_SEE_THROUGH: Final = 0.24
+"""Opacity of boxes where contact forces are drawn."""
+
+_AWAY: Final = 0.25
+"""Share of a threshold beyond which a box counts as away from its planned place, which is then drawn."""
+
+_LEAST_FORCE: Final = 0.02
+"""Share of a usual force under which contacts have no arrow."""
+
+_ARROW_SHARE: Final = 0.4
+"""Length of the arrow of a usual force, as a share of the pallet's largest extent."""
+
+LEAST_LEVEL_G: Final = 0.005
+"""Weaker shaking has no arrow and no words."""
+
+REACH: Final = 1.25
+LEAST_REACH_M: Final = 1.0
+"""Boxes whose centre is further from the planned load than this many times its largest extent, and than this, are not
+framed: one that has rolled away would make all others small."""
+
+
+class Painter:
+    """Draws frames of one story, all of one size. Use it in a ``with`` statement, in one thread.
+
+    Args:
+        colours: of the boxes.
+        size: width and height, px.
+        line_px: width of edges, px.
+        newtons_per_m: with it contact forces are drawn as arrows of this scale, and boxes are transparent.
+
+    Raises:
+        InputError: nothing can be drawn here.
+    """
+
+    def __init__(
+        self, colours: Colouring, size: tuple[int, int], line_px: float, newtons_per_m: float | None = None
+    ) -> None:
+        self.story, self.colours, self.newtons_per_m = colours.story, colours, newtons_per_m
+        contacts = colours.story.history.contacts
+        most_arrows = 0 if newtons_per_m is None or contacts is None else _most_in_a_frame(contacts)
+        most_boxes = self.story.plan.n_boxes + len(self.story.scene.carrier.half_size)
+        self.canvas = Canvas(size, line_px, 4 * most_boxes + most_arrows + 1)
+
+    def __enter__(self) -> Self:
+        self.canvas.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.canvas.__exit__(kind, error, trace)
+
+    def picture(self, poses: Poses, camera: Camera) -> NDArray[np.uint8]:
+        """(height, width, 3) pixels."""
+        scene = self.story.scene
+        half_size, turned = scene.half_size[: poses.n_placed], rotations(poses.quat)
+        centers, turns, half_sizes = scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
+        boards = list(zip(half_sizes, centers, turns, strict=True))
+        self.canvas.begin(camera)
+        self._floor()
+        visible = _far_to_near(poses, camera)
+        for solid in (*boards, *((half_size[box], poses.pos[box], turned[box]) for box in visible)):
+            self._shadow(*solid)
+        for board in boards:
+            self.canvas.box(*board, CARRIER)
+            self._edges(*board, EDGE, camera)
+        self._shaking(poses)
+        if self.newtons_per_m is not None:
+            self._forces(poses, self.newtons_per_m)
+        alpha = 1.0 if self.newtons_per_m is None else _SEE_THROUGH
+        colours = self.colours.of(poses)
+        for box in visible:
+            red, green, blue = (float(part) for part in colours[box])
+            self.canvas.box(half_size[box], poses.pos[box], turned[box], (red, green, blue), alpha)
+            self._edges(half_size[box], poses.pos[box], turned[box], EDGE, camera)
+        if self.colours.colour is Colour.PLANNED:
+            for box in _away(self.story, poses):
+                self._edges(half_size[box], scene.target[box], np.eye(3), GHOST, camera)
+        return self.canvas.pixels()
+
+    def _floor(self) -> None:
+        half_size = np.array([_FLOOR_HALF_M, _FLOOR_HALF_M, 0.01])
+        self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
+
+    def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
+        """A box, flattened along the light onto the floor. It keeps a little of its height, as faces need normals."""
+        across = np.array(_SUN[:2]) / _SUN[2]
+        flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
+        above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])
+        place = flatten @ above + np.array([0.0, 0.0, self.story.scene.floor_z - 0.001])
+        self.canvas.box(half_size, place, flatten @ turned, SHADOW)
+
+    def _edges(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb, camera: Camera) -> None:
+        nearer = camera.pos + (1 - _TOWARDS_CAMERA) * (pos - camera.pos)
+        self.canvas.edges((1 - _TOWARDS_CAMERA) * half_size, nearer, turned, rgb)
+
+    def _shaking(self, poses: Poses) -> None:
+        """An arrow above the load, the longer the stronger."""
+        level = shaking_g(self.story, poses)
+        if np.linalg.norm(level) > LEAST_LEVEL_G:
+            start, longest = _above(self.story)
+            peak = np.linalg.norm(self.story.history.drive, axis=1).max()
+            along = longest * self.story.history.drive[poses.frame] / peak
+            self.canvas.arrow(start - along / 2, start + along / 2, 0.03 * longest, EDGE)
+
+    def _forces(self, poses: Poses, newtons_per_m: float) -> None:
+        contacts = self.story.history.contacts
+        if contacts is None:
+            return
+        width_m = 0.007 * largest_extent_m(self.story)
+        least_n = _LEAST_FORCE * _ARROW_SHARE * largest_extent_m(self.story) * newtons_per_m
+        for end, force in forces_of_pairs(contacts, poses):
+            if np.linalg.norm(force) >= least_n:
+                self.canvas.arrow(end - force / newtons_per_m, end, width_m, FIRST)
+
+
+def newtons_per_m(story: Story) -> float:
+    """The scale of arrows: a round number with which they are neither dots nor longer than the pallet.
+
+    Raises:
+        InputError: no contacts were recorded.
+    """
+    contacts = story.history.contacts
+    if contacts is None:
+        raise InputError(
+            f"plan {printable_name(story.plan.plan_id)}: no contact forces were recorded (engine {story.engine}); "
+            "engine mujoco records them"
+        )
+    strength = np.linalg.norm(contacts.force, axis=1)
+    strength = strength[strength > 0]
+    usual_n = 4 * float(np.quantile(strength, 0.9)) if len(strength) else 1.0
+    return round_up(usual_n / (_ARROW_SHARE * largest_extent_m(story)))
+
+
+def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
+    """For each two bodies that press on each other in a frame: (3,) m where, and (3,) N on the lower one of the two."""
+    kept = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
+    kept[poses.frame : poses.frame + 1] = True
+    forces = pushes(contacts.of_frames(kept, 0))
+    return list(zip(forces.point, forces.force, strict=True))
+
+
+def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
+    """(k, 3) m, what a picture of these frames is to show: the planned load, the carrier, and boxes not too far off."""
+    scene = story.scene
+    upright = np.tile(np.eye(3), (scene.n_boxes, 1, 1))
+    planned = corners(scene.target, upright, scene.half_size).reshape(-1, 3)
+    carrier = corners(*scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT))).reshape(-1, 3)
+    load = np.concatenate((planned, carrier))
+    low, high = load.min(axis=0), load.max(axis=0)
+    if story.drive is not None:
+        middle, longest = _above(story)
+        load = np.concatenate((load, middle + longest / 2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])))
+    reach = max(REACH * largest_extent_m(story), LEAST_REACH_M)
+    seen = [load]
+    for frame in frames:
+        poses = poses_of_frame(story.history, frame)
+        box_corners = corners(poses.pos, rotations(poses.quat), scene.half_size[: poses.n_placed])
+        near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
+        moved = corners(*scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat))
+        seen += [box_corners[near].reshape(-1, 3), moved.reshape(-1, 3)]
+    return np.concatenate(seen)
+
+
+def _above(story: Story) -> tuple[FloatArray, float]:
+    """Where the arrow of what shakes a world has its middle, (3,) m, and its length, m, at the strongest."""
+    scene, longest = story.scene, 0.5 * largest_extent_m(story)
+    top = float((scene.target + scene.half_size)[:, 2].max()) + 0.15 * longest
+    return np.array([*scene.carrier.pos[:2], top]), longest
+
+
+def largest_extent_m(story: Story) -> float:
+    """The largest side of the planned load, m."""
+    scene = story.scene
+    low, high = (scene.target - scene.half_size).min(axis=0), (scene.target + scene.half_size).max(axis=0)
+    return float((high - low).max())
+
+
+def _most_in_a_frame(contacts: Contacts) -> int:
+    return int(np.bincount(contacts.frame).max()) if len(contacts.frame) else 0
+
+
+def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
+    """Boxes that are somewhere, in the order in which transparent ones are to be drawn."""
+    depth = (poses.pos - camera.pos) @ camera.forward
+    return [int(box) for box in np.argsort(-depth, kind="stable") if np.isfinite(depth[box])]
+
+
+def _away(story: Story, poses: Poses) -> list[int]:
+    """Boxes that are not where the plan has them, nor nearly."""
+    limits = thresholds_of(story)
+    far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
+    return [int(box) for box in np.flatnonzero(far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]

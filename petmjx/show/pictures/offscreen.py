@@ -1,0 +1,190 @@
+"""MuJoCo's renderer without a window: geoms go in, pixels come out.
+
+``mujoco.Renderer`` takes the OpenGL that was chosen when mujoco was first imported, which engines do before anybody
+thinks of pictures. Here the context is made when it is needed, by EGL unless ``MUJOCO_GL`` names another.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import Any, Final, Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import one_line
+from petmjx.common.units import FloatArray
+from petmjx.show.pages.palette import Rgb
+from petmjx.show.pictures.camera import Camera
+
+CONTEXTS: Final = ("egl", "osmesa", "glfw")
+"""What ``MUJOCO_GL`` may name on Linux."""
+
+SAMPLES: Final = 4
+"""Samples of a pixel, against stairs at edges."""
+
+_ADVICE: Final = (
+    "install EGL and a driver (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri), "
+    "or set MUJOCO_GL=osmesa (libosmesa6), or MUJOCO_GL=glfw where there is a display"
+)
+
+_LIGHTS: Final = (
+    # direction, ambient, diffuse: a face on top has its own colour, others are darker, each in its own degree
+    ((0.0, 0.0, -1.0), 0.46, 0.54),
+    ((-0.25, 1.0, 0.0), 0.0, 0.36),
+    ((-1.0, -0.35, 0.0), 0.0, 0.24),
+    ((1.0, 0.1, 0.0), 0.0, 0.18),
+    ((0.1, -1.0, 0.0), 0.0, 0.3),
+)
+
+
+class Canvas:
+    """A picture of one size, drawn again and again. Use it in a ``with`` statement, in one thread.
+
+    Args:
+        size: width and height, px.
+        line_px: width of edges, px.
+        most_geoms: how many geoms a picture may have.
+
+    Raises:
+        InputError: no OpenGL here that draws without a display.
+    """
+
+    def __init__(self, size: tuple[int, int], line_px: float, most_geoms: int) -> None:
+        self.width, self.height = size
+        self._gl = _gl_context(size)
+        try:
+            model = _studio(size, line_px)
+            self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+            self._scene = mujoco.MjvScene(model, maxgeom=most_geoms)
+        except Exception as error:
+            self._gl.free()
+            raise InputError(
+                f"OpenGL draws no {size[0]} × {size[1]} pixels here ({one_line(error)}): {_ADVICE}"
+            ) from error
+        self._scene.flags[:] = 0
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 1
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_CULL_FACE] = 1
+        for number, (direction, ambient, diffuse) in enumerate(_LIGHTS):
+            _shine(self._scene.lights[number], direction, ambient, diffuse)
+        self._scene.nlight = len(_LIGHTS)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._context.free()
+        self._gl.free()
+
+    def begin(self, camera: Camera) -> None:
+        """Start a picture: no geoms, seen by this camera."""
+        self._scene.ngeom = 0
+        near, far = camera.depth_m
+        for eye in self._scene.camera:
+            eye.pos[:], eye.up[:], eye.forward[:] = camera.pos, camera.up, camera.forward
+            eye.frustum_near, eye.frustum_far = max(near / 2, 0.01), 4 * far + 20
+            eye.frustum_top = eye.frustum_near * camera.tangent
+            eye.frustum_bottom, eye.frustum_center, eye.frustum_width = -eye.frustum_top, 0.0, 0.0
+
+    def box(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb, alpha: float = 1.0) -> Any:
+        """A box. half_size (3,) m, pos (3,) m; ``turned`` is (3, 3), mostly a rotation."""
+        return self._geom(mujoco.mjtGeom.mjGEOM_BOX, half_size, pos, turned, (*rgb, alpha))
+
+    def edges(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb) -> None:
+        """The twelve edges of a box."""
+        self._geom(mujoco.mjtGeom.mjGEOM_LINEBOX, half_size, pos, turned, (*rgb, 1.0)).emission = 1.0
+
+    def arrow(self, start: FloatArray, end: FloatArray, width_m: float, rgb: Rgb) -> None:
+        """An arrow from (3,) to (3,) m."""
+        geom = self._geom(mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), start, np.eye(3), (*rgb, 1.0))
+        mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width_m, start, end)
+
+    def pixels(self) -> NDArray[np.uint8]:
+        """(height, width, 3) the picture, from the upper left corner."""
+        view = mujoco.MjrRect(0, 0, self.width, self.height)
+        seen = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        self._gl.make_current()
+        mujoco.mjr_render(view, self._scene, self._context)
+        mujoco.mjr_readPixels(seen, None, view, self._context)
+        return seen[::-1]
+
+    def _geom(
+        self, kind: mujoco.mjtGeom, size: FloatArray, pos: FloatArray, turned: FloatArray, rgba: tuple[float, ...]
+    ) -> Any:
+        if self._scene.ngeom >= self._scene.maxgeom:
+            raise ValueError(f"more than {self._scene.maxgeom} geoms in a picture")
+        geom = self._scene.geoms[self._scene.ngeom]
+        mujoco.mjv_initGeom(geom, kind, size, pos, np.ascontiguousarray(turned).ravel(), np.array(rgba, np.float32))
+        geom.specular = geom.shininess = geom.emission = geom.reflectance = 0.0
+        geom.category = mujoco.mjtCatBit.mjCAT_DECOR
+        self._scene.ngeom += 1
+        return geom
+
+
+def why_no_pictures() -> str:
+    """Why nothing can be drawn here; "" where it can."""
+    try:
+        with Canvas((16, 16), 1.0, 1):
+            return ""
+    except InputError as error:
+        return str(error)
+
+
+def _gl_context(size: tuple[int, int]) -> Any:
+    """OpenGL, current in this thread."""
+    name = os.environ.get("MUJOCO_GL", "").strip().lower() or "egl"
+    if name not in CONTEXTS:
+        raise InputError(f"MUJOCO_GL={name}: pictures are drawn with one of {', '.join(CONTEXTS)}; unset it for egl")
+    try:
+        with _same_environment("PYOPENGL_PLATFORM"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # GLFW warns of what is an error below
+            context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
+        context.make_current()
+    except Exception as error:  # PyOpenGL and drivers raise nearly anything
+        raise InputError(f"no OpenGL that draws without a display ({name}: {one_line(error)}): {_ADVICE}") from error
+    return context
+
+
+@contextmanager
+def _same_environment(name: str) -> Iterator[None]:
+    """A variable of the environment that the body may set has its old value afterwards."""
+    before = os.environ.get(name)
+    try:
+        yield
+    finally:
+        with suppress(KeyError):
+            del os.environ[name]
+        if before is not None:
+            os.environ[name] = before
+
+
+def _studio(size: tuple[int, int], line_px: float) -> Any:
+    """A model without bodies, which has what the renderer takes from models: sizes, and a white sky."""
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
+    spec.visual.global_.linewidth = line_px
+    spec.visual.quality.offsamples = SAMPLES
+    spec.stat.extent = 1.0
+    white = {name: [1.0, 1.0, 1.0] for name in ("rgb1", "rgb2")}
+    kind, flat = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_FLAT
+    spec.add_texture(name="sky", type=kind, builtin=flat, width=8, height=8, **white)
+    return spec.compile()
+
+
+def _shine(light: Any, direction: tuple[float, float, float], ambient: float, diffuse: float) -> None:
+    """Make a light that comes from far away."""
+    light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
+    light.dir[:] = np.array(direction) / np.linalg.norm(direction)
+    light.ambient[:], light.diffuse[:], light.specular[:] = ambient, diffuse, 0.0
+    light.attenuation[:] = (1.0, 0.0, 0.0)
+    light.castshadow = light.headlight = 0

@@ -1,0 +1,182 @@
+"""``petmjx.draw``: one story into files of any kind, by the ending of their names."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.analysis.story import Story
+from petmjx.common.argument_checks import path_of
+from petmjx.common.atomic_write import atomic_write, check_writable
+from petmjx.common.errors import InputError
+from petmjx.common.text import one_line, printable
+from petmjx.show.pictures.camera import view_of
+from petmjx.show.pictures.colours import colouring
+from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE, STILL_SIZE, PictureOptions, size_of
+from petmjx.show.pictures.story_poses import moments
+
+Progress = Callable[[int, int], None]
+"""Called with the frames of a film that are done, and all of them."""
+
+KINDS: Final = ("png", "pdf", "svg", "gif", "mp4", "html", "rrd")
+"""Endings of files that a story can be drawn into."""
+
+_NEEDS: Final = {
+    **dict.fromkeys(("png", "pdf", "svg", "gif"), ("show", ("PIL", "matplotlib", "OpenGL"))),
+    "mp4": ("show", ("PIL", "matplotlib", "OpenGL", "imageio_ffmpeg")),
+    "html": ("show", ()),
+    "rrd": ("rerun", ("rerun",)),
+}
+"""Kind of file → the extra that has what it needs, and the modules."""
+
+
+def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None = None, **options: Any) -> list[Path]:
+    """Draw a story: pictures (``.png``; rows of them also as ``.pdf`` and ``.svg``), films (``.gif``, ``.mp4``), a page
+    (``.html``), a recording for rerun's viewer (``.rrd``). No display is needed.
+
+    ``petmjx.draw(petmjx.tell("s0-000016"), "collapse.png", "collapse.mp4", colour="shift", view="front")``
+
+    Args:
+        files: where to; the ending says what. Each file appears whole or not at all, and replaces one that is there.
+        progress: follows films.
+        options: fields of ``PictureOptions``: at, view, size, colour, arrows, speed, fps.
+
+    Returns:
+        The paths of the files.
+
+    Raises:
+        InputError: an unknown ending or option, a moment that the story has not, a file that cannot be written, or
+            something missing on this machine.
+    """
+    look = PictureOptions(**options)
+    paths = [path_of(file, "files") for file in files]
+    check_files(paths)
+    for path in paths:
+        with atomic_write(path) as temporary:
+            _WRITERS[kind_of(path)](story, temporary, look, progress)
+    return paths
+
+
+def kind_of(path: Path) -> str:
+    """What a file is, by its ending.
+
+    Raises:
+        InputError: none of ``KINDS``.
+    """
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in KINDS:
+        raise InputError(
+            f"{printable(str(path))}: unknown ending; there are {', '.join(f'.{ending}' for ending in KINDS)}"
+        )
+    return kind
+
+
+def check_files(paths: Sequence[Path]) -> None:
+    """Make sure that files can be drawn and written, before anything is simulated.
+
+    Raises:
+        InputError: a path that cannot be written, or a file of a kind for which something is missing.
+    """
+    for path in paths:
+        if missing := _missing(kind_of(path)):
+            raise InputError(f"{printable(str(path))}: {missing}")
+        check_writable(path)
+    if len({path.absolute() for path in paths}) < len(paths):
+        raise InputError("the same file is named twice")
+
+
+def why_nothing_is_drawn() -> str:
+    """Why there are no pictures and films on this machine; "" where there are."""
+    if missing := _missing("png"):
+        return missing
+    try:
+        from petmjx.show.pictures.offscreen import why_no_pictures
+    except Exception as error:  # mujoco cannot even be imported with a MUJOCO_GL that is not there
+        return f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} does not work here ({one_line(error)}): unset it"
+    return why_no_pictures()
+
+
+def _missing(kind: str) -> str:
+    """Which modules a kind of file needs that are not here, and how to get them."""
+    extra, modules = _NEEDS[kind]
+    missing = [name for name in modules if importlib.util.find_spec(name) is None]
+    return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""
+
+
+def check_drawing(paths: Sequence[Path]) -> None:
+    """As ``check_files``, and make sure that OpenGL is there for pictures and films.
+
+    Raises:
+        InputError: as ``check_files``, or no OpenGL that draws without a display.
+    """
+    check_files(paths)
+    drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
+    if drawn and (why := why_nothing_is_drawn()):
+        raise InputError(f"{printable(str(drawn[0]))}: {why}")
+
+
+def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
+    """One picture as it is, several in a row, and for PDF and SVG always as a figure."""
+    from petmjx.show.pictures.figure_row import write_figure
+    from petmjx.show.pictures.still_pictures import write_still
+
+    kind, chosen_moments = kind_of(path), moments(story, options.at)
+    if kind == "png" and len(chosen_moments) == 1:
+        write_still(story, _look(story, options, STILL_SIZE), chosen_moments[0].frame, path)
+    else:
+        write_figure(story, _look(story, options, PANEL_SIZE), chosen_moments, path, kind)
+
+
+def _write_film(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
+    from petmjx.show.pictures import animation
+
+    kind = kind_of(path)
+    look = _look(story, options, GIF_SIZE if kind == "gif" else MP4_SIZE)
+    speed = options.speed or animation.usual_speed(story)
+    times = animation.film_times(story, speed, options.fps)
+
+    def count(done: int) -> None:
+        if progress is not None:
+            progress(done, len(times))
+
+    if kind == "gif":
+        palette = animation.palette_of(animation.film_frames(story, look, speed, animation.spread_times(story)))
+        animation.write_gif(animation.film_frames(story, look, speed, times), path, palette, options.fps, count)
+    else:
+        width, height = look.size
+        look = replace(look, size=(width - width % 2, height - height % 2))  # H.264 takes even sides
+        frames = animation.film_frames(story, look, speed, times)
+        animation.write_mp4(frames, path, look.size, options.fps, count)
+
+
+def _look(story: Story, options: PictureOptions, usual_size: tuple[int, int]) -> Any:
+    from petmjx.show.pictures.draw_story import newtons_per_m
+    from petmjx.show.pictures.still_pictures import PictureStyle
+
+    size = usual_size if options.size is None else size_of(options.size)
+    scale = newtons_per_m(story) if options.arrows else None
+    return PictureStyle(colouring(story, options.colour), view_of(options.view), size, scale)
+
+
+def _write_recording(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
+    from petmjx.show.pictures.rerun_recording import write_recording
+
+    write_recording(story, colouring(story, options.colour), path)
+
+
+def _write_page(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
+    from petmjx.show.pages.story_page import story_page
+
+    path.write_text(story_page(story), encoding="utf-8")
+
+
+_WRITERS: Final = {
+    **dict.fromkeys(("png", "pdf", "svg"), _write_pictures),
+    **dict.fromkeys(("gif", "mp4"), _write_film),
+    "html": _write_page,
+    "rrd": _write_recording,
+}

@@ -1,0 +1,153 @@
+"""Poses of a story at any time, and the moments by name at which pictures are taken."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from petmjx.analysis.story import Story
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
+from petmjx.engines.mujoco.box_motion import shift, tilt_deg
+from petmjx.show.pictures.picture_options import BEFORE, END, FIRST_SIGN, START, moment_of
+from petmjx.world.history import History
+from petmjx.world.job import FORCE
+
+LOST_M: Final = 1000.0
+
+_ROUNDED_S: Final = 0.01
+"""Times are printed with two digits: so much after its end a story still has a moment."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Where everything is at one time. Arrays have a row for each of the k placed boxes.
+
+    Attributes:
+        time_s: s.
+        frame: the frame of the history that is nearest.
+        pos: (k, 3) m; quat: (k, 4) as (w, x, y, z). NaN: it is not known where the box is.
+        carrier_pos: (3,) m; carrier_quat: (4,).
+    """
+
+    time_s: float
+    frame: int
+    pos: FloatArray
+    quat: FloatArray
+    carrier_pos: FloatArray
+    carrier_quat: FloatArray
+
+    @property
+    def n_placed(self) -> int:
+        return len(self.pos)
+
+
+class Moment(NamedTuple):
+    """A frame of a story, and its name; "" where it was asked for by its time."""
+
+    frame: int
+    name: str
+
+
+def poses_of_frame(history: History, frame: int) -> Poses:
+    """The poses that were recorded; NaN for boxes of an invalid world that are nowhere, or beyond ``LOST_M``."""
+    placed = slice(int(history.n_placed[frame]))
+    pos, quat = history.pos[frame, placed], history.quat[frame, placed]
+    here = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
+    return Poses(
+        float(history.time_s[frame]),
+        frame,
+        np.where(here, pos, np.nan),
+        np.where(here, quat, np.nan),
+        history.carrier_pos[frame],
+        history.carrier_quat[frame],
+    )
+
+
+def poses_at(history: History, time_s: float) -> Poses:
+    """The poses at a time: between two frames those in between, of the boxes that stood in the earlier one."""
+    later = int(np.searchsorted(history.time_s, time_s, side="right"))
+    if later == 0 or later == len(history.time_s):
+        return poses_of_frame(history, min(later, len(history.time_s) - 1))
+    before, after = poses_of_frame(history, later - 1), poses_of_frame(history, later)
+    share = (time_s - before.time_s) / (after.time_s - before.time_s)
+    placed = slice(before.n_placed)
+    return Poses(
+        time_s,
+        before.frame if share < 0.5 else after.frame,
+        before.pos + share * (after.pos[placed] - before.pos),
+        _interpolated_quats(before.quat, after.quat[placed], share),
+        before.carrier_pos + share * (after.carrier_pos - before.carrier_pos),
+        _interpolated_quats(before.carrier_quat, after.carrier_quat, share),
+    )
+
+
+def nearest_frame(history: History, time_s: float) -> int:
+    """The frame nearest to a time; of several at the same time the last."""
+    distance = np.abs(history.time_s - time_s)
+    return int(np.flatnonzero(distance == distance.min())[-1])
+
+
+def moments(story: Story, asked: str | None) -> list[Moment]:
+    """The moments that are asked for, in the order given.
+
+    Args:
+        asked: separated by commas. None: before the first sign, at it, and the end; the end alone where nothing failed.
+
+    Raises:
+        InputError: an unknown name, or a moment that this story has not.
+    """
+    if asked is None:
+        asked = ",".join((BEFORE, FIRST_SIGN, END) if math.isfinite(story.outcome.first_sign_s) else (END,))
+    return [_moment(story, moment_of(part)) for part in asked.split(",")]
+
+
+def _moment(story: Story, which: str | float) -> Moment:
+    history, sign_s = story.history, story.outcome.first_sign_s
+    if isinstance(which, float):
+        end_s = float(history.time_s[-1])
+        if not 0 <= which <= end_s + _ROUNDED_S:
+            raise InputError(
+                f"there is no moment {which:g} s: plan {printable_name(story.plan.plan_id)} ends at {end_s:.2f} s"
+            )
+        return Moment(nearest_frame(history, which), "")
+    if which in (START, END):
+        return Moment(0 if which == START else len(history.time_s) - 1, which)
+    if not math.isfinite(sign_s):
+        raise InputError(f"there is no moment {which}: nothing failed in plan {printable_name(story.plan.plan_id)}")
+    if which == FIRST_SIGN:
+        return Moment(nearest_frame(history, sign_s), which)
+    grown = np.flatnonzero(np.diff(history.n_placed, prepend=0) > 0)
+    earlier = grown[history.time_s[grown] < sign_s]
+    return Moment(int(earlier[-1]) if len(earlier) else 0, which)
+
+
+def shift_mm(story: Story, poses: Poses) -> FloatArray:
+    """(k,) largest component of each placed box's shift from its planned place, mm, as the verdict takes it."""
+    moved = shift(poses.pos, story.scene.target[: poses.n_placed], 0.0)
+    return np.asarray(1000.0 * np.abs(moved).max(axis=1, initial=0.0))
+
+
+def tilts_deg(poses: Poses) -> FloatArray:
+    """(k,) tilt of each placed box, degrees."""
+    return np.asarray(tilt_deg(poses.quat), dtype=np.float64)
+
+
+def shaking_g(story: Story, poses: Poses) -> FloatArray:
+    """(3,) what shakes the carrier, in g: its acceleration, or the force on it over the weight of all; zero without."""
+    if story.drive is None:
+        return np.zeros(3)
+    of_force = story.drive.excitation.kind == FORCE
+    unit = story.scene.total_mass * STANDARD_GRAVITY if of_force else STANDARD_GRAVITY
+    return np.asarray(story.history.drive[poses.frame] / unit)
+
+
+def _interpolated_quats(first: FloatArray, second: FloatArray, share: float) -> FloatArray:
+    """Orientations between two, along the chord: for the small angles between two frames this is as good as the arc."""
+    same_side = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    mixed = first + share * (same_side * second - first)
+    return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))

@@ -1,0 +1,72 @@
+"""Films in H.264: frames into the ffmpeg that imageio-ffmpeg brings.
+
+Its own writer starts ffmpeg with a function to run between fork and exec, which threads make unsafe: where JAX is
+loaded, as after a run on a GPU, JAX warns of a deadlock. So ffmpeg is started here, without one.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from tempfile import TemporaryFile
+
+
+@contextmanager
+def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], None]]:
+    """Gives a function that takes the film's frames, one after the other; at the end the file is whole.
+
+    Args:
+        path: a file that is there already is replaced.
+        size: width and height, px; even numbers.
+        fps: frames per second.
+
+    Yields:
+        A function of one frame's bytes: rows from above, red, green and blue of each pixel.
+
+    Raises:
+        RuntimeError: there is no ffmpeg, or it gave up; its last line says why.
+        OSError: it cannot be started.
+    """
+    import imageio_ffmpeg
+
+    command = [
+        imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:g}", "-i", "-",
+        "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "medium", "-movflags", "+faststart",
+        f"file:{path}",  # a name such as "a:b.mp4" would be that of a protocol
+    ]  # fmt: skip
+    with TemporaryFile() as error_output:
+        # a session of its own: Ctrl-C reaches petmjx alone, which then ends it
+        process = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_output, start_new_session=True
+        )
+        frames = process.stdin
+        assert frames is not None
+
+        def add(frame: bytes) -> None:
+            try:
+                frames.write(frame)
+            except BrokenPipeError:
+                raise _EncoderExit from None
+
+        try:
+            yield add
+        except _EncoderExit:
+            pass  # it has said why
+        except BaseException:
+            process.kill()
+            raise
+        finally:
+            with suppress(BrokenPipeError):
+                frames.close()
+            process.wait()
+        if process.returncode:
+            error_output.seek(0)
+            lines = error_output.read().decode(errors="replace").splitlines()
+            raise RuntimeError(next((line for line in reversed(lines) if line.strip()), "ffmpeg gave up"))
+
+
+class _EncoderExit(Exception):
+    """ffmpeg has ended before the film has."""

@@ -1,0 +1,163 @@
+"""The boxes of worlds as they ended, in blocks that the page unpacks when one of them is looked at."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.analysis.run_comparison import KEY
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.results.run_reader import rows_of_worlds
+from petmjx.show.pages.page_arrays import PackedArray, block, integer_column, quantised_column
+from petmjx.show.report.report_runs import ReportRun
+from petmjx.world.body_shapes import Body
+from petmjx.world.scene import build_scene
+
+MOST_BOXES: Final = 600_000
+"""Boxes of a page: a box takes about 17 bytes, so these are 10 MB. Worlds that do not stand come first."""
+
+WORLDS_PER_BLOCK: Final = 64
+"""A block of so many worlds is unpacked in some milliseconds, and deflates as well as larger ones."""
+
+TENTHS_PER_M: Final = 10_000
+"""Planned places are whole tenths of a millimetre."""
+
+_POSITION: Final = ("pos_x_m", "pos_y_m", "pos_z_m")
+_QUATERNION: Final = ("quat_w", "quat_x", "quat_y", "quat_z")
+_METRICS: Final = ("max_tilt_deg", "max_top_force_n", "rest_top_force_n", "drop_s")
+_NUMBERS: Final = (*_POSITION, *_QUATERNION, *_METRICS)
+
+
+@dataclass(frozen=True, eq=False)
+class BoxBlocks:
+    """Boxes of a page.
+
+    Attributes:
+        blocks: name → block; world k of those that are drawn is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
+        drawn: (rows of the table,) number of a row's world among those that are drawn; −1 for none.
+        without_boxes: worlds that were left out because they are too many.
+    """
+
+    blocks: dict[str, str]
+    drawn: NDArray[np.int64]
+    without_boxes: int
+
+
+def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
+    """Pack the boxes of the worlds in a table whose plans were found.
+
+    Args:
+        table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
+    """
+    chosen, left = _drawn_rows(runs, table, most)
+    drawn = np.full(len(table), -1)
+    drawn[chosen] = np.arange(len(chosen))
+    worlds = _worlds(runs, table.iloc[chosen])
+    blocks: dict[str, str] = {}
+    for first in range(0, len(chosen), WORLDS_PER_BLOCK):
+        part = [next(worlds) for _ in range(first, min(first + WORLDS_PER_BLOCK, len(chosen)))]
+        blocks[f"boxes-{first // WORLDS_PER_BLOCK}"] = block(_block_columns_of_boxes(part))
+    return BoxBlocks(blocks, drawn, left)
+
+
+def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[NDArray[np.int64], int]:
+    """Rows of the table that are drawn, and how many are too many."""
+    known = np.zeros(len(table), dtype=bool)
+    for at, run in enumerate(runs):
+        if not run.results.keeps_boxes:
+            continue
+        known |= (table["run"] == at).to_numpy() & table["plan_id"].isin(run.found.plans.keys()).to_numpy()
+    rows = np.flatnonzero(known)
+    stands = (table["verdict"].iloc[rows] == Verdict.STABLE.value).to_numpy()
+    rows = rows[np.argsort(stands, kind="stable")]
+    boxes = table["n_boxes"].iloc[rows].to_numpy(np.int64)
+    fits = int(np.searchsorted(np.cumsum(boxes), most, side="right"))
+    return np.sort(rows[:fits]), len(rows) - fits
+
+
+@dataclass(frozen=True, eq=False)
+class _World:
+    """One world's boxes in packing order, and what the plan says of them.
+
+    Attributes:
+        numbers: (n, columns) values of ``_NUMBERS``.
+        names: n pairs of item and article.
+        target: (n, 3) planned centres, m.
+    """
+
+    numbers: FloatArray
+    names: Sequence[tuple[str, str]]
+    plan: Plan
+    target: FloatArray
+    carrier: Body
+
+
+def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
+    for at, part in table.groupby("run", sort=True):
+        run = runs[int(at)]
+        sim = simulation_of(run.info)
+        columns = (*KEY, "box", "item_id", "article", *_NUMBERS)
+        boxes = rows_of_worlds(run.results, "boxes", part[KEY], columns).sort_values([*KEY, "box"], kind="stable")
+        places = boxes.reset_index().groupby(KEY, sort=False).indices
+        numbers = boxes[[*_NUMBERS]].to_numpy(np.float64)
+        names = list(zip(boxes["item_id"], boxes["article"], strict=True))
+        scenes: dict[str, tuple[FloatArray, Body]] = {}
+        for plan_id, variant in zip(part["plan_id"], part["variant"], strict=True):
+            plan = run.found.plans[plan_id]
+            if plan_id not in scenes:
+                scene = build_scene(plan, sim)
+                scenes[plan_id] = scene.target, scene.carrier
+            rows = places[plan_id, variant]
+            here = slice(rows[0], rows[-1] + 1)
+            yield _World(numbers[here], names[here], plan, *scenes[plan_id])
+
+
+def simulation_of(info: Mapping[str, Any]) -> Simulation:
+    """The options of a run; the defaults where it does not say them, or has them in the form of an older petmjx."""
+    settings = info.get("config", {}).get("simulation")
+    try:
+        return Simulation.read(settings) if isinstance(settings, Mapping) else Simulation()
+    except InputError:
+        return Simulation()
+
+
+def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | PackedArray]:
+    """The columns of a block. ``items`` is JSON as UTF-8: [item, article, three sides in mm, kg] of each kind."""
+    numbers = np.concatenate([world.numbers for world in worlds])
+    pos, quat, (tilt, force, rest, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
+    target = np.concatenate([world.target for world in worlds])
+    size = np.concatenate([world.plan.size_mm for world in worlds])
+    mass = np.concatenate([world.plan.mass_kg for world in worlds])
+    kinds: dict[tuple[Any, ...], int] = {}
+    names = [name for world in worlds for name in world.names]
+    rows = zip(names, *size.T.tolist(), mass.tolist(), strict=True)
+    kind = np.array([kinds.setdefault(row, len(kinds)) for row in rows])
+    items = [[printable(item), printable(article), *of_plan] for (item, article), *of_plan in kinds]
+    quat = np.where(quat[:, :1] < 0, -quat, quat)
+    planned = np.rint(target * TENTHS_PER_M).astype(np.int64)
+    return {
+        "count": integer_column(np.array([len(world.names) for world in worlds])),
+        "carrier": np.array([world.carrier.pos for world in worlds], dtype=np.float32),
+        "n_boards": integer_column(np.array([len(world.carrier.boards) for world in worlds])),
+        "boards": np.concatenate([world.carrier.boards for world in worlds]).astype(np.float32),
+        "items": np.frombuffer(json.dumps(items).encode(), dtype=np.uint8),
+        "kind": integer_column(kind),
+        "planned": integer_column(planned),
+        "moved": quantised_column(pos - planned / TENTHS_PER_M),
+        "turn": quantised_column(quat[:, 1:]),
+        "tilt": quantised_column(tilt),
+        "force": quantised_column(np.log1p(force)),
+        "rest": quantised_column(np.log1p(rest)),
+        "drop": quantised_column(drop),
+    }

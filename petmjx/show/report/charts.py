@@ -1,0 +1,273 @@
+"""The kinds of charts of a report. What they are about is decided elsewhere."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.common.text import three_digits
+from petmjx.common.units import FloatArray
+from petmjx.show.report.markup import Content, Markup, element
+from petmjx.show.report.svg_charts import WIDTH, Frame, Scale, drawing
+
+BINS: Final = 24
+"""Of a histogram: bars of 12 pixels."""
+
+GROUPS: Final = 8
+FEWEST: Final = 12
+"""Parts of equal size into which worlds are divided along an axis, and the fewest of a part."""
+
+MOST_POINTS: Final = 400
+"""Worlds up to which each is a point of its own; of more the quantiles are drawn."""
+
+QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+ROW_HEIGHT: Final = 24
+TALL_ROW: Final = 42
+"""Of charts with the name above the drawing, pixels."""
+
+MOST_LETTERS: Final = 28
+LETTER: Final = 6
+"""Width of a letter, rather too much, pixels."""
+
+
+def percent(share: float) -> str:
+    """A share for people: "97.3 %"."""
+    return "–" if math.isnan(share) else f"{100 * share:.1f} %"
+
+
+def interval_text(low: float, high: float) -> str:
+    """An interval of shares for people: "25.6 to 61.1 %"."""
+    return f"{100 * low:.1f} to {100 * high:.1f} %"
+
+
+def _span(low: float, high: float, counts: bool) -> str:
+    """What a bin holds: "0.5 to 1", of counts "3" or "3 to 5"."""
+    if not counts:
+        return f"{three_digits(low)} to {three_digits(high)}"
+    first, last = math.ceil(low), math.floor(high)
+    return f"{first:,}" if first == last else f"{first:,} to {last:,}"
+
+
+def histogram(
+    frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str], threshold: float | None = None
+) -> None:
+    """Bars of how many worlds have a value, one class upon the other. Sets the frame's y scale.
+
+    Args:
+        classes: of each world, such as its verdict; also the class of its bar in the style sheet.
+        order: classes from the lowest bar upwards.
+    """
+    edges = frame.x.edges(BINS)
+    if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
+        # no bar reaches across it: values on either side of it stand there
+        edges[1 + int(np.abs(edges[1:-1] - threshold).argmin())] = threshold
+    known = values.notna()
+    clipped = np.clip(values[known].to_numpy(np.float64), frame.x.low, frame.x.high)
+    counts = {
+        name: np.histogram(clipped[(classes[known] == name).to_numpy()], edges)[0]
+        for name in order
+        if (classes[known] == name).any()
+    }
+    highest = max(float(np.sum(list(counts.values()), axis=0).max(initial=0.0)), 1.0)
+    frame.y = Scale(0.0, 1.05 * highest, counts=True)
+    below: FloatArray = np.zeros(len(edges) - 1)
+    for name, count in counts.items():
+        for at in np.flatnonzero(count):
+            (left, right), (low, high) = frame.at(edges[at : at + 2], [below[at], below[at] + count[at]])
+            span = _span(float(edges[at]), float(edges[at + 1]), frame.x.counts)
+            frame.add(
+                element(
+                    "rect",
+                    element("title", f"{span}: {count[at]:,} {name}"),
+                    x=float(left) + 0.5,
+                    y=float(high),
+                    width=float(right - left) - 1,
+                    height=float(low - high),
+                    class_=f"fill {name}",
+                )
+            )
+        below = below + count
+
+
+def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None:
+    """A point a world."""
+    known = (x.notna() & y.notna()).to_numpy()
+    px, py = frame.at(x[known].to_numpy(np.float64), y[known].to_numpy(np.float64))
+    for at_x, at_y, name in zip(px.tolist(), py.tolist(), classes[known], strict=True):
+        frame.add(element("circle", cx=at_x, cy=at_y, r=2.5, class_=f"point {name}"))
+
+
+def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
+    """Quantiles of y along x: the median as a line, half of the worlds and nine tenths of them as bands."""
+    known = x.notna() & y.notna()
+    groups = equal_groups(x[known].to_numpy(np.float64))
+    values = y[known].to_numpy(np.float64)
+    middle = np.array([np.median(x[known].to_numpy(np.float64)[rows]) for rows in groups])
+    levels = np.array([np.quantile(values[rows], QUANTILES) for rows in groups]).reshape(-1, len(QUANTILES)).T
+    frame.band(middle, levels[0], levels[4], "band outer")
+    frame.band(middle, levels[1], levels[3], "band inner")
+    frame.line(middle, levels[2], "curve")
+
+
+def equal_groups(x: FloatArray) -> list[NDArray[np.int64]]:
+    """Rows in up to ``GROUPS`` groups of rising x and about equal size; equal x are never torn apart."""
+    if not len(x):
+        return []
+    order = np.argsort(x, kind="stable")
+    n = max(1, min(GROUPS, len(x) // FEWEST))
+    cuts = [np.searchsorted(x[order], x[order][len(x) * part // n], side="left") for part in range(1, n)]
+    return [rows for rows in np.split(order, np.unique(cuts).astype(np.int64)) if len(rows)]
+
+
+def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray, high: FloatArray) -> None:
+    """Shares with their intervals along an axis."""
+    frame.band(x, low, high, "band inner")
+    frame.line(x, share, "curve")
+    px, py = frame.at(x, share)
+    for at in np.flatnonzero(np.isfinite(share)):
+        interval = "" if math.isnan(low[at]) else f", 95 %: {interval_text(low[at], high[at])}"
+        title = element("title", f"{x[at]:g}: {percent(share[at])}{interval}")
+        frame.add(element("circle", title, cx=float(px[at]), cy=float(py[at]), r=3, class_="dot"))
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A row of a bar chart: its name, its length, and what is said to its right. ``link`` filters the table."""
+
+    name: str
+    length: float
+    text: str
+    class_: str = "plain"
+    link: str | None = None
+
+
+def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
+    """Bars beside each other's names. Long names are cut; pointing at one shows all of it.
+
+    Args:
+        names: width that names have, pixels.
+    """
+    longest = max((row.length for row in rows), default=0.0) or 1.0
+    letters = min(names // LETTER, max((len(row.name) for row in rows), default=0))
+    names = letters * LETTER + 10
+    room = width - names - LETTER * max((len(row.text) for row in rows), default=0) - 14
+    marks: list[Content] = []
+    for at, row in enumerate(rows):
+        y = at * ROW_HEIGHT
+        short = row.name if len(row.name) <= letters else row.name[: letters - 1] + "…"
+        drawn = (
+            element("title", f"{row.name}: {row.text}"),
+            element("rect", x=0, y=y, width=width, height=ROW_HEIGHT, class_="hit"),
+            element("text", short, x=names - 6, y=y + 16, text_anchor="end"),
+            element(
+                "rect", x=names, y=y + 5, width=room * row.length / longest, height=14, class_=f"fill {row.class_}"
+            ),
+            element("text", row.text, x=names + room * row.length / longest + 5, y=y + 16),
+        )
+        marks.append(element("a", *drawn, href=f"#{row.link}") if row.link else element("g", *drawn))
+    return drawing(title, width, max(1, len(rows)) * ROW_HEIGHT + 4, *marks)
+
+
+def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) -> Markup:
+    """A dot with its interval a row, between 0 and 100 %: (name, share, low, high, text), name and text above it."""
+    left, right = 12.0, WIDTH - 16.0
+    height = len(rows) * TALL_ROW + 22
+    marks: list[Content] = []
+    for value in (0.0, 0.25, 0.5, 0.75, 1.0):
+        px = left + (right - left) * value
+        marks.append(element("line", x1=px, y1=4, x2=px, y2=height - 16, class_="grid"))
+        marks.append(element("text", f"{100 * value:.0f} %", x=px, y=height - 4, text_anchor="middle"))
+    for at, (name, share, low, high, text) in enumerate(rows):
+        y = at * TALL_ROW
+        marks.append(_row_name(name, y + 13))
+        marks.append(element("text", text, x=WIDTH, y=y + 13, text_anchor="end", class_="halo"))
+        if math.isnan(share):
+            continue
+        ends = [left + (right - left) * value for value in (low, share, high)]
+        marks.append(element("line", x1=ends[0], y1=y + 25, x2=ends[2], y2=y + 25, class_="whisker"))
+        marks.append(element("circle", element("title", text), cx=ends[1], cy=y + 25, r=4.5, class_="dot"))
+    return drawing(title, WIDTH, height, *marks)
+
+
+def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]]]) -> Markup:
+    """A bar of several parts a row, its name above: (name, [(class, count, meaning), …]); all are equally long."""
+    marks: list[Content] = []
+    for at, (name, parts) in enumerate(rows):
+        y = at * TALL_ROW
+        marks.append(_row_name(name, y + 13))
+        total = sum(count for _, count, _ in parts) or 1
+        left = 0.0
+        for class_, count, meaning in parts:
+            if not count:
+                continue
+            wide = WIDTH * count / total
+            label = f"{count:,}"
+            inside = element("text", label, x=left + wide / 2, y=y + 31, text_anchor="middle", class_="on")
+            rect = element("rect", x=left, y=y + 18, width=max(wide - 1, 0.5), height=18, class_=f"fill {class_}")
+            fits = wide > (LETTER + 2) * len(label)
+            marks.append(element("g", element("title", f"{label} {meaning}"), rect, inside if fits else None))
+            left += wide
+    return drawing(title, WIDTH, len(rows) * TALL_ROW + 4, *marks)
+
+
+def _row_name(name: str, y: float) -> Markup:
+    """A row's name; pointing at it shows all of it."""
+    letters = MOST_LETTERS
+    short = name if len(name) <= letters else name[: letters - 1] + "…"
+    return element("text", element("title", name), short, x=0, y=y, class_="halo")
+
+
+ROSE: Final = 300
+"""Side of a rose, pixels."""
+
+ROSE_RINGS: Final = 4
+
+
+def rose(title: str, directions_deg: FloatArray, quantiles: Mapping[str, FloatArray], top: float, unit: str) -> Markup:
+    """Values by direction: 0° to the right, 90° up, as x and y of the carrier.
+
+    Args:
+        directions_deg: (d,) rising.
+        quantiles: ``low``, ``middle``, ``high``: (d,) values; missing ones are drawn at 0.
+        top: the value of the outer ring.
+    """
+    centre, reach = ROSE / 2, ROSE / 2 - 34
+    turn = np.radians(directions_deg)
+    marks: list[Content] = []
+    for ring in range(1, ROSE_RINGS + 1):
+        radius = reach * ring / ROSE_RINGS
+        marks.append(element("circle", cx=centre, cy=centre, r=radius, class_="ring"))
+    for angle in directions_deg.tolist():
+        cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+        end = (centre + reach * cos, centre - reach * sin)
+        marks.append(element("line", x1=centre, y1=centre, x2=end[0], y2=end[1], class_="grid"))
+        x, y = centre + (reach + 17) * cos, centre - (reach + 13) * sin + 4
+        marks.append(element("text", f"{angle:g}°", x=x, y=y, text_anchor="middle"))
+
+    def outline(values: FloatArray) -> str:
+        radius = reach * np.clip(np.nan_to_num(values) / top, 0, 1)
+        corners = zip((centre + radius * np.cos(turn)).tolist(), (centre - radius * np.sin(turn)).tolist(), strict=True)
+        return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in corners) + "Z"
+
+    between = outline(quantiles["high"]) + outline(quantiles["low"])
+    marks.append(element("path", d=between, class_="band inner", fill_rule="evenodd"))
+    marks.append(element("path", d=outline(quantiles["middle"]), class_="curve"))
+    for at, angle in enumerate(turn.tolist()):
+        value = float(np.nan_to_num(quantiles["middle"][at]))
+        radius = reach * min(value / top, 1.0)
+        tooltip = element("title", f"{directions_deg[at]:g}°: median {three_digits(value)} {unit}")
+        x, y = centre + radius * math.cos(angle), centre - radius * math.sin(angle)
+        marks.append(element("circle", tooltip, cx=x, cy=y, r=4, class_="dot"))
+    for ring in range(1, ROSE_RINGS + 1):
+        radius = reach * ring / ROSE_RINGS
+        label = f"{three_digits(top * ring / ROSE_RINGS)} {unit if ring == ROSE_RINGS else ''}".strip()
+        x, y = centre + radius * math.cos(math.radians(22.5)), centre - radius * math.sin(math.radians(22.5))
+        marks.append(element("text", label, x=x, y=y, text_anchor="middle", class_="halo"))
+    return drawing(title, ROSE, ROSE, *marks)

@@ -1,0 +1,160 @@
+"""How far boxes moved, how they tilted, what pressed on them and when the first sign came; alone, and against size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.analysis.run_comparison import thresholds_of
+from petmjx.common.units import MM_PER_M
+from petmjx.engines.verdict import Verdict
+from petmjx.options.simulation import Thresholds
+from petmjx.results.shares import wilson_interval
+from petmjx.show.report.charts import MOST_POINTS, equal_groups, histogram, points, quantile_bands, share_curve
+from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup
+from petmjx.show.report.report_runs import Kind, ReportRun
+from petmjx.show.report.svg_charts import Frame, Scale, figure
+from petmjx.show.report.verdict_shares import ORDER
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A metric of worlds as it is drawn.
+
+    Attributes:
+        column: of ``worlds``; ``factor`` to the unit of the label.
+        label: name and unit.
+        log_from: the lower end of a logarithmic axis; None: a linear one from 0.
+        lowest: what stands there, for smaller values.
+        counts: whether values are whole numbers.
+    """
+
+    column: str
+    title: str
+    label: str
+    factor: float = 1.0
+    log_from: float | None = None
+    lowest: str = ""
+    counts: bool = False
+
+    def of(self, worlds: pd.DataFrame) -> pd.Series:
+        """The values, in the unit of the label; NaN where there is none, or an infinite one."""
+        values = worlds[self.column].astype("float64") * self.factor
+        return values.where(np.isfinite(values))
+
+    def scale(self, values: pd.Series) -> Scale:
+        """An axis with all values."""
+        return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
+
+    def across(self, values: pd.Series) -> Scale:
+        """An axis from the smallest to the largest value."""
+        return replace(Scale.over(values.to_numpy()), counts=self.counts)
+
+    def limit(self, thresholds: Thresholds) -> float | None:
+        """The threshold of this metric, in the unit of the label."""
+        limits = {"max_shift_m": thresholds.shift_m * MM_PER_M, "max_tilt_deg": thresholds.tilt_deg}
+        return limits.get(self.column)
+
+
+SHIFT: Final = Quantity("max_shift_m", "Shift", "largest shift, mm", MM_PER_M, 0.5, "< 1")
+"""Components below ``shift_floor_m``, 1 mm by default, count as 0."""
+
+METRICS: Final = (
+    SHIFT,
+    Quantity("max_tilt_deg", "Tilt", "largest tilt, °", 1.0, 0.01, "≤ 0.01"),
+    Quantity("max_top_force_n", "Force on top", "largest force on top, N", 1.0, 1.0, "≤ 1"),
+    Quantity("first_sign_s", "First sign", "first sign, s"),
+)
+
+SIZES: Final = (
+    Quantity("n_boxes", "boxes", "boxes of the plan", counts=True),
+    Quantity("height_m", "height", "height of the plan, m"),
+    Quantity("mass_kg", "weight", "weight of the load, kg"),
+)
+
+
+def distributions(run: ReportRun) -> Markup:
+    """Histograms of all metrics, then each metric and the share that stands against the size of plans."""
+    worlds = run.worlds
+    if worlds.empty:
+        return NOTHING
+    if (worlds["verdict"] == Verdict.INVALID.value).all():
+        return element("p", f"No {run.what} was simulated validly: there is nothing to draw.", class_="hint")
+    limits = thresholds_of(run.info)
+    sizes = [size for size in SIZES if size.of(worlds).nunique() > 1]
+    alone = [
+        _histogram(metric, worlds, limits, f"{run.what}s") for metric in METRICS if metric.of(worlds).notna().any()
+    ]
+    parts = [element("div", *alone, class_="charts")]
+    if sizes:
+        shares = [_share(size, worlds, one_each=run.kind is not Kind.GRID) for size in sizes]
+        known = [metric for metric in METRICS if metric.of(worlds).notna().sum() > 1]
+        against = [_against(size, metric, worlds, limits) for metric in known for size in sizes]
+        parts.append(element("h3", "Against number of boxes, height and weight"))
+        parts.append(element("div", *shares, class_="charts three"))
+        more = element("summary", f"Shift, tilt, force and first sign against size: {len(against)} charts")
+        parts.append(element("details", more, element("div", *against, class_="charts three")))
+    if run.found.note and len(sizes) < len(SIZES):
+        parts.append(element("p", f"Without height and weight: {run.found.note}.", class_="hint"))
+    return joined_markup(*parts)
+
+
+def _histogram(metric: Quantity, worlds: pd.DataFrame, limits: Thresholds, y_label: str) -> Markup:
+    values = metric.of(worlds)
+    frame = Frame(f"{metric.title}: histogram", metric.scale(values), Scale(0, 1), metric.label, y_label)
+    histogram(frame, values, worlds["verdict"], ORDER, metric.limit(limits))
+    _limit(frame, metric, limits)
+    missing = int(values.isna().sum())
+    note = f"{missing:,} of {len(values):,} have none." if missing else ""
+    return figure(metric.title, frame.svg(), note)
+
+
+def _limit(frame: Frame, metric: Quantity, limits: Thresholds, *, across: bool = False) -> None:
+    value = metric.limit(limits)
+    if value is not None:
+        frame.limit(value, f"threshold {value:g}", across=across)
+
+
+def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thresholds) -> Markup:
+    x, y = size.of(worlds), metric.of(worlds)
+    title = f"{metric.title} against {size.title}"
+    frame = Frame(title, size.across(x), metric.scale(y), size.label, metric.label)
+    known = int((x.notna() & y.notna()).sum())
+    if known <= MOST_POINTS:
+        points(frame, x, y, worlds["verdict"])
+        note = ""
+    else:
+        quantile_bands(frame, x, y)
+        note = "Line: median; bands: 25 to 75 % and 5 to 95 % of worlds."
+    _limit(frame, metric, limits, across=True)
+    return figure(title, frame.svg(), note)
+
+
+def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
+    """The share that stands in groups of about equal size.
+
+    Args:
+        one_each: whether plans have one world each: then shares have Wilson's interval.
+    """
+    judged = worlds[(worlds["verdict"] != Verdict.INVALID.value) & size.of(worlds).notna()]
+    x = size.of(judged).to_numpy(np.float64)
+    stands = (judged["verdict"] == Verdict.STABLE.value).to_numpy()
+    groups = np.array(list(_grouped_values(x, stands))).reshape(-1, 4)
+    title = f"Share that stands against {size.title}"
+    frame = Frame(title, size.across(size.of(worlds)), Scale(0, 1), size.label, "stand", y_percent=True)
+    middle, share, low, high = groups.T
+    missing = np.full(len(groups), np.nan)
+    share_curve(frame, middle, share, *((low, high) if one_each else (missing, missing)))
+    return figure(
+        title, frame.svg(), ("Band: Wilson 95 %; " if one_each else "") + "points: groups of about equal size."
+    )
+
+
+def _grouped_values(x: np.ndarray, stands: np.ndarray) -> Iterator[tuple[float, float, float, float]]:
+    for rows in equal_groups(x):
+        low, high = wilson_interval(int(stands[rows].sum()), len(rows))
+        yield float(np.median(x[rows])), float(stands[rows].mean()), float(low), float(high)

@@ -1,0 +1,88 @@
+"""HTML and SVG as text. What is not markup already is escaped, so no text of a plan or of a file can become any."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final
+
+from petmjx.show.pages.page import escaped_html as escaped_text
+
+
+class Markup(str):
+    """Text that is markup and stands in the page as it is."""
+
+    __slots__ = ()
+
+
+Content = str | Markup | None
+"""A child of an element: text, which is escaped, or markup. None is left out."""
+
+NOTHING: Final = Markup("")
+
+_EMPTY: Final = frozenset({"br", "col", "hr", "img", "input", "meta"})
+"""HTML elements that have no end tag."""
+
+
+def escaped_markup(text: str) -> Markup:
+    """Text as markup: escaped, and with invisible characters made visible."""
+    return text if isinstance(text, Markup) else Markup(escaped_text(text))
+
+
+def joined_markup(*parts: Content) -> Markup:
+    """Parts one after the other."""
+    return Markup("".join(escaped_markup(part) for part in parts if part is not None))
+
+
+def element(name: str, *children: Content, **attributes: str | float | bool | None) -> Markup:
+    """An element with its children.
+
+    Args:
+        attributes: ``class_`` is class, ``aria_label`` is aria-label; None and False are left out, True has no value.
+    """
+    written = "".join(_attribute(key, value) for key, value in attributes.items())
+    end = "" if name in _EMPTY else f"</{name}>"
+    return Markup(f"<{name}{written}>{joined_markup(*children)}{end}")
+
+
+def _attribute(key: str, value: str | float | bool | None) -> str:
+    if value is None or value is False:
+        return ""
+    name = key.rstrip("_").replace("_", "-")
+    if value is True:
+        return f" {name}"
+    text = f"{value:.2f}".rstrip("0").rstrip(".") if isinstance(value, float) else str(value)
+    return f' {name}="{escaped_text(text)}"'
+
+
+def table(
+    head: Iterable[Content],
+    rows: Iterable[Iterable[Content]],
+    *,
+    caption: str = "",
+    texts: int = 1,
+    class_: str = "",
+) -> Markup:
+    """A small table.
+
+    Args:
+        texts: how many of the first columns are text; the others are numbers, aligned to the right.
+        caption: what the table shows; also its name for screen readers.
+    """
+    heads = [element("th", cell, scope="col", class_=_side(at, texts)) for at, cell in enumerate(head)]
+    lines = []
+    for row in rows:
+        first, *rest = row
+        cells = [element("td", cell, class_=_side(at, texts)) for at, cell in enumerate(rest, start=1)]
+        lines.append(element("tr", element("th", first, scope="row", class_="text"), *cells))
+    inner = element(
+        "table",
+        element("caption", caption) if caption else None,
+        element("thead", element("tr", *heads)),
+        element("tbody", *lines),
+        class_=class_ or None,
+    )
+    return element("div", inner, class_="wide")
+
+
+def _side(at: int, texts: int) -> str | None:
+    return "text" if at < texts else None

@@ -1,0 +1,54 @@
+"""The plans of a run for its report, as far as they are found again: pictures and weights need them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names
+from petmjx.plans.plan import Plan
+from petmjx.results.plan_lookup import PlanLookup, find_plans
+from petmjx.results.run_manifest import Manifest
+from petmjx.results.run_reader import RunResults
+
+MOST_FILES_NAMED: Final = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ReportPlans:
+    """Plans of a run by id, and a line about those that were not found; "" where all were."""
+
+    plans: Mapping[str, Plan]
+    note: str = ""
+
+
+def find_report_plans(run: RunResults, given: Sequence[Path] = ()) -> ReportPlans:
+    """The plans of a run. A report is also made without them.
+
+    Args:
+        given: files or folders to read instead of those that the run names.
+
+    Raises:
+        InputError: one of ``given`` cannot be used.
+    """
+    try:
+        records = Manifest.read(run.parts, run.info).plans
+    except InputError as error:
+        return ReportPlans({}, str(error))
+    plan_ids = set(run.worlds["plan_id"].unique())
+    plans_again = find_plans(run, records, plan_ids, list(given) or None)
+    return ReportPlans(plans_again.plans, _note(plans_again, len(plan_ids)))
+
+
+def _note(plans_again: PlanLookup, n_plans: int) -> str:
+    not_found = len(plans_again.missing) + len(plans_again.changed)
+    if not not_found:
+        return ""
+    why = [f"{count_text(len(plans_again.changed), 'plan')} changed since"] if plans_again.changed else []
+    if plans_again.gone:
+        why.append(f"gone: {first_names(plans_again.gone, MOST_FILES_NAMED)}")
+    reasons = f" ({'; '.join(why)})" if why else ""
+    return f"{count_text(not_found, 'plan')} of {n_plans:,} not found again{reasons}"

@@ -1,0 +1,200 @@
+"""The page of a report: its sections, and the data that its scripts read."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.analysis.run_comparison import thresholds_of
+from petmjx.common.argument_checks import list_of, path_of
+from petmjx.common.atomic_write import atomic_write, check_writable
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import count_text, printable
+from petmjx.common.units import MM_PER_M
+from petmjx.results.read_files import source_files
+from petmjx.results.run_reader import RunResults
+from petmjx.show.pages.page import page
+from petmjx.show.pages.page_arrays import block, integer_column
+from petmjx.show.pages.palette import category, ramp
+from petmjx.show.report.box_blocks import WORLDS_PER_BLOCK, box_blocks, simulation_of
+from petmjx.show.report.distributions import distributions
+from petmjx.show.report.first_failures import first_boxes
+from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup
+from petmjx.show.report.plan_rows import table_rows
+from petmjx.show.report.replays import replays
+from petmjx.show.report.report_runs import Kind, ReportRun, open_runs
+from petmjx.show.report.run_comparison import comparison_section
+from petmjx.show.report.run_settings import about
+from petmjx.show.report.sweep_answers import sweep_answers
+from petmjx.show.report.verdict_shares import headline, verdict_table
+from petmjx.world.carrier_boards import floor_z_m
+
+N_CATEGORIES: Final = 21
+"""Colours of articles, after which they come again."""
+
+Source = str | Path | RunResults
+
+
+def report(
+    runs: Source | Sequence[Source],
+    out: str | Path = "report.html",
+    *,
+    plans: str | Path | Sequence[str | Path] = (),
+    overwrite: bool = False,
+) -> Path:
+    """Write one offline page about one or several runs.
+
+    Args:
+        runs: folders of runs, or what ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run`` return.
+        out: the HTML file.
+        plans: files or folders with the runs' plans; without, what the runs have kept, or else the files that they
+            name.
+        overwrite: replace a file that is there.
+
+    Returns:
+        The file's path.
+
+    Raises:
+        InputError: a folder without a run, a damaged run, plans that cannot be read, ``out`` is there already, or its
+            folder is not, or it cannot be written.
+    """
+    path = path_of(out, "out")
+    check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
+    check_writable(path)  # now, and not after the work of a large report
+    given: list[Any] = (
+        [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
+    )
+    files = [plans] if isinstance(plans, str | Path) else list_of(plans, "plans", object, "paths")
+    text = report_page(open_runs(given, [path_of(file, "plans") for file in files]))
+    with atomic_write(path) as file:
+        file.write_text(text, encoding="utf-8", errors="backslashreplace")
+    return path
+
+
+def report_page(runs: Sequence[ReportRun]) -> str:
+    """The page as text."""
+    rows, table = table_rows(runs)
+    boxes = box_blocks(runs, table)
+    played = replays(runs, table, boxes.drawn)
+    arrays = {**rows.arrays, "of": integer_column(table["run"].to_numpy(dtype="int64"))}
+    arrays |= {"drawn": integer_column(boxes.drawn), "replay": integer_column(played.number)}
+    info = {
+        "columns": rows.columns,
+        "texts": rows.texts,
+        "n": len(table),
+        "runs": [_of_run(run) for run in runs],
+        "what": runs[0].what,
+        "worldsPerBlock": WORLDS_PER_BLOCK,
+        "ramp": ramp(),
+        "categories": [category(number) for number in range(N_CATEGORIES)],
+    }
+    title = "petmjx report: " + ", ".join(run.name for run in runs)
+    notes = _summed_up(rows.summed_up) + _notes(runs, rows.left_out, boxes.without_boxes, played.left_out)
+    body = _body(runs, notes)
+    blocks = {"rows": block(arrays), **boxes.blocks, **played.blocks}
+    return page(title, body, script="report.js", styles=("report.css",), info=info, blocks=blocks)
+
+
+def _of_run(run: ReportRun) -> dict[str, Any]:
+    """What the scripts know of a run."""
+    limits = thresholds_of(run.info)
+    return {
+        "name": run.name,
+        "command": "sweep" if run.kind in (Kind.GRID, Kind.SEARCH) else "score",
+        "floorZ": floor_z_m(simulation_of(run.info)),
+        "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
+        "missing": run.found.note,
+        "folder": shlex.quote(printable(str(run.results.path))),
+        "nominalSizes": any("size_tolerance" in name for name in run.parameters),
+    }
+
+
+def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
+    """What the table has of runs with very many worlds, a line each."""
+    row = "one row a plan: its world with the least margin, and the share of its worlds that stand"
+    return [f"{run.name} has {len(run.worlds):,} worlds, too many for a table. It has {row}." for run in runs]
+
+
+def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
+    """What the page does not show, a line each."""
+    notes = [f"{run.name}: {run.found.note}. These have no 3D picture." for run in runs if run.found.note]
+    notes += [
+        f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
+    ]
+    if left_out:
+        notes.append(f"{count_text(left_out, 'world')} that stand are not in the table: it would be too large.")
+    if without_boxes:
+        notes.append(f"{count_text(without_boxes, 'world')} have no 3D picture: the page would be too large.")
+    if not_played:
+        worlds = count_text(not_played, "recorded world")
+        notes.append(f"{worlds} cannot be played here: the page would be too large. petmjx show plays them.")
+    return notes
+
+
+def _body(runs: Sequence[ReportRun], notes: Sequence[str]) -> Markup:
+    several = len(runs) > 1
+    sections: list[tuple[str, str, Content]] = []
+    if several:
+        sections.append(("compared", "The runs compared", comparison_section(runs)))
+    else:
+        sections.append(("verdicts", "What came out", _outcome_section(runs[0])))
+        sections += _details_of(runs[0])
+    sections.append(("plans", "All worlds" if _worlds(runs) else "All plans", _table_section(notes)))
+    if several:
+        for number, run in enumerate(runs):
+            parts = [element("h3", title) + inner for _, title, inner in _details_of(run) if inner]
+            inner = joined_markup(_outcome_section(run), *(Markup(part) for part in parts))
+            sections.append((f"run-{number}", run.name, inner))
+    links = [element("a", title, href=f"#{name}") for name, title, _ in sections]
+    return joined_markup(
+        element(
+            "header",
+            element("p", "petmjx report", class_="faint"),
+            element("h1", ", ".join(run.name for run in runs)),
+            element("nav", *links, aria_label="Sections"),
+        ),
+        element("main", *(element("section", element("h2", title), inner, id=name) for name, title, inner in sections)),
+    )
+
+
+def _worlds(runs: Sequence[ReportRun]) -> bool:
+    return any(run.kind in (Kind.GRID, Kind.SEARCH) for run in runs)
+
+
+def _outcome_section(run: ReportRun) -> Markup:
+    """Headline, verdicts, and what was run."""
+    empty = element("p", "No world was simulated: there is nothing to show.") if run.worlds.empty else NOTHING
+    return joined_markup(
+        headline(run),
+        empty,
+        element(
+            "div",
+            element("div", verdict_table(run)),
+            element("div", element("h3", "What was run"), about(run)),
+            class_="two",
+        ),
+    )
+
+
+def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
+    """Sections that some runs have: name, title, content."""
+    title = "How sure are the verdicts?" if run.kind is Kind.CONFIDENCE else "Answers of the sweep"
+    sections = [("answers", title, sweep_answers(run))]
+    if run.kind is not Kind.SEARCH:  # its worlds say where it looked, and not how pallets do
+        sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
+        sections.append(("first", "What fails first", first_boxes(run)))
+    return [section for section in sections if section[2]]
+
+
+def _table_section(notes: Sequence[str]) -> Markup:
+    """Where the scripts build the table, and the plan that is looked at."""
+    lines = [element("p", note, class_="note") for note in notes]
+    return joined_markup(
+        *lines,
+        element("noscript", element("p", "The table and the 3D pictures need JavaScript.", class_="note")),
+        element("div", id="filters"),
+        element("div", id="table"),
+        element("div", id="plan", tabindex="-1"),
+    )

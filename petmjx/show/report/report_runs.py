@@ -1,0 +1,175 @@
+"""The runs of a report: their tables, with what the plans add to them."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from petmjx.analysis.run_comparison import KEY
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable
+from petmjx.common.units import MM_PER_M
+from petmjx.plans.plan import Plan
+from petmjx.results.run_reader import RunResults, load_run, rows_of_worlds
+from petmjx.results.shares import ALL_PLANS, share_standing
+from petmjx.show.report.plan_lookup import ReportPlans, find_report_plans
+
+
+class Kind(StrEnum):
+    """What a run asked of its plans."""
+
+    SCORE = "score"
+    CONFIDENCE = "confidence"
+    GRID = "sweep"
+    SEARCH = "search"
+
+
+@dataclass(frozen=True, eq=False)
+class ReportRun:
+    """A run as a report sees it.
+
+    Attributes:
+        name: how the report calls it.
+        results: its tables.
+        found: its plans, as far as they were found again.
+    """
+
+    name: str
+    results: RunResults
+    found: ReportPlans
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """``run.json``."""
+        return self.results.info
+
+    @cached_property
+    def kind(self) -> Kind:
+        """What the run asked."""
+        config = self.info.get("config", {})
+        if config.get("command") == "sweep":
+            return Kind.SEARCH if (config.get("sweep") or {}).get("search") is not None else Kind.GRID
+        return Kind.CONFIDENCE if config.get("confidence") is not None else Kind.SCORE
+
+    @property
+    def what(self) -> str:
+        """The user's word for a world."""
+        return "plan" if self.kind in (Kind.SCORE, Kind.CONFIDENCE) else "world"
+
+    @cached_property
+    def worlds(self) -> pd.DataFrame:
+        """The worlds that are shown, one row each, by plan and variant: all of them, with confidence the nominal ones.
+
+        Besides the columns of ``worlds``: ``height_m`` and ``mass_kg`` of the plan (NaN where it was not found), and
+        ``first_article``, what the first box is of ("" where there is none).
+        """
+        worlds = self.results.worlds
+        if self.kind is Kind.CONFIDENCE:
+            worlds = worlds[worlds["variant"] == 0]
+        worlds = worlds.sort_values(KEY, kind="stable", ignore_index=True)
+        plans = self.found.plans
+        codes, plan_ids = pd.factorize(worlds["plan_id"])
+        nothing = float("nan"), float("nan")
+        sizes = [_height_and_mass(plans[plan_id]) if plan_id in plans else nothing for plan_id in plan_ids.tolist()]
+        height_m, mass_kg = np.array(sizes).reshape(-1, 2)[codes].T
+        first = self._first_articles(worlds["culprit"], codes, plan_ids.tolist())
+        return worlds.assign(height_m=height_m, mass_kg=mass_kg, first_article=first)
+
+    def _first_articles(self, culprit: pd.Series, codes: NDArray[np.int64], plan_ids: list[str]) -> NDArray[np.object_]:
+        """(worlds,) what the first box is of; ``codes``: places of their plans in ``plan_ids``."""
+        first_articles = np.full(len(codes), "", dtype=object)
+        falls = np.flatnonzero(culprit.notna().to_numpy())
+        of_plan = self.articles({plan_ids[code] for code in np.unique(codes[falls]).tolist()})
+        lists = [of_plan.get(plan_id, ()) for plan_id in plan_ids]
+        counts = np.array([len(articles) for articles in lists], dtype=np.int64)
+        flat = np.array([article for articles in lists for article in articles], dtype=object)
+        falls = falls[counts[codes[falls]] > 0]
+        starts = np.cumsum(counts) - counts
+        first_articles[falls] = flat[starts[codes[falls]] + culprit.iloc[falls].to_numpy(np.int64)]
+        return first_articles
+
+    def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
+        """The articles of plans' boxes in packing order; where neither plans nor boxes are there, a plan has none."""
+        articles_by_plan: dict[str, Sequence[str]] = {
+            plan_id: plan.articles for plan_id, plan in self.found.plans.items() if plan_id in plan_ids
+        }
+        missing = {*plan_ids} - {*articles_by_plan}
+        if missing and self.results.keeps_boxes:
+            worlds = self.results.worlds[KEY]
+            first = worlds[worlds["plan_id"].isin(missing)].drop_duplicates("plan_id")
+            boxes = rows_of_worlds(self.results, "boxes", first, ("plan_id", "article"))
+            articles_by_plan |= {str(plan_id): rows.tolist() for plan_id, rows in boxes.groupby("plan_id")["article"]}
+        return articles_by_plan
+
+    @cached_property
+    def axes(self) -> list[str]:
+        """Columns of ``worlds`` with the parameters that a sweep varies."""
+        if self.shares is None:
+            return []
+        overall = self.shares[self.shares["scope"] == ALL_PLANS]
+        several = overall["axis"].value_counts()
+        return [axis for axis in overall["axis"].unique() if axis and several[axis] > 1]
+
+    @cached_property
+    def shares(self) -> pd.DataFrame | None:
+        """The shares of a grid or a sample, as its ``summary`` has them; None for other runs."""
+        summary = self.results.summary
+        if self.kind is not Kind.GRID or summary is None or "scope" in summary:
+            return summary if self.kind is Kind.GRID else None
+        known = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
+        return share_standing(self.worlds, known)
+
+    @property
+    def parameters(self) -> list[str]:
+        """Columns of ``worlds`` that this run's variants add."""
+        return [str(param["name"]) for param in self.info.get("params", [])]
+
+
+def _height_and_mass(plan: Plan) -> tuple[float, float]:
+    """m, kg."""
+    return float((plan.corner_mm + plan.size_mm)[:, 2].max()) / MM_PER_M, float(plan.mass_kg.sum())
+
+
+def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] = ()) -> list[ReportRun]:
+    """Open the runs of a report.
+
+    Args:
+        plans: files with their plans; without: those that the runs name.
+
+    Raises:
+        InputError: no folder, no run in one of them, a run twice, or a damaged one.
+    """
+    if not folders:
+        raise InputError("no run to report on: name the folders of runs")
+    results = [folder if isinstance(folder, RunResults) else load_run(folder) for folder in folders]
+    paths = [run.path.resolve() for run in results]
+    for at, path in enumerate(paths):
+        if path in paths[:at]:
+            raise InputError(f"{results[at].path}: named twice")
+    for run in results:
+        if run.worlds.duplicated(KEY).any():
+            raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be reported")
+    names = distinct_path_ends(paths)
+    return [
+        ReportRun(printable(name), run, find_report_plans(run, plans)) for name, run in zip(names, results, strict=True)
+    ]
+
+
+def distinct_path_ends(paths: Sequence[Path]) -> list[str]:
+    """The shortest ends of paths that tell all of them apart: "a", or "fast/run" and "slow/run"."""
+    depth = 1
+    deepest = max(len(path.parts) for path in paths)
+    while depth < deepest:
+        names = ["/".join(path.parts[-depth:]) for path in paths]
+        if len(set(names)) == len(names):
+            break
+        depth += 1
+    return ["/".join(path.parts[-depth:]) for path in paths]

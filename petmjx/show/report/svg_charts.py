@@ -1,0 +1,236 @@
+"""The frame of a small chart as SVG: scales, axes, ticks.
+
+Colours are classes of ``static/report.css``, so that charts follow the page's light or dark mode; no script draws.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from petmjx.common.units import FloatArray
+from petmjx.show.report.markup import Content, Markup, element
+
+WIDTH: Final = 300
+HEIGHT: Final = 190
+"""Of a chart, CSS pixels: four beside each other on a wide screen, one on a phone."""
+
+LEFT: Final = 54
+RIGHT: Final = 12
+TOP: Final = 12
+BOTTOM: Final = 40
+"""Margins around the area in which data are drawn."""
+
+MOST_TICKS: Final = 6
+
+
+@dataclass(frozen=True)
+class Scale:
+    """From values to pixels.
+
+    Attributes:
+        low, high: ends of the values; what is beyond is drawn at the end.
+        log: whether equal lengths are equal factors; ``low`` must then be above 0.
+        counts: whether values are counts, between which there is nothing.
+        lowest: what the lower end is called where values below it are drawn there too, e.g. "≤ 1".
+    """
+
+    low: float
+    high: float
+    log: bool = False
+    lowest: str = ""
+    counts: bool = False
+
+    @classmethod
+    def over(cls, values: ArrayLike, *, log_from: float | None = None, lowest: str = "", zero: bool = False) -> Scale:
+        """One that holds all finite values.
+
+        Args:
+            log_from: the lower end of a logarithmic scale; None: a linear one.
+            zero: whether a linear scale begins at 0.
+        """
+        given = np.asarray(values, dtype=np.float64)
+        known = given[np.isfinite(given)]
+        if log_from is not None:
+            high = max(float(known.max(initial=log_from)), log_from * 10)
+            return cls(log_from, high, log=True, lowest=lowest)
+        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+        low = min(low, 0.0) if zero else low
+        if high - low <= 0:
+            low, high = (low - 0.5, high + 0.5) if not zero else (low, low + 1.0)
+        return cls(low, high)
+
+    def place(self, values: ArrayLike) -> FloatArray:
+        """Values → share of the way from ``low`` to ``high``, in [0, 1]."""
+        clipped = np.clip(np.asarray(values, dtype=np.float64), self.low, self.high)
+        if self.log:
+            return np.asarray(np.log(clipped / self.low) / math.log(self.high / self.low))
+        return np.asarray((clipped - self.low) / (self.high - self.low))
+
+    def edges(self, bins: int) -> FloatArray:
+        """(bins + 1,) edges of bins that look equally wide; of counts at most so many, each with as many counts.
+
+        A scale of counts begins half a unit below one, so that each lies within a bin. Its last bin may end beyond it.
+        """
+        if self.counts:
+            wide = math.ceil((self.high - self.low) / bins)
+            return self.low + wide * np.arange(math.ceil((self.high - self.low) / wide) + 1.0)
+        if self.log:
+            return np.geomspace(self.low, self.high, bins + 1)
+        return np.linspace(self.low, self.high, bins + 1)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """(value, label) of round values, at most ``MOST_TICKS`` or so."""
+        if not self.log:
+            step = max(round_step((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
+            first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+            return [(at * step, _label(at * step, step)) for at in range(first, last + 1)]
+        decades = range(math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9) + 1)
+        thin = max(1, math.ceil(len(decades) / MOST_TICKS))
+        ticks = [(10.0**power, f"{10.0**power:g}") for power in decades if power % thin == 0]
+        if self.lowest:
+            apart = math.log10(self.high / self.low) / 12
+            ticks = [(value, text) for value, text in ticks if math.log10(value / self.low) > apart]
+            ticks.insert(0, (self.low, self.lowest))
+        return ticks
+
+
+def round_step(step: float) -> float:
+    """The next of 1, 2, 5, 10, … times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(step))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step * (1 - 1e-9))
+
+
+def _label(value: float, step: float) -> str:
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    if abs(value) >= 1e5:
+        return f"{value / 1e3:,.0f}k" if abs(value) < 1e8 else f"{value:.2g}"
+    return f"{value:,.{decimals}f}"
+
+
+@dataclass
+class Frame:
+    """A chart that is being drawn: two axes and marks between them.
+
+    Attributes:
+        title: what is shown; the chart's name for screen readers.
+        x, y: scales; ``x_label``, ``y_label``: what they are, with units.
+        x_ticks: (value, label), instead of those of the scale.
+    """
+
+    title: str
+    x: Scale
+    y: Scale
+    x_label: str
+    y_label: str
+    x_ticks: Sequence[tuple[float, str]] | None = None
+    y_percent: bool = False
+    width: int = WIDTH
+    height: int = HEIGHT
+    marks: list[Content] = field(default_factory=list)
+
+    def at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Values → pixels."""
+        return (
+            LEFT + self.x.place(x) * (self.width - LEFT - RIGHT),
+            self.height - BOTTOM - self.y.place(y) * (self.height - TOP - BOTTOM),
+        )
+
+    def add(self, *marks: Content) -> None:
+        """Draw over what is there."""
+        self.marks += marks
+
+    def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:
+        """A line through points; it is broken where a value is missing."""
+        self.add(element("path", d=path(*self.at(x, y)), class_=class_))
+
+    def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, class_: str) -> None:
+        """The area between two lines; points with a missing value are left out."""
+        xs, lows, highs = (np.asarray(values, dtype=np.float64) for values in (x, low, high))
+        known = np.isfinite(lows) & np.isfinite(highs)
+        if not known.any():
+            return
+        px, below = self.at(xs[known], lows[known])
+        _, above = self.at(xs[known], highs[known])
+        outline = path(np.concatenate([px, px[::-1]]), np.concatenate([below, above[::-1]])) + "Z"
+        self.add(element("path", d=outline, class_=class_))
+
+    def limit(self, value: float, text: str, *, across: bool = False) -> None:
+        """A dashed line at a threshold: upright at an x, or ``across`` at a y."""
+        scale = self.y if across else self.x
+        if not scale.low <= value <= scale.high:
+            return
+        (px,), (py,) = (np.atleast_1d(coordinate) for coordinate in self.at(value, value))
+        ends = (LEFT, py, self.width - RIGHT, py) if across else (px, TOP, px, self.height - BOTTOM)
+        names = ("x1", "y1", "x2", "y2")
+        self.add(element("line", **dict(zip(names, map(float, ends), strict=True)), class_="limit"))
+        x, y, anchor = (self.width - RIGHT - 2, py - 3, "end") if across else (px + 3, TOP + 8, "start")
+        if not across and px > self.width - 90:
+            x, anchor = px - 3, "end"
+        self.add(element("text", text, x=float(x), y=float(y), text_anchor=anchor, class_="hint"))
+
+    def svg(self) -> Markup:
+        """The whole chart."""
+        return drawing(self.title, self.width, self.height, *self._axes(), *self.marks)
+
+    def _axes(self) -> Iterable[Markup]:
+        bottom, right = self.height - BOTTOM, self.width - RIGHT
+        for value, label in self.x_ticks if self.x_ticks is not None else self.x.ticks():
+            px = float(self.at(value, self.y.low)[0])
+            yield element("line", x1=px, y1=bottom, x2=px, y2=bottom + 4, class_="tick")
+            yield element("text", label, x=px, y=bottom + 15, text_anchor="middle")
+        for value, label in self.y.ticks():
+            py = float(self.at(self.x.low, value)[1])
+            text = f"{value:.0%}".replace("%", " %") if self.y_percent else label
+            yield element("line", x1=LEFT, y1=py, x2=right, y2=py, class_="grid")
+            yield element("text", text, x=LEFT - 5, y=py + 3.5, text_anchor="end")
+        yield element("line", x1=LEFT, y1=bottom, x2=right, y2=bottom, class_="axis")
+        yield element(
+            "text", self.x_label, x=(LEFT + right) / 2, y=self.height - 8, text_anchor="middle", class_="label"
+        )
+        middle = (TOP + bottom) / 2
+        yield element(
+            "text",
+            self.y_label,
+            x=0,
+            y=0,
+            transform=f"translate(9 {middle:g}) rotate(-90)",
+            text_anchor="middle",
+            class_="label",
+        )
+
+
+def path(x: FloatArray, y: FloatArray) -> str:
+    """The ``d`` of a line through points in pixels; a point that is not finite breaks it."""
+    written, pen = [], "M"
+    for px, py in zip(x.tolist(), y.tolist(), strict=True):
+        if not (math.isfinite(px) and math.isfinite(py)):
+            pen = "M"
+            continue
+        written.append(f"{pen}{px:.1f} {py:.1f}")
+        pen = "L"
+    return "".join(written)
+
+
+def drawing(title: str, width: float, height: float, *marks: Content) -> Markup:
+    """An SVG picture that shrinks with the page."""
+    return element(
+        "svg",
+        *marks,
+        viewBox=f"0 0 {width:g} {height:g}",
+        width=f"{width:g}",
+        height=f"{height:g}",
+        role="img",
+        aria_label=title,
+    )
+
+
+def figure(title: str, picture: Markup, note: str = "") -> Markup:
+    """A chart under its title, with a line below it."""
+    below = element("p", note, class_="hint") if note else None
+    return element("figure", element("figcaption", title), picture, below)

@@ -1,0 +1,318 @@
+"""The answers of sweeps: shares along axes, largest levels by direction, which axis matters most."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.common.text import count_text, three_digits
+from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Verdict
+from petmjx.results.shares import ALL_PLANS, share_standing
+from petmjx.show.report.charts import ROSE_RINGS, Bar, bars, histogram, percent, rose, share_curve
+from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
+from petmjx.show.report.report_runs import Kind, ReportRun
+from petmjx.show.report.svg_charts import MOST_TICKS, Frame, Scale, figure, round_step
+from petmjx.show.report.verdict_shares import link, plan_link
+
+DIRECTION: Final = "direction_deg"
+STRENGTHS: Final = {"level_g": ("level", "g"), "scale": ("scale", "")}
+"""Columns of ``worlds`` that say how strongly a world was shaken."""
+
+FEWEST_DIRECTIONS: Final = 3
+"""Of a rose."""
+
+MOST_VALUES: Final = 60
+"""Values of an axis that are drawn."""
+
+MOST_NAMED: Final = 12
+
+MATTERS: Final = (
+    "Range: largest less smallest share of an axis’s values, each over all values of the other axes. Explained: part "
+    "of the variance of “stands” between the values of that axis (η², the correlation ratio squared); “plan” is how "
+    "much plans differ among themselves."
+)
+ROSE: Final = "Line: the median plan; band: half of the plans. None survived counts as 0."
+
+
+def sweep_answers(run: ReportRun) -> Markup:
+    """The answers of a sweep, or of a score with confidence; nothing for other scores."""
+    summary = run.results.summary
+    if summary is None or summary.empty or run.worlds.empty:
+        return NOTHING
+    if run.shares is not None:
+        return _grid(run, run.shares)
+    if run.kind is Kind.SEARCH:
+        return _search(run, summary)
+    return _confidence(run, summary)
+
+
+# Grids and samples.
+
+
+def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
+    worlds = run.worlds
+    numeric = [
+        axis for axis in run.axes if pd.api.types.is_numeric_dtype(worlds[axis]) and _has_numeric_values(summary, axis)
+    ]
+    named = [axis for axis in run.axes if axis not in numeric]
+    over_plans = share_standing(worlds.assign(draw=pd.factorize(worlds["plan_id"])[0]), run.axes)
+    charts = [_curve(axis, summary, over_plans, run) for axis in numeric]
+    charts += [_named_values(axis, summary, run) for axis in named]
+    matters = importance(worlds, run.axes, summary)
+    if len(matters) > 1:
+        charts.append(_importance_chart(matters))
+    charts += [_rose_figure(*arguments) for arguments in _grid_roses(run)]
+    return element("div", *charts, class_="charts")
+
+
+def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
+    """Whether a summary has an axis's values as numbers: ranges that were drawn from are in parts, which are texts."""
+    values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
+    return bool(pd.to_numeric(values, errors="coerce").notna().all())
+
+
+def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
+    """Shares along a numeric axis: with the run's own interval over random draws, else with one over plans."""
+    draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
+    drawn = bool(draws["low"].notna().all())
+    rows = draws if drawn else plans
+    x = rows["value"].astype("float64").to_numpy()
+    order = np.argsort(x)
+    unit = run.results.units("worlds").get(axis, "")
+    frame = Frame(
+        f"Share that stands by {axis}", Scale.over(x), Scale(0, 1), _with_unit(axis, unit), "stand", y_percent=True
+    )
+    share, low, high = (rows[name].to_numpy(np.float64)[order] for name in ("share", "low", "high"))
+    if len(x) <= MOST_TICKS:
+        frame.x_ticks = [(value, f"{value:g}") for value in x[order]]
+    share_curve(frame, x[order], share, low, high)
+    of = count_text(int(rows["n_draws"].max()), "random draw" if drawn else "plan")
+    return figure(_title(axis), frame.svg(), f"Band: Wilson 95 % over {of} a value.")
+
+
+def _rows(summary: pd.DataFrame, axis: str) -> pd.DataFrame:
+    return summary[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis)].head(MOST_VALUES)
+
+
+def _named_values(axis: str, summary: pd.DataFrame, run: ReportRun) -> Markup:
+    rows = _rows(summary, axis)
+    drawn = [
+        Bar(
+            str(row["value"]),
+            0.0 if pd.isna(row["share"]) else float(row["share"]),
+            f"{percent(row['share'])} of {row['n_worlds'] - row['n_invalid']:,}",
+            "stable",
+        )
+        for row in rows.to_dict("records")
+    ]
+    return figure(_title(axis), bars(f"Share that stands by {axis}", drawn), "Share that stands, of worlds judged.")
+
+
+def _title(axis: str) -> str:
+    return f"Share that stands by {axis.removesuffix('_g').removesuffix('_deg').removesuffix('_mm').replace('_', ' ')}"
+
+
+def _with_unit(axis: str, unit: str) -> str:
+    name = axis.removesuffix(f"_{unit}").replace("_", " ")
+    return f"{name}, {unit.replace('deg', '°')}" if unit not in ("", "1") else name
+
+
+def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame) -> pd.DataFrame:
+    """How much each axis, and the plan, changes whether a world stands; the most important first.
+
+    Returns:
+        ``axis``, ``spread`` (largest less smallest share of its values) and ``correlation_ratio``: the correlation
+        ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)) of the nᵥ worlds with value v, of which the share pᵥ stands; NaN where
+        all worlds stand, or none (Pearson 1905; Fisher's one-way analysis of variance).
+    """
+    judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
+    stands = (judged["verdict"] == Verdict.STABLE.value).astype("float64")
+    rows = []
+    for axis in (*axes, "plan"):
+        keys = judged["plan_id"] if axis == "plan" else judged[axis]
+        if keys.nunique() < 2:
+            continue
+        groups = stands.groupby(keys).agg(["mean", "size"])
+        spread = groups["mean"].max() - groups["mean"].min()
+        if axis != "plan":
+            shares = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "share"]
+            spread = shares.max() - shares.min()
+        rows.append({"axis": axis, "spread": spread, "explained": correlation_ratio(stands, keys)})
+    table = pd.DataFrame(rows, columns=["axis", "spread", "explained"])
+    return table.sort_values("explained", ascending=False, ignore_index=True)
+
+
+def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
+    """Correlation ratio η² of values in groups: variance between groups over all variance; NaN without any."""
+    total = float(((values - values.mean()) ** 2).sum())
+    if total <= 0:
+        return float("nan")
+    groups = values.groupby(keys).agg(["mean", "size"])
+    return float((groups["size"] * (groups["mean"] - values[keys.notna()].mean()) ** 2).sum()) / total
+
+
+def _importance_chart(matters: pd.DataFrame) -> Markup:
+    rows = [
+        Bar(
+            str(row["axis"]),
+            0.0 if pd.isna(row["explained"]) else float(row["explained"]),
+            f"{percent(row['explained'])} · {percent(row['spread'])}",
+        )
+        for row in matters.to_dict("records")
+    ]
+    return figure("Which axis matters most: explained · range", bars("Which axis matters most", rows), MATTERS)
+
+
+def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]]:
+    """(title, unit, largest level a row of plan and direction, highest level tested), for each profile."""
+    worlds = run.worlds
+    for column, (name, unit) in STRENGTHS.items():
+        if column not in worlds or DIRECTION not in worlds:
+            continue
+        tested = worlds[worlds[column].notna() & worlds[DIRECTION].notna()]
+        tested = tested.assign(profile=tested.get("profile", pd.Series("", index=tested.index)).fillna(""))
+        for profile, part in tested.groupby("profile"):
+            if part[column].nunique() > 1 and part[DIRECTION].nunique() >= FEWEST_DIRECTIONS:
+                largest = largest_survived(part, column)
+                yield f"Largest {name} of {profile or 'the profile'}", unit, largest, float(part[column].max())
+
+
+def largest_survived(worlds: pd.DataFrame, column: str) -> pd.DataFrame:
+    """For each plan and direction the largest level below every level that failed, in all of its worlds; 0: none.
+
+    Args:
+        worlds: of one profile, with ``column`` as the level.
+
+    Returns:
+        Columns plan_id, direction_deg, largest.
+    """
+    stands = worlds["verdict"] == Verdict.STABLE.value
+    at_level = stands.groupby([worlds["plan_id"], worlds[DIRECTION], worlds[column]]).all()
+    rising = at_level.sort_index()
+    so_far = rising.groupby(level=[0, 1]).cummin()
+    levels = rising.index.get_level_values(2).to_series(index=rising.index)
+    largest = levels.where(so_far, 0.0).groupby(level=[0, 1]).max()
+    return largest.rename("largest").reset_index()
+
+
+def _rose_figure(title: str, unit: str, largest: pd.DataFrame, top: float) -> Markup:
+    by = largest.groupby(DIRECTION)["largest"]
+    directions = np.array(sorted(by.groups), dtype=np.float64)
+
+    def at(share: float) -> FloatArray:
+        return np.asarray(by.quantile(share).reindex(directions), dtype=np.float64)
+
+    quantiles = {"low": at(0.25), "middle": at(0.5), "high": at(0.75)}
+    reach = ROSE_RINGS * round_step(float(np.nanmax(quantiles["high"], initial=top / 10)) / ROSE_RINGS)
+    picture = rose(title, directions, quantiles, reach, unit)
+    n = count_text(int(largest["plan_id"].nunique()), "plan")
+    return figure(f"{title} by direction", picture, f"{ROSE} {n}; tested up to {top:g} {unit}.")
+
+
+# Searches.
+
+
+def _search(run: ReportRun, summary: pd.DataFrame) -> Markup:
+    column = next(name for name in summary if str(name).startswith("largest_"))
+    name, unit = STRENGTHS[str(column).removeprefix("largest_")]
+    answers = summary[summary["stands_at_rest"].astype(bool)]
+    at_rest = int((~summary.drop_duplicates(["plan_id", "placement"])["stands_at_rest"].astype(bool)).sum())
+    note = f"{count_text(len(answers), 'search', 'searches')} of placements that stand at rest"
+    note += f"; {count_text(at_rest, 'placement')} did not stand, and were not searched." if at_rest else "."
+    parts = [element("p", note)]
+    if answers.empty:
+        return joined_markup(*parts)
+    levels = answers.assign(largest=answers[column].fillna(0.0).astype("float64"))
+    top = max(float(levels["largest"].max()), float(_upper(run)))
+    charts = [_level_histogram(levels, name, unit)]
+    for profile, part in levels.groupby("profile"):
+        if part[DIRECTION].nunique() >= FEWEST_DIRECTIONS:
+            charts.append(_rose_figure(f"Largest {name} of {profile}", unit, part, top or 1.0))
+    charts += _search_importance(levels, summary, name)
+    charts.append(_first_at_failure(run, answers))
+    return joined_markup(*parts, element("div", *charts, class_="charts"), _levels_table(levels, name, unit))
+
+
+def _upper(run: ReportRun) -> float:
+    search = (run.info.get("config", {}).get("sweep") or {}).get("search") or {}
+    return float(search.get("upper") or 0.0)
+
+
+def _level_histogram(levels: pd.DataFrame, name: str, unit: str) -> Markup:
+    label = f"largest {name} survived" + (f", {unit}" if unit else "")
+    frame = Frame(f"Largest {name} survived", Scale.over(levels["largest"], zero=True), Scale(0, 1), label, "searches")
+    histogram(frame, levels["largest"], pd.Series("plain", index=levels.index), ["plain"])
+    return figure(frame.title, frame.svg(), "None survived counts as 0.")
+
+
+def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -> Iterator[Markup]:
+    """Which axis explains most of the variance of the largest level."""
+    first, last = list(summary).index("placement"), list(summary).index("stands_at_rest")
+    axes = {str(axis): levels[axis] for axis in list(summary)[first + 1 : last] if levels[axis].nunique() > 1}
+    axes |= {"plan": levels["plan_id"]} if levels["plan_id"].nunique() > 1 else {}
+    if len(axes) < 2:
+        return
+    values = {axis: correlation_ratio(levels["largest"], keys) for axis, keys in axes.items()}
+    rows = [
+        Bar(axis, 0.0 if pd.isna(value) else value, percent(value))
+        for axis, value in sorted(values.items(), key=lambda entry: -np.nan_to_num(entry[1]))
+    ]
+    note = f"Part of the variance of the largest {name} between the values of that axis (η²)."
+    yield figure("Which axis matters most", bars("Which axis matters most", rows), note)
+
+
+def _first_at_failure(run: ReportRun, answers: pd.DataFrame) -> Markup:
+    """Articles that fail first at the smallest level that failed."""
+    failed = answers[answers["article"].fillna("") != ""]
+    counts = failed["article"].value_counts().head(MOST_NAMED)
+    rows = [
+        Bar(str(article), float(n), f"{n:,}", "unstable", link(run, q=str(article))) for article, n in counts.items()
+    ]
+    note = f"Of {count_text(len(failed), 'search', 'searches')} that found a level that failed."
+    return figure("Articles that fail first", bars("Articles that fail first", rows), note)
+
+
+def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
+    rows = [
+        [
+            str(profile),
+            f"{direction:g}",
+            f"{len(part):,}",
+            *(three_digits(part["largest"].quantile(q)) for q in (0, 0.5, 1)),
+        ]
+        for (profile, direction), part in levels.groupby(["profile", DIRECTION])
+    ]
+    head = ["profile", "direction, °", "searches", "least", "median", "most"]
+    caption = f"Largest {name} survived" + (f", {unit}" if unit else "")
+    return table(head, rows[:MOST_VALUES], caption=caption)
+
+
+# Scores with confidence.
+
+
+def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
+    known = summary[summary["share"].notna()]
+    frame = Frame("Share of worlds with errors that stand", Scale(0, 1), Scale(0, 1), "share that stands", "plans")
+    frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
+    histogram(frame, known["share"].astype("float64"), known["verdict"], [verdict.value for verdict in Verdict])
+    tosses = summary.loc[summary["coin_toss"].astype(bool), "plan_id"].tolist()
+    links = [
+        element("li", element("a", str(plan_id), href=f"#{plan_link(run, str(plan_id))}"))
+        for plan_id in tosses[:MOST_NAMED]
+    ]
+    more = element("li", f"{len(tosses) - MOST_NAMED:,} more") if len(tosses) > MOST_NAMED else NOTHING
+    line = (
+        f"{count_text(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: one half is in the 95 % interval."
+    )
+    missed, fell = (int(summary[name].sum()) if name in summary else 0 for name in ("n_not_placed", "n_fell"))
+    why = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."
+    return joined_markup(
+        element("p", line),
+        element("p", why) if missed else NOTHING,
+        element("ul", *links, more, class_="names") if tosses else NOTHING,
+        element("div", figure(frame.title, frame.svg(), "Coloured by the verdict without errors."), class_="charts"),
+    )

@@ -1,0 +1,279 @@
+"""The tables of a run, for scores and sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+import pandas as pd
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from petmjx.common.text import box_label, count_text, printable_name, three_digits
+from petmjx.engines.verdict import Flag, Reason, Verdict
+from petmjx.results.run_reader import RunResults, split_warnings
+from petmjx.runs.confidence import contradiction_mask
+from petmjx.runs.level_search import MODES
+from petmjx.show.order_lines import order_lines
+from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
+from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
+
+SHOWN_PLANS: Final = 10
+"""Most plans that a line names."""
+
+SHOWN_SKIPPED: Final = 10
+"""Most skipped plans that are shown; ``run.json`` has all of them."""
+
+_STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
+
+
+def run_tables(results: RunResults) -> Iterator[RenderableType]:
+    """All tables and lines: the answers of a sweep or of a score with confidence, or the worlds if there are few; then
+    skipped plans and the counts."""
+    config = results.info["config"]
+    sweep = config["command"] == "sweep"
+    if results.summary is not None and "coin_toss" in results.summary:
+        yield from _confidence_tables(results, results.summary)
+        return
+    if results.summary is not None:
+        for table in sweep_tables(results.summary):
+            yield table
+            yield ""
+    elif not sweep and len(results.worlds) <= FEW_ROWS:
+        orders = results.plans if results.info.get("orders") else None
+        yield worlds_table(results.worlds.sort_values("plan_id"), results.boxes_if_kept, orders)
+        yield ""
+    yield from notes(results.info)
+    searched = sweep and config["sweep"]["search"] is not None
+    if searched and results.summary is not None:
+        yield search_table(results.info, results.summary)
+    else:
+        yield summary_table(results.info, "worlds" if sweep or "sweep" in config else "plans")
+    yield line(f"results in {results.path}")
+
+
+def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
+    """Those of a score with confidence: the nominal worlds, the shares, and the plans to think about by name."""
+    since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # runs of earlier versions
+    summary = summary.assign(**since)
+    if len(summary) <= FEW_ROWS:
+        worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
+        orders = results.plans if results.info.get("orders") else None
+        yield worlds_table(worlds.sort_values("plan_id"), boxes, orders)
+        yield ""
+        yield confidence_table(summary)
+        yield ""
+    yield from notes(results.info)
+    against = "most worlds contradict the nominal verdict"
+    for label, chosen in (("coin toss", summary["coin_toss"]), (against, contradiction_mask(summary))):
+        if chosen.any():
+            yield line(f"{label}: {_plan_id_list(summary.loc[chosen, 'plan_id'].tolist())}", style="yellow")
+    yield from _why_they_fail(summary)
+    yield confidence_counts(results.info, summary)
+    yield line(f"results in {results.path}")
+
+
+def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
+    """Lines on worlds in which a box could not be placed, and on plans whose share depends on how boxes are placed."""
+    missed = summary["n_not_placed"] > summary["n_fell"]
+    if missed.any():
+        named = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
+        yield line(f"most worlds that do not stand have a box that could not be placed: {named}", style="yellow")
+    if "placing_matters" not in summary:
+        return
+    for placing, way in (("carried", ">"), ("exact", "<")):
+        more = summary.eval(f"only_carried {way} only_exact") & summary["placing_matters"]
+        if more.any():
+            placing_text = "carried to their places" if placing == "carried" else "placed exactly"
+            named = _plan_id_list(summary.loc[more, "plan_id"].tolist())
+            yield line(f"stands more often, beyond chance, if boxes are {placing_text}: {named}", style="yellow")
+
+
+def _plan_id_list(plan_ids: list[str]) -> str:
+    """The first ``SHOWN_PLANS`` plans, and how many more there are."""
+    more = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
+    return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more
+
+
+def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
+    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, the number of plans with warnings, other warnings, orders."""
+    skipped = info["skipped"]
+    warnings, odd = split_warnings(info)
+    for entry in skipped[:SHOWN_SKIPPED]:
+        yield line(f"skipped: {entry['error']}", style="yellow")
+    if len(skipped) > SHOWN_SKIPPED:
+        yield line(f"skipped: {len(skipped) - SHOWN_SKIPPED:,} more, in run.json", style="yellow")
+    if odd:
+        plans = count_text(len(odd), "plan")
+        yield line(f"{plans} with overlapping, floating or outside boxes, in run.json", style="yellow")
+    for warning in warnings:
+        yield line(f"note: {warning}", style="yellow")
+    if info.get("orders"):
+        yield from order_lines(info, SHOWN_SKIPPED)
+
+
+def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
+    """The table of counts.
+
+    Args:
+        info: ``run.json``, or ``RunWriter.info``.
+        what: the user's word for worlds: ``plans``, or ``worlds`` in sweeps.
+    """
+    counts = info.get("counts", {})
+    worlds = int(counts.get("worlds", 0))
+    table = _counts_table()
+    table.add_row(what, f"{worlds:,}", "")
+    for verdict in Verdict:
+        _add(table, verdict.value, int(counts.get(verdict.value, 0)), worlds, _STYLES[verdict.value])
+        for reason, count in counts.get("by_reason", {}).get(verdict.value, {}).items():
+            _add(table, f"  {reason}", int(count), worlds)
+            if reason == Reason.SHIFT and (moving := int(counts.get("moving_by_shift", 0))):
+                _add(table, "    still moving", moving, worlds, "yellow")
+        if verdict is Verdict.STABLE and (moving := int(counts.get("moving", 0))):
+            _add(table, "  still moving", moving, worlds, "yellow")
+        if verdict is Verdict.STABLE and (leans := int(counts.get("leans", 0))):
+            _add(table, "  leans", leans, worlds, "yellow")
+    expected = info.get("expected_worlds")
+    if expected is not None and expected > worlds:
+        table.add_row("not simulated", f"{expected - worlds:,}", str(info.get("status", "")), style="yellow")
+    _add_end(table, info, what, worlds)
+    return table
+
+
+def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
+    """The short table of a search. The verdicts of its tests say where it looked, so answers are counted instead.
+
+    Args:
+        info: ``run.json``.
+        summary: a row a search.
+    """
+    placements = summary.drop_duplicates(["plan_id", "placement"])
+    answers = summary[summary["stands_at_rest"]]
+    largest = answers.filter(regex="^largest_").iloc[:, 0]
+    failed = answers.filter(regex="^first_failed_").iloc[:, 0]
+    tests = int(summary["n_tests"].sum())
+    collapsed = placements["stands_at_rest"] | placements["mode"].isin(MODES.values())
+    table = _counts_table()
+    table.add_row("placements", f"{len(placements):,}", "")
+    _add(table, "  stand", int(placements["stands_at_rest"].sum()), len(placements), "green")
+    _add(table, "  invalid", int((~collapsed).sum()), len(placements), "yellow")
+    table.add_row("answers", f"{len(answers):,}", "")
+    _add(table, "  survive no level", int((~(largest > 0)).sum()), len(answers))
+    _add(table, "  survive all levels", int(failed.isna().sum()), len(answers))
+    table.add_row("tests simulated", f"{tests:,}", "")
+    _add(table, "  invalid", int(summary["n_invalid"].sum()), tests, "yellow")
+    if "n_moving" in summary and (moving := int(summary["n_moving"].sum())):
+        _add(table, "  still moving", moving, tests, "yellow")
+    _add_end(table, info, "tests", tests)
+    return table
+
+
+def confidence_counts(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
+    """The short table of a score with confidence: plans by their share, and how many worlds that took.
+
+    Args:
+        info: ``run.json``.
+        summary: a row a plan.
+    """
+    plans, worlds = len(summary), int(info.get("counts", {}).get("worlds", 0))
+    table = _counts_table()
+    table.add_row("plans", f"{plans:,}", "")
+    _add(table, "  nominally stable", int((summary["verdict"] == Verdict.STABLE.value).sum()), plans, "green")
+    _add(table, "  stand in all worlds", int((summary["share"] == 1).sum()), plans, "green")
+    _add(table, "  stand in no world", int((summary["share"] == 0).sum()), plans, "red")
+    _add(table, "  in between", int(summary["share"].between(0, 1, inclusive="neither").sum()), plans)
+    _add(table, "  coin toss", int(summary["coin_toss"].sum()), plans, "yellow")
+    table.add_row("worlds", f"{worlds:,}", "")
+    _add(table, "  could not be placed", int(summary["n_not_placed"].sum()), worlds, "red")
+    _add(table, "  fell", int(summary["n_fell"].sum()), worlds, "red")
+    _add(table, "  invalid", int(info.get("counts", {}).get(Verdict.INVALID.value, 0)), worlds, "yellow")
+    _add_end(table, info, "worlds", worlds)
+    return table
+
+
+def _counts_table() -> Table:
+    table = Table(show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    table.add_column(justify="right")
+    return table
+
+
+def _add(table: Table, label: str, count: int, of: int, style: str = "") -> None:
+    """A row with a count and its share."""
+    table.add_row(label, f"{count:,}", percent(count / of) if of else "", style=style if count else "dim")
+
+
+def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> None:
+    """What every run has besides its verdicts or answers, and how fast it was."""
+    counts = info.get("counts", {})
+    if skipped := counts.get("skipped_plans"):
+        table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
+    if retried := counts.get("retried"):
+        table.add_row("run more than once", f"{retried:,}", "")
+    table.add_section()
+    seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
+    if seconds > 0:
+        table.add_row(f"{what}/s", three_digits(done / seconds), f"{seconds:,.1f} s")
+
+
+def _least_edge(row: Mapping[Any, Any]) -> tuple[str, str]:
+    """The smallest distance of a load from an edge, by the plan, at rest or while it is built, mm, and whose it is."""
+    edges = [
+        (row[f"{when}_edge_m"], row.get(f"{when}_edge_box"))
+        for when in ("plan", "build", "rest")
+        if not pd.isna(row.get(f"{when}_edge_m"))
+    ]
+    if not edges:
+        return "", ""
+    edge_m, box = min(edges, key=lambda edge: edge[0])
+    return number(edge_m, ".1f", factor=1000.0), number(box, ".0f")
+
+
+def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
+    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics. If a world is
+    on a knife's edge, the smallest distances of loads from edges, too, and whose they are.
+
+    Args:
+        worlds, boxes: tables of the run; without boxes the first one's article is not known.
+        orders: its table ``plans``, if that says how many boxes are left out; they are one more column.
+    """
+    on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
+    edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("boxes", spare=3),
+        *([] if orders is None else [TableColumn("left\nout")]),
+        TableColumn("verdict", "left"),
+        TableColumn("reason", "left"),
+        TableColumn("margin", spare=1),
+        TableColumn("first box", "left", least=8, spare=2),
+        TableColumn("at\ns", spare=4),
+        TableColumn("shift\nmm"),
+        TableColumn("tilt\n°"),
+        *edges,
+        TableColumn("rest\nforce N", spare=5),
+    )
+    left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
+    articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
+    for row in worlds.to_dict("records"):
+        culprit = row["culprit"]
+        first = "" if pd.isna(culprit) else box_label(culprit, articles.get((row["plan_id"], culprit), ""))
+        verdict = str(row["verdict"])
+        placed = "" if row["n_placed"] == row["n_boxes"] else f"{row['n_placed']} of "
+        table.add(
+            str(row["plan_id"]),
+            f"{placed}{row['n_boxes']}",
+            *([] if orders is None else [number(left_out[row["plan_id"]])]),
+            Text(verdict, style=_STYLES.get(verdict, "")),
+            str(row["reason"]),
+            number(row.get("margin"), ".2f"),
+            first,
+            number(row["first_sign_s"], ".2f"),
+            number(row["max_shift_m"], ".1f", factor=1000.0),
+            number(row["max_tilt_deg"], ".1f"),
+            *(_least_edge(row) if on_edge else ()),
+            number(row["rest_top_force_n"], "z.1f"),
+        )
+    return table

@@ -1,0 +1,87 @@
+"""One plan's story as text: what happened when, the first box to fail, the most pressed boxes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+from rich.console import RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from petmjx.analysis.story import Story, events, how_it_was_simulated, notes_in_words, reason_in_words
+from petmjx.common.text import count_text
+from petmjx.engines.verdict import Verdict
+from petmjx.show.table_layout import FittedTable, TableColumn, line, number
+
+MOST_PRESSED: Final = 5
+"""How many of the most pressed boxes are shown."""
+
+_STYLES: Final = {Verdict.STABLE: "bold green", Verdict.UNSTABLE: "bold red", Verdict.INVALID: "bold yellow"}
+
+
+def story_tables(story: Story) -> Iterator[RenderableType]:
+    """Lines and tables that tell a story."""
+    plan, outcome = story.plan, story.outcome
+    yield Text.assemble(
+        (f"plan {story.name}", "bold"),
+        f", {count_text(plan.n_boxes, 'box', 'boxes')}, {plan.mass_kg.sum():.1f} kg: ",
+        (outcome.verdict.value, _STYLES[outcome.verdict]),
+        f", {reason_in_words(story)}",
+    )
+    yield line(", ".join(f"{name} {value}" for name, value in how_it_was_simulated(story)), style="dim")
+    for note in notes_in_words(story):
+        yield line(f"note: {note}", style="yellow")
+    yield ""
+    yield _events_table(story)
+    yield ""
+    yield _boxes_table(story)
+
+
+def _events_table(story: Story) -> Table:
+    table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
+    table.add_column("at s", justify="right", no_wrap=True)
+    table.add_column("what", overflow="fold")
+    *before, end = events(story)
+    for event in before:
+        table.add_row(f"{event.time_s:.2f}", line(event.what, style="red" if event.is_first_sign else ""))
+    table.add_row(f"{end.time_s:.2f}", line(end.what, style=_STYLES[story.outcome.verdict]))
+    return table
+
+
+def _boxes_table(story: Story) -> FittedTable:
+    """The first box to fail and the most pressed ones, with their numbers."""
+    boxes, plan = story.outcome.boxes, story.plan
+    table = FittedTable(
+        TableColumn("box"),
+        TableColumn("article", "left", least=10, middle=True),
+        TableColumn("", "left", spare=2),
+        TableColumn("mass\nkg", spare=4),
+        TableColumn("shift\nmm"),
+        TableColumn("tilt\n°"),
+        TableColumn("force on top\nlargest, N"),
+        TableColumn("at rest\nN"),
+        TableColumn("dropped\nat s", spare=1),
+    )
+    forces = np.nan_to_num(boxes.max_top_force_n[: story.outcome.n_placed])
+    pressed = [int(box) for box in np.argsort(-forces, kind="stable")[:MOST_PRESSED]]
+    first = [story.outcome.culprit] if story.outcome.culprit >= 0 else []
+    for box in [*first, *(box for box in pressed if box not in first)]:
+        table.add(
+            str(box),
+            plan.articles[box] or "-",
+            "first to fail" if box in first else "most pressed",
+            f"{plan.mass_kg[box]:.2f}",
+            number(np.abs(boxes.shift_m[box]).max(), ".1f", factor=1000.0),
+            number(boxes.max_tilt_deg[box], ".1f"),
+            number(boxes.max_top_force_n[box], "z.1f"),
+            number(boxes.rest_top_force_n[box], "z.1f"),
+            number(boxes.drop_s[box], ".2f"),
+        )
+    return table
+
+
+def how_to_draw() -> Text:
+    """The options that draw a story."""
+    return line("to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer", style="dim")

@@ -1,0 +1,144 @@
+"""Tables that fit into the terminal, and the format of their values."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, Literal
+
+import pandas as pd
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.table import Table
+from rich.text import Text
+
+from petmjx.common.text import printable, three_digits
+
+
+@dataclass(frozen=True)
+class TableColumn:
+    """A column of a :class:`FittedTable`.
+
+    Attributes:
+        header: may have several lines.
+        justify: alignment of its cells.
+        least: shortest length, in characters, to which its texts may be cut; None: its cells are never cut.
+        middle: whether texts are cut in the middle (for names that differ at the end), instead of at the end.
+        spare: 0: the column always stays. Otherwise it may be left out; the largest goes first.
+    """
+
+    header: str
+    justify: Literal["left", "right"] = "right"
+    least: int | None = None
+    middle: bool = False
+    spare: int = 0
+
+
+class FittedTable:
+    """A table without lines that is never wider than the terminal.
+
+    If the terminal is too narrow, texts are cut first. Then spare columns are left out, and a line below the table
+    names them. Numbers are cut only if even the remaining columns do not fit.
+    """
+
+    def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:
+        self.columns = columns
+        self.title = title
+        self.caption = caption
+        self._rows: list[Sequence[str | Text]] = []
+
+    def add(self, *cells: str | Text) -> None:
+        """Add a row. Strings are made printable; a ``Text`` keeps its style."""
+        self._rows.append([cell if isinstance(cell, Text) else printable(cell) for cell in cells])
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        widths = _column_widths(
+            self.columns, [self._natural(number) for number in range(len(self.columns))], options.max_width
+        )
+        table = Table(box=None, padding=(0, 1), pad_edge=False, collapse_padding=True)
+        for number, width in widths.items():
+            column = self.columns[number]
+            table.add_column(column.header, justify=column.justify, width=width, no_wrap=True)
+        for row in self._rows:
+            table.add_row(
+                *(_shortened_cell(row[number], width, self.columns[number]) for number, width in widths.items())
+            )
+        if self.title:
+            yield line(self.title, style="italic")
+        yield table
+        missing = [c.header.replace("\n", " ") for number, c in enumerate(self.columns) if number not in widths]
+        if missing:
+            yield line(f"left out at this width: {', '.join(missing)}", style="dim")
+        if self.caption:
+            yield line(self.caption, style="dim")
+
+    def _natural(self, number: int) -> int:
+        """The width that a column needs to show all its cells."""
+        texts = [*self.columns[number].header.split("\n"), *(str(row[number]) for row in self._rows)]
+        return max(cell_len(text) for text in texts)
+
+
+def _column_widths(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
+    """Index of each column that is shown → its width. Remaining room goes to the narrowest cut columns."""
+    least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
+    kept = list(range(len(columns)))
+
+    def room() -> int:
+        return width - sum(least[number] for number in kept) - (len(kept) - 1)
+
+    for number in sorted(kept, key=lambda n: -columns[n].spare):
+        if room() < 0 and columns[number].spare:
+            kept.remove(number)
+    widths = {number: least[number] for number in kept}
+    for _ in range(room()):
+        short = [number for number in kept if widths[number] < natural[number]]
+        if not short:
+            break
+        widths[min(short, key=lambda number: widths[number])] += 1
+    return widths
+
+
+def _shortened_cell(cell: str | Text, width: int, column: TableColumn) -> Text:
+    text = cell if isinstance(cell, Text) else Text(cell)
+    if column.least is None or cell_len(text.plain) <= width:
+        return text
+    tail = Text("")
+    if column.middle:
+        tail = text[len(text) - _fits(reversed(text.plain), (width - 1) // 2) :]
+    head = text[: _fits(text.plain, width - 1 - cell_len(tail.plain))]
+    return Text.assemble(head, "…", tail)
+
+
+def _fits(text: Iterable[str], width: int) -> int:
+    """How many characters, from the first on, fit into a width. Chinese characters are two columns wide."""
+    return sum(used <= width for used in accumulate(map(cell_len, text)))
+
+
+def line(text: str, style: str = "") -> Text:
+    """A line, or a long text in a cell. It is wrapped if it does not fit."""
+    return Text(printable(text), style=style, overflow="fold")
+
+
+def print_renderables(renderables: Iterable[RenderableType], console: Console) -> None:
+    """Print tables and lines. The terminal wraps long lines itself, so a path can be copied as a whole."""
+    for renderable in renderables:
+        console.print(renderable, soft_wrap=isinstance(renderable, Text))
+
+
+def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:
+    """A number × ``factor`` with its unit; "-" if there is no number.
+
+    Args:
+        form: format specification; None: ``three_digits``.
+        sign: without ``form``: whether positive numbers get a sign too.
+    """
+    if pd.isna(value):
+        return "-"
+    scaled = factor * float(value)
+    return (three_digits(scaled, sign) if form is None else format(scaled, form)) + unit
+
+
+def percent(share: Any) -> str:
+    """A share as "12.3 %"; "-" if there is none."""
+    return number(share, ".1f", " %", 100.0)

@@ -1,1 +1,0 @@
-"""The story of one world: told frame by frame, and in words."""

@@ -1,1 +1,0 @@
-"""Sweeps: each plan in many variants, from sweep file to summary."""

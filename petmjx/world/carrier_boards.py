@@ -1,0 +1,188 @@
+"""Carriers made of boards: pallets as they are, with gaps between their boards.
+
+Boards are boxes, written in mm as (place of the front-left-bottom corner, size), with the pallet's front-left corner at
+the origin and its bottom at z = 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.text import printable_name
+from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.options.carriers import TOUCH_MM, Carrier, OwnCarrier
+from petmjx.options.materials import STEEL
+from petmjx.options.physics import Physics, Triple
+from petmjx.options.simulation import Simulation
+from petmjx.world.body_shapes import Body
+
+Board = tuple[Triple, Triple]
+
+
+@dataclass(frozen=True)
+class Pallet:
+    """A pallet of boards.
+
+    Attributes:
+        boards: corner and size of each, mm.
+        masses_kg: of each.
+        frictions: coefficient of sliding friction of each; None: that of the physics' carrier, as all have if empty.
+        materials: of each; empty: all are of wood.
+    """
+
+    boards: tuple[Board, ...]
+    masses_kg: tuple[float, ...]
+    frictions: tuple[float | None, ...] = ()
+    materials: tuple[str, ...] = ()
+
+    @property
+    def height_mm(self) -> float:
+        """From the floor to the top of its deck."""
+        return max(corner[2] + size[2] for corner, size in self.boards)
+
+    @property
+    def deck_mm(self) -> FloatArray:
+        """(b, 2, 2) lowest and highest corner along x and y of each board whose top is the pallet's."""
+        corner, size = np.array(self.boards, np.float64).swapaxes(0, 1)
+        end = corner + size
+        on_top = end[:, 2] >= self.height_mm - TOUCH_MM
+        return np.stack([corner, end], axis=1)[on_top, :, :2]
+
+
+def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
+    """Where boards of these widths begin that lie along a length, mm: the outer ones flush, with equal gaps."""
+    gap = (length - sum(widths)) / (len(widths) - 1)
+    return [sum(widths[:k]) + k * gap for k in range(len(widths))]
+
+
+def _by_volume(boards: Sequence[Board], mass_kg: float) -> tuple[float, ...]:
+    """The mass of each board, if all are of one density."""
+    volume = np.array([size for _, size in boards]).prod(axis=1)
+    return tuple((mass_kg * volume / volume.sum()).tolist())
+
+
+def _epal_1() -> Pallet:
+    """EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. Five deck boards on three cross boards, nine blocks, three bottom
+    boards."""
+    length, width, board, block = 1200.0, 800.0, 22.0, 78.0
+    deck, rows, columns = (145.0, 100.0, 145.0, 100.0, 145.0), (100.0, 145.0, 100.0), (145.0, 145.0, 145.0)
+    x, y = _spread(length, columns), _spread(width, rows)
+    top = 2 * board + block
+    boards: list[Board] = []
+    boards += [((0, at, top), (length, wide, board)) for at, wide in zip(_spread(width, deck), deck, strict=True)]
+    boards += [((at, 0, board + block), (wide, width, board)) for at, wide in zip(x, columns, strict=True)]
+    for at_x, long in zip(x, columns, strict=True):
+        boards += [((at_x, at_y, board), (long, wide, block)) for at_y, wide in zip(y, rows, strict=True)]
+    boards += [((0, at, 0), (length, wide, board)) for at, wide in zip(y, rows, strict=True)]
+    return Pallet(tuple(boards), _by_volume(boards, 25.0))
+
+
+def _gma() -> Pallet:
+    """GMA 48 × 40 in as it is commonly built: seven deck boards, two of 140 and five of 89 mm, on three stringers of
+    38 × 89 mm, five bottom boards; boards 16 mm thick, 20 kg."""
+    length, width, board, stringer, high = 1219.0, 1016.0, 16.0, 38.0, 89.0
+    deck, bottom = (140.0, *[89.0] * 5, 140.0), (140.0, *[89.0] * 3, 140.0)
+    boards: list[Board] = []
+    boards += [
+        ((at, 0, board + high), (wide, width, board)) for at, wide in zip(_spread(length, deck), deck, strict=True)
+    ]
+    boards += [((0, at, board), (length, stringer, high)) for at in _spread(width, (stringer,) * 3)]
+    boards += [((at, 0, 0), (wide, width, board)) for at, wide in zip(_spread(length, bottom), bottom, strict=True)]
+    return Pallet(tuple(boards), _by_volume(boards, 20.0))
+
+
+def _pet_eur() -> Pallet:
+    """The pallet of PET-Physics (its ``eur-pallet.xml``, 7031863): 20 boxes of 2 kg, some of which are 4 mm deep in
+    each other. There its deck is 5 mm above z = 0; here it is at z = 0, as everywhere."""
+    middle, bottom_mm = np.array([600.0, 400.0, 0.0]), -72.0
+    half_and_place: list[tuple[Triple, Triple]] = [((600, 75, 15), (0, y, 62)) for y in (-325, 0, 325)]
+    half_and_place += [((600, 60, 15), (0, y, 62)) for y in (-162.5, 162.5)]
+    half_and_place += [((75, 400, 7), (x, 0, 44)) for x in (-525, 0, 525)]
+    half_and_place += [((68, 58, 44.5), (x, y, -7.5)) for x in (-532, 0, 532) for y in (-342, 0, 342)]
+    half_and_place += [((600, 58, 10), (0, y, -62)) for y in (-342, 0, 342)]
+    boards = []
+    for half, place in half_and_place:
+        x, y, z = (middle + place - half).tolist()
+        boards.append(((x, y, z - bottom_mm), (2 * half[0], 2 * half[1], 2 * half[2])))
+    return Pallet(tuple(boards), (2.0,) * len(boards))
+
+
+def _rollcontainer_grid() -> Pallet:
+    """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
+
+    A typical one, of no maker's, with the extents of the target ``rollcontainer``: no source was found for the bars of
+    a certain one. Its castors are blocks, and roll no more than the feet of a pallet do.
+    """
+    length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
+    under = top - bar - tube
+    boards: list[Board] = [((at, 0, top - bar), (bar, width, bar)) for at in _spread(length, (bar,) * 14)]
+    boards += [((0, at, under), (length, tube, tube)) for at in _spread(width, (tube,) * 4)]
+    boards += [((x, y, 0), (castor, castor, under)) for x in (0.0, length - castor) for y in (0.0, width - castor)]
+    return Pallet(tuple(boards), _by_volume(boards, 25.0), materials=(STEEL,) * len(boards))
+
+
+PALLETS: Final = {
+    Carrier.EPAL_1: _epal_1,
+    Carrier.GMA_48X40: _gma,
+    Carrier.PET_EUR: _pet_eur,
+    Carrier.ROLLCONTAINER_GRID: _rollcontainer_grid,
+}
+
+
+OF_SLABS: Final = ("floor_z_m", "carrier_half_height_m", "carrier_mass_kg")
+"""Fields of ``Physics`` that boards have themselves."""
+
+
+@lru_cache(maxsize=16)
+def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
+    """The boards of a carrier; None of those that are slabs."""
+    if isinstance(carrier, OwnCarrier):
+        boards = tuple((board.corner_mm, board.size_mm) for board in carrier.boards)
+        return Pallet(boards, carrier.masses_kg, carrier.frictions, carrier.materials)
+    return PALLETS[carrier]() if carrier in PALLETS else None
+
+
+def body_of(board_pallet: Pallet, physics: Physics) -> Body:
+    """A pallet as a body, with its deck at z = 0."""
+    corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*board_pallet.boards, strict=True))
+    corner[:, 2] -= board_pallet.height_mm / MM_PER_M
+    friction = np.tile(physics.carrier_friction, (len(size), 1))
+    for board, sliding in enumerate(board_pallet.frictions):
+        if sliding is not None:
+            friction[board, 0] = sliding
+    return Body.of_boards(corner + size / 2, size / 2, np.array(board_pallet.masses_kg), friction)
+
+
+def carrier_notes(sim: Simulation) -> Iterator[str]:
+    """A line for each option that has no effect with this carrier."""
+    board_pallet, physics = pallet(sim.carrier), sim.physics
+    if board_pallet is None:
+        return
+    name = printable_name(sim.carrier if isinstance(sim.carrier, Carrier) else sim.carrier.name or "the carrier")
+    idle = [field for field in OF_SLABS if getattr(physics, field) != Physics.model_fields[field].default]
+    if idle:
+        verb = "has" if len(idle) == 1 else "have"
+        these = " and ".join(f"physics.{field}" for field in idle)
+        yield f"{these} {verb} no effect: {name} is made of boards, which have their own height and mass"
+    frictions = [friction for friction in board_pallet.frictions if friction is not None]
+    if not physics.has_own_friction and frictions and min(frictions) < physics.box_friction[0]:
+        why = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
+        yield f"friction {min(frictions):g} of boards of {name} has no effect with pyramidal cones: {why}"
+
+
+def carrier_friction(sim: Simulation) -> float:
+    """The largest coefficient of sliding friction of the carrier."""
+    board_pallet, usual = pallet(sim.carrier), sim.physics.carrier_friction[0]
+    frictions = () if board_pallet is None else board_pallet.frictions
+    return max((usual if friction is None else friction for friction in frictions), default=usual)
+
+
+def floor_z_m(sim: Simulation) -> float:
+    """Height of the floor, m: where pallets of boards stand, else as the physics says."""
+    board_pallet = pallet(sim.carrier)
+    return sim.physics.floor_z_m if board_pallet is None else -board_pallet.height_mm / MM_PER_M

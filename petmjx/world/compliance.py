@@ -1,0 +1,154 @@
+"""Boxes that give: contacts as springs, as stiff as the boxes between which they are.
+
+A box of stiffness k gives way by F/k between a load F on its top and what it stands on: half of it at either face, as
+in a column, so that it comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler 1867, "Die Lehre
+von der Elasticität und Festigkeit"), 2k/A for each area of the face A. Where two faces press on one another their beds
+are in series; what they share of their areas, as planned, says how stiff the contact is. So a box sinks deeper if less
+of its base is supported, and a narrow box presses deeper into what bears it.
+
+MuJoCo's contact of impedance d and time constant τ at rest is the spring f = x / (τ²·ζ²·(1 − d)·A), with A the sum of
+the inverse masses (petmjx/world/contact_laws.py). So a stiffness is an impedance; where that would be below
+``LEAST_IMPEDANCE`` the time constant is longer instead. Stiffer than the contacts of ``Physics`` no box can be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.options.physics import Physics, Triple
+from petmjx.world.contact_laws import CONTACTS_PER_FACE
+from petmjx.world.history import CARRIER
+from petmjx.world.scene import Scene
+from petmjx.world.supports import TOUCH_M, bearing_of
+
+LEAST_IMPEDANCE: Final = 0.5
+"""Below it friction would give way: boxes on a slope would creep by tenths of a millimetre a second."""
+
+LEAST_SHARE: Final = 0.05
+"""At least this share of the smaller face presses on the other one: a sliver that two boxes share only by an error of
+their places is no bed of springs."""
+
+
+POINTS_PER_BED: Final = 4
+"""Contacts of two faces that press on one another, one of which gives."""
+
+EDGE_SHARE: Final = 2 / 3
+"""A face that is pressed on less than this share of what two faces have in common is as stiff as if it were on so much.
+On springs alone a load near an edge would sink in without end. A carton spreads it, and its edges bear more than its
+middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
+
+OUTWARD: Final = 0.6
+"""And its pressure goes outward: by this times ``EDGE_SHARE`` / share − 1 of the way to its deepest line. At a quarter
+of the face it is there, with the lean 12 F / (k·L) at which of Simpson's nine points only those at the edge bear."""
+
+FACE_COSINE: Final = 0.5
+"""Faces press on one another if their normals are at least so opposite. Else an edge presses on something."""
+
+
+@dataclass(frozen=True)
+class Face:
+    """What the law of a contact needs to know of a shape.
+
+    Attributes:
+        give: its face's area for each half stiffness, A/2k, m³/N; 0: it is rigid.
+        middle, half: as planned, m.
+        inverse_mass: of its body, 1/kg; 0: it does not move.
+    """
+
+    give: float
+    middle: Triple
+    half: Triple
+    inverse_mass: float
+
+
+def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
+    """(n,) area of a box's top for each half stiffness, m³/N; 0 where it is rigid (stiffness inf)."""
+    area: FloatArray = 4.0 * half_size[:, 0] * half_size[:, 1]
+    return area / (2.0 * stiffness_n_m)
+
+
+def shared_area_m2(one: Face, two: Face) -> float:
+    """Area in which two shapes press on one another, as planned: that of the smaller one where neither is above."""
+    (ax, ay, az), (bx, by, bz) = one.middle, two.middle
+    (al, aw, ah), (bl, bw, bh) = one.half, two.half
+    smaller = 4.0 * min(al * aw, bl * bw)
+    length, width = min(ax + al, bx + bl) - max(ax - al, bx - bl), min(ay + aw, by + bw) - max(ay - aw, by - bw)
+    if abs(az - bz) < ah + bh - TOUCH_M or length <= 0.0 or width <= 0.0:
+        return smaller
+    return max(length * width, LEAST_SHARE * smaller)
+
+
+def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(p, 2) MuJoCo's solref and (p,) impedances of contacts that are springs of these stiffnesses at rest."""
+    time_s, damping = physics.solref
+    time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
+    # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
+    stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
+    lack = stiffness / (spring_n_m * inverse_mass)
+    impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
+    longer = np.maximum(lack / (1 - LEAST_IMPEDANCE), 1.0)
+    if time_s < 0:
+        return np.column_stack([time_s / longer, damping / longer**0.5]), impedance
+    return np.column_stack([time_s * longer**0.5, np.full_like(longer, damping)]), impedance
+
+
+def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tuple[tuple[float, float], Triple]:
+    """MuJoCo's solref and solimp of a contact that is a spring of this stiffness at rest."""
+    time_s, damping = physics.solref
+    time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
+    # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
+    stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
+    lack = stiffness / (spring_n_m * inverse_mass)
+    impedance = float(np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1]))
+    longer = max(lack / (1 - LEAST_IMPEDANCE), 1.0)
+    solref = (time_s / longer, damping / longer**0.5) if time_s < 0 else (time_s * longer**0.5, damping)
+    return solref, (impedance, impedance, physics.solimp[2])
+
+
+def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple]:
+    """solref and solimp of contacts between two shapes, or between one and the floor (None)."""
+    give = one.give + (two.give if two is not None else 0.0)
+    if give == 0.0:
+        return physics.solref, physics.solimp
+    area = 4.0 * one.half[0] * one.half[1] if two is None else shared_area_m2(one, two)
+    inverse_mass = one.inverse_mass + (two.inverse_mass if two is not None else 0.0)
+    return spring_law(physics, area / give / CONTACTS_PER_FACE, inverse_mass)
+
+
+def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
+    """(n,) how deep the beds below boxes give way under the weights on them, as planned, m; 0 where nothing gives.
+
+    Args:
+        load_n: (n,) of each box with all that it bears, N.
+    """
+    if scene.stiffness is None:
+        return np.zeros(scene.n_boxes)
+    bearing = bearing_of(scene)
+    give = np.append(compliances(scene.stiffness, scene.half_size), 0.0)  # CARRIER is the last
+    area = (bearing.high - bearing.low).prod(axis=1)
+    with np.errstate(divide="ignore"):
+        spring = area / (give[bearing.upper] + give[bearing.lower])
+    total = np.zeros(scene.n_boxes)
+    np.add.at(total, bearing.upper, spring)
+    return np.where(total > 0, load_n / np.where(total > 0, total, 1.0), 0.0)
+
+
+@lru_cache(maxsize=256)
+def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
+    """(n,) how far each box is meant to come down once all are placed, m: what the boxes below it and its own face give
+    under the loads of the plan. None where no box gives."""
+    if scene.stiffness is None:
+        return None
+    bearing = bearing_of(scene)
+    depth = bed_depth_m(scene, gravity_m_s2 * bearing.loads(scene.n_boxes)[:, 0])
+    sink_m = np.zeros(scene.n_boxes)
+    for box in np.argsort(scene.target[:, 2] - scene.half_size[:, 2], kind="stable").tolist():
+        lower = bearing.lower[bearing.upper == box]
+        below = sink_m[lower[lower != CARRIER]]
+        sink_m[box] = depth[box] + below.max(initial=0.0)
+    return sink_m

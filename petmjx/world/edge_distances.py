@@ -1,0 +1,408 @@
+"""How far loads are from the edges of what bears boxes: by the plan, at rest, and while the plan is built.
+
+The load of a box is its own weight and all that rests on it. Where the way in which boxes share loads by springs has a
+load beyond an edge, and another way may have it inside, that is looked for (petmjx.world.load_balance): a load is
+beyond an edge only if vertical forces cannot balance the boxes.
+
+How far loads are from the edges of what bears boxes after each box is placed.
+
+A counterweight that comes too late holds nothing: its plan may have all loads inside when it is complete, and fall
+while it is built. So every box's load is looked at after each placement that changes it.
+
+What a box bears of each box above it does not depend on the others, as long as no support pulls. So own weights go down
+once, each for itself, and a box's load after a placement is the sum of those of boxes that are there. Only boxes that
+pull, and those below them, are gone through placement by placement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.world.history import CARRIER
+from petmjx.world.load_balance import BEYOND_M, balanced_loads
+from petmjx.world.load_sharing import IntArray, pulls
+from petmjx.world.scene import Scene
+from petmjx.world.supports import Bearing, bearing_of, joined_bearing
+
+ROUNDING_M: Final = 1e-9
+"""A load that is less beyond an edge lies on it: rounding errors of sums of millimetres."""
+
+
+class Edges(NamedTuple):
+    """How far inside the nearest edge of what bears them loads of n boxes act, m; negative: beyond it. NaN: nothing
+    bears the box, or it is not placed.
+
+    Attributes:
+        by_weight: (n,) of their own weights alone.
+        by_load: (n,) of their loads.
+    """
+
+    by_weight: FloatArray
+    by_load: FloatArray
+
+    @property
+    def least(self) -> FloatArray:
+        """(n,) the nearer one. A box whose own weight would tip it over, but is held down by what rests on it, has that
+        of its load: how it came to stand is a matter of building."""
+        held = (self.by_weight < 0) & (self.by_load >= 0)
+        nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
+        return nearer
+
+
+def edges_of(bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None) -> list[Edges]:
+    """The edges of the boxes of each scene, once so many are placed.
+
+    Args:
+        joined: the bearings together, where they are at hand.
+    """
+    if not bearings:
+        return []
+    bearing = joined or joined_bearing(bearings)
+    _, by_weight, by_load = loads_and_edges(bearings, bearing, placed)
+    return [Edges(by_weight[i:k], by_load[i:k]) for i, k in pairwise(bearing.boxes.first.tolist())]
+
+
+def loads_and_edges(
+    bearings: Sequence[Bearing], bearing: Bearing, placed: Sequence[int]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n, 4) loads of all boxes, as ``Bearing.loads`` has them, and (n,) edges of their own weights and of their loads.
+
+    Args:
+        bearing: the others together.
+    """
+    among, load = bearing.boxes.among(placed), bearing.loads(placed)
+    by_weight, by_load = (
+        np.where(among, _exact(bearing.edges_m(moments)), np.nan) for moments in (bearing.weights, load)
+    )
+    open_ = below_several(bearing, among) if (by_load < 0).any() else among
+    for number in np.setdiff1d(
+        _scenes(bearing, (by_load < 0) & open_), _scenes(bearing, (by_load < 0) & ~open_)
+    ).tolist():
+        boxes = slice(*bearing.boxes.first[number : number + 2].tolist())
+        one = bearings[number]
+        bearing.share_hulls(number, one)
+        load[boxes, :3], by_load[boxes] = rebalanced_loads(one, load[boxes], by_load[boxes], among[boxes])
+    return load, by_weight, by_load
+
+
+def _scenes(bearing: Bearing, boxes: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Which scenes have one of these boxes."""
+    return np.unique(np.searchsorted(bearing.boxes.first, np.flatnonzero(boxes), side="right") - 1)
+
+
+def _exact(edge_m: FloatArray) -> FloatArray:
+    """The distances, with 0 for those on the edge but for rounding."""
+    return np.where((edge_m < 0) & (edge_m > -ROUNDING_M), 0.0, edge_m)
+
+
+def rebalanced_loads(
+    bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray]:
+    """(n, 3) loads of one scene, and (n,) their edges, where loads seem to be beyond edges: as well inside as forces
+    that balance allow."""
+    result = balanced_loads(bearing, load, edge_m, placed)
+    if result is None:
+        return load[:, :3], edge_m
+    balancing, beyond = result
+    # what is not beyond an edge either way keeps its distance where there is no balance
+    kept = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
+    edges = np.where(~placed | kept, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
+    edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
+    return balancing, edges
+
+
+def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(n,) which boxes bear part of a box with several supports, so that their loads depend on how it shares its own,
+    ``among`` these."""
+    several = among & (bearing.n_supports > 1)
+    below = np.zeros(len(among), bool)
+    for between in bearing.levels:
+        upper, lower = bearing.upper[between], bearing.lower[between]
+        np.logical_or.at(below, lower, below[upper] | several[upper])
+    return below
+
+
+MOST_PROGRAMMES: Final = 2
+"""Placements of a plan for which a linear programme is solved, a few milliseconds each and more for a hundred boxes on
+several supports. Loads that only seem to be beyond edges after others are left out: nothing shows that they are."""
+
+
+class BuildingLoads(NamedTuple):
+    """Loads after placements: p pairs of a box and a box that is placed, sorted.
+
+    Attributes:
+        box: (p,) whose load it is.
+        step: (p,) the box whose placement makes it so.
+        load: (p, 3) as in ``Bearing.loads``, without the height.
+        edge_m: (p,) how far it is inside; NaN where nothing bears the box.
+    """
+
+    box: IntArray
+    step: IntArray
+    load: FloatArray
+    edge_m: FloatArray
+
+
+class LeastBuildingEdge(NamedTuple):
+    """The load that is nearest to an edge while a plan is built, or furthest beyond one.
+
+    Attributes:
+        edge_m: how far inside it is; NaN: there is none.
+        box: whose it is; -1: there is none.
+        step: the box whose placement makes it so.
+        nearest_m: the least distance of a load from an edge on either side.
+    """
+
+    edge_m: float
+    box: int
+    step: int
+    nearest_m: float
+
+
+def building_edges(
+    bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None
+) -> list[LeastBuildingEdge]:
+    """The least edges over all placements of the first so many boxes of each scene.
+
+    Args:
+        joined: the bearings together, and maybe others after them, where they are at hand.
+    """
+    if not bearings:
+        return []
+    bearing, in_order = joined or joined_bearing(bearings), list(bearings)
+    theirs = bearing.upper < bearing.boxes.first[len(bearings)]
+    if not (bearing.lower < bearing.upper)[theirs].all():
+        in_order = [_order_bearing(one) for one in bearings]
+        bearing = joined_bearing(in_order)
+    others = len(bearing.boxes.first) - 1 - len(bearings)
+    built = building_loads_of(bearing, [*placed, *[0] * others])
+    beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
+    scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
+    surely, perhaps = (np.bincount(scene[beyond & which], minlength=len(bearings)) > 0 for which in (~depends, depends))
+    edge = np.where(beyond & depends & surely[scene], np.nan, built.edge_m)
+    begins = np.searchsorted(scene, np.arange(len(bearings) + 1)).tolist()
+    least = []
+    for number, one in enumerate(in_order):
+        pairs, first = slice(begins[number], begins[number + 1]), int(bearing.boxes.first[number])
+        of_one = BuildingLoads(built.box[pairs] - first, built.step[pairs] - first, built.load[pairs], edge[pairs])
+        looked = perhaps[number] and not surely[number]
+        least.append(_exact_least_edge(one, of_one) if looked else _least(of_one))
+    return least
+
+
+def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
+    """From which placement on the load of a box is beyond the edge while a plan is built, and the one after which it is
+    not any more: numbers of boxes; -1 for none."""
+    built = building_loads_of(_order_bearing(bearing_of(scene)), [scene.n_boxes])
+    steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
+    beyond = np.flatnonzero(edge < 0)
+    if not len(beyond):
+        return -1, -1
+    inside = np.flatnonzero((edge >= 0) & (steps > steps[beyond[0]]))
+    return int(steps[beyond[0]]), int(steps[inside[0]]) if len(inside) else -1
+
+
+def _order_bearing(bearing: Bearing) -> Bearing:
+    """A scene's bearing, without boxes that bear others which are placed before them: what hangs in the air until then
+    has fallen."""
+    before = bearing.lower < bearing.upper
+    if before.all():
+        return bearing
+    return Bearing(
+        bearing.boxes, bearing.upper[before], bearing.lower[before], bearing.low[before], bearing.high[before]
+    )
+
+
+def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
+    """The loads of boxes after all placements that change them.
+
+    Args:
+        bearing: of several scenes together, whose boxes lie on earlier ones only.
+    """
+    box, step, part = _parts(bearing, bearing.boxes.among(placed))
+    begins = np.searchsorted(box, np.arange(len(bearing.boxes.mass) + 1))
+    load = _running_sums(part, begins)
+    several = bearing.n_supports > 1
+    if several.any():
+        _without_pulls(bearing, begins, step, load)
+    point = load[:, 1:] / load[:, :1]
+    edge = np.full(len(box), np.nan)
+    one = np.flatnonzero((bearing.n_supports == 1)[box])
+    contact = np.cumsum(bearing.n_supports) - bearing.n_supports
+    low, high = bearing.low[contact[box[one]]], bearing.high[contact[box[one]]]
+    edge[one] = np.minimum(point[one] - low, high - point[one]).min(axis=1)
+    more = np.flatnonzero(several[box])
+    edge[more] = bearing.hulls.inside_m(bearing.number_of_hull[box[more]], point[more])
+    edge[(edge < 0) & (edge > -ROUNDING_M)] = 0.0
+    return BuildingLoads(box, step, load, edge)
+
+
+def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
+    """Sorted pairs of a box and a box that it bears a part of, itself too: (p,), (p,) and (p, 3) parts."""
+    n, boxes = len(among), np.flatnonzero(among)
+    between = np.flatnonzero(bearing.lower != CARRIER)
+    count = np.bincount(bearing.upper[between], minlength=n)
+    first = np.cumsum(count) - count
+    most = int(bearing.level.max(initial=0)) + 1
+    waiting: list[list[tuple[IntArray, FloatArray]]] = [[] for _ in range(most)]
+
+    def wait(key: IntArray, part: FloatArray) -> None:
+        level = bearing.level[key // n]
+        for number in np.unique(level).tolist():
+            here = level == number
+            waiting[number].append((key[here], part[here]))
+
+    wait(boxes * n + boxes, bearing.weights[boxes, :3])
+    done = []
+    for level in waiting:
+        if not level:
+            continue
+        keys, parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
+        key, place = np.unique(keys, return_inverse=True)
+        part = np.stack([np.bincount(place, weights=column, minlength=len(key)) for column in parts.T], axis=1)
+        done.append((key, part))
+        upper = key // n
+        times = count[upper]
+        rows = np.repeat(np.arange(len(key)), times)
+        contact = between[first[upper[rows]] + np.arange(len(rows)) - np.repeat(np.cumsum(times) - times, times)]
+        if len(rows):
+            passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
+            wait(bearing.lower[contact] * n + key[rows] % n, passed)
+    all_keys = np.concatenate([boxes[:0], *(key for key, _ in done)])
+    order = np.argsort(all_keys)
+    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in done)])[order]
+    return all_keys[order] // n, all_keys[order] % n, sums
+
+
+def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
+    """(p, 3) sums from each box's first pair on."""
+    sums, count = part.copy(), np.diff(begins)
+    for k in range(1, int(count.max(initial=0))):  # each box for itself: its sums do not depend on company
+        later = begins[:-1][count > k] + k
+        sums[later] += sums[later - 1]
+    return sums
+
+
+def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
+    """Put right the loads of boxes on which others would pull, and of all below these."""
+    several = np.flatnonzero(bearing.n_supports > 1)
+    contacts = _spans(bearing.n_supports, several)
+    times = np.diff(begins)[bearing.upper[contacts]]
+    pair = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
+    contact = np.repeat(contacts, times)
+    pair += begins[bearing.upper[contact]]
+    force = np.einsum("cij,cj->ci", bearing.shares[contact], load[pair])
+    pulled = np.zeros(len(bearing.boxes.mass), bool)
+    pulled[bearing.upper[contact[pulls(force, bearing.low[contact], bearing.high[contact], load[pair, 0])]]] = True
+    if not pulled.any():
+        return
+    for between in bearing.levels:
+        np.logical_or.at(pulled, bearing.lower[between], pulled[bearing.upper[between]])
+    count, n = np.diff(begins), len(pulled)
+    above = np.argsort(bearing.lower, kind="stable")
+    n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
+    above = above[np.count_nonzero(bearing.lower == CARRIER) :]
+    key = np.repeat(np.arange(n), count) * n + step  # in order
+    # the forces at contacts of boxes that are gone through, one for each of their loads
+    size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
+    first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
+    weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
+    level = bearing.level[boxes]
+    for number in np.unique(level).tolist():
+        some = boxes[level == number]
+        pairs, owner = _spans(count, some), np.repeat(some, count[some])
+        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[_spans(n_above, owner)]
+        upper = bearing.upper[contact]
+        last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
+        placed = last >= begins[upper]
+        rows, contact, upper, last = rows[placed], contact[placed], upper[placed], last[placed]
+        through = pulled[upper]
+        passed = np.zeros((len(rows), 3))
+        passed[through] = forces[(first[contact] + last - begins[upper])[through]]
+        passed[~through] = np.einsum("cij,cj->ci", bearing.shares[contact[~through]], load[last[~through]])
+        load[pairs] = np.where((step[pairs] >= owner)[:, None], weights[owner], 0.0)
+        np.add.at(load, pairs[rows], passed)
+        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), _spans(bearing.n_supports, owner)
+        place = first[contact] + (pairs - begins[owner])[rows]
+        forces[place] = _contact_pushes(bearing, owner, load[pairs], rows, contact)
+
+
+def _contact_pushes(
+    bearing: Bearing, owner: IntArray, load: FloatArray, rows: IntArray, contact: IntArray
+) -> FloatArray:
+    """(k, 3) the forces at contacts under loads.
+
+    Args:
+        owner: (p,) whose loads they are; ``load``: (p, 3).
+        rows: (k,) which load presses at each contact; ``contact``: (k,) the contacts, all of each load's box.
+    """
+    under, several = load[rows], (bearing.n_supports[owner] > 1)[rows]
+    force = np.where(several[:, None], np.einsum("cij,cj->ci", bearing.shares[contact], under), under)
+    low, high = bearing.low[contact], bearing.high[contact]
+    pulled = np.zeros(len(owner), bool)
+    pulled[rows[several & pulls(force, low, high, under[:, 0])]] = True
+    if pulled.any():
+        some = pulled[rows]
+        number = (np.cumsum(pulled) - 1)[rows[some]]
+        force[some] = bearing.pushed(load[pulled], owner[pulled], number, low[some], high[some])
+    return force
+
+
+def _spans(count: IntArray, chosen: IntArray) -> IntArray:
+    """The numbers of all members of the chosen groups, of which each has so many."""
+    first, times = (np.cumsum(count) - count)[chosen], count[chosen]
+    spans: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
+    return spans
+
+
+def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
+    """The least edge of one scene, where all loads that seem to be beyond edges depend on how other boxes share
+    theirs: a linear programme says of the furthest ones whether they are."""
+    edge = built.edge_m.copy()
+    for _ in range(MOST_PROGRAMMES):
+        if not (edge < 0).any():
+            break
+        step = int(built.step[np.nanargmin(edge)])
+        last, seen = balanced_after(bearing, built, step)
+        if (seen < 0).any():
+            box = int(np.nanargmin(seen))
+            return LeastBuildingEdge(float(seen[box]), box, step, float(np.nanmin(np.abs(edge))))
+        edge[last] = np.where(edge[last] < 0, seen[built.box[last]], edge[last])
+    edge[edge < 0] = np.nan
+    return _least(built._replace(edge_m=edge))
+
+
+def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
+    """The pairs of one scene that have each box's load after a placement, and (n,) edges of these loads, as well inside
+    as forces that balance allow."""
+    n = len(bearing.boxes.mass)
+    now = np.flatnonzero(built.step <= step)
+    last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
+    load, edge = np.zeros((n, 3)), np.full(n, np.nan)
+    load[built.box[last]], edge[built.box[last]] = built.load[last], built.edge_m[last]
+    _, seen = rebalanced_loads(bearing, load, edge, np.arange(n) <= step)
+    return last, seen
+
+
+def _least(built: BuildingLoads) -> LeastBuildingEdge:
+    """The least of one scene's edges."""
+    known = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
+    if not (known < np.inf).any():
+        return LeastBuildingEdge(np.nan, -1, -1, np.nan)
+    place, nearest = int(known.argmin()), float(np.abs(known).min())
+    return LeastBuildingEdge(float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), nearest)
+
+
+def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
+    """(p,) which loads depend on how a box with several supports shares its own."""
+    shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
+    first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
+    np.minimum.at(first, built.box[shares], built.step[shares])
+    depends: NDArray[np.bool_] = first[built.box] <= built.step
+    return depends

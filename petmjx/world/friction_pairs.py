@@ -1,0 +1,191 @@
+"""Friction by pairs: which coefficient counts between two shapes, where it is not the larger one of the two; and
+landings.
+
+Shapes have surfaces, numbered from 1; a table has the coefficient of sliding friction of each pair of surfaces. Surface
+0 is that of the floor, and of all shapes without a surface of their own.
+
+Which surfaces the shapes of a plan's world have, and the friction between them: by materials, and by boards' own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
+from petmjx.options.materials import WOOD, check_pairs, friction_between, landing_between
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.world.carrier_boards import pallet
+
+MOST_SURFACES: Final = 16
+"""Rows of a world's table on devices, surface 0 included."""
+
+LARGER: Final = -1.0
+"""In place of a coefficient: the larger one of the two shapes counts, as everywhere in MuJoCo."""
+
+
+USUAL: Final = -1.0
+"""In place of a number of a landing: that of the physics counts."""
+
+
+def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
+    """(k, k, 2) a table of landings that says nothing."""
+    return np.full((n_surfaces, n_surfaces, 2), USUAL)
+
+
+def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
+    """(k, k) a table that says nothing."""
+    return np.full((n_surfaces, n_surfaces), LARGER)
+
+
+def scaled_pairs(
+    table: FloatArray | None, of_boards: NDArray[np.intp] | None, box_factor: float, carrier_factor: float
+) -> FloatArray | None:
+    """(k, k) a table with other friction of boxes and carrier, whose boards have surfaces of their own.
+
+    Between two the larger factor counts, as the larger coefficient does for a pair without an entry.
+    """
+    if table is None:
+        return None
+    factor = np.full(len(table), box_factor)
+    if of_boards is not None:
+        factor[of_boards] = carrier_factor
+    return np.where(table == LARGER, LARGER, table * np.maximum.outer(factor, factor))
+
+
+def filled_up(table: FloatArray | None) -> FloatArray:
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table with rows for all surfaces.
+
+    Raises:
+        ValueError: it has more.
+    """
+    filled = no_pairs()
+    if table is not None:
+        if len(table) > MOST_SURFACES:
+            raise ValueError(f"at most {MOST_SURFACES} surfaces, got {len(table)}")
+        filled[: len(table), : len(table)] = table
+    return filled
+
+
+def filled_up_landings(table: FloatArray | None) -> FloatArray:
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of landings with rows for all surfaces."""
+    filled = no_landings()
+    if table is not None:
+        filled[: len(table), : len(table)] = table
+    return filled
+
+
+_NOT_SAID: Final = ""
+"""The material of a box for which none is given."""
+
+_Board = tuple[float | None, str]
+"""A board's own friction, and its material."""
+
+
+class Surfaces(NamedTuple):
+    """The surfaces of a world.
+
+    Attributes:
+        of_boxes: (n,).
+        of_boards: (s,) of the carrier's.
+        friction: (k, k) between surfaces (petmjx/world/friction_pairs.py).
+        landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
+    """
+
+    of_boxes: NDArray[np.intp]
+    of_boards: NDArray[np.intp]
+    friction: FloatArray
+    landing: FloatArray
+
+
+def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None:
+    """The surfaces of a plan's boxes and its carrier's boards; None where neither boxes have materials nor boards a
+    friction of their own, and with pyramidal cones, whose pairs have none.
+
+    Between a box and a board the board's own friction counts, if it has one, else that of their materials. Where a box
+    has no material the larger coefficient of two shapes counts.
+
+    Raises:
+        InputError: friction between two of the materials is not known, or there are too many of them.
+    """
+    boards = _boards(sim, n_boards)
+    materials = plan.materials or (_NOT_SAID,) * plan.n_boxes
+    has_materials = any(materials)
+    if not sim.physics.has_own_friction or not (has_materials or any(friction is not None for friction, _ in boards)):
+        return None
+    of_boxes, of_boards = sorted(set(materials)), sorted(set(boards), key=repr)
+    if has_materials:
+        of_materials = [material for friction, material in of_boards if friction is None]
+        check_pairs([material for material in materials if material], of_materials, sim.friction_pairs)
+    if 1 + len(of_boxes) + len(of_boards) > MOST_SURFACES:
+        raise InputError(
+            f"plan {printable_name(plan.plan_id)}: at most {MOST_SURFACES - 1} surfaces of boxes and boards, got "
+            f"{len(of_boxes) + len(of_boards)}"
+        )
+    table = no_pairs(1 + len(of_boxes) + len(of_boards))
+    landing = no_landings(len(table))
+    for row, one in enumerate(of_boxes, start=1):
+        for column, other in enumerate(of_boxes, start=1):
+            table[row, column] = _pair_friction(one, other, sim)
+            landing[row, column] = _landing(one, other, sim)
+        for column, (friction, material) in enumerate(of_boards, start=1 + len(of_boxes)):
+            table[row, column] = table[column, row] = (
+                friction if friction is not None else _pair_friction(one, material, sim)
+            )
+            landing[row, column] = landing[column, row] = _landing(one, material, sim)
+    surface_of = {material: row for row, material in enumerate(of_boxes, start=1)}
+    surface_of_board = {board: row for row, board in enumerate(of_boards, start=1 + len(of_boxes))}
+    return Surfaces(
+        np.array([surface_of[material] for material in materials]),
+        np.array([surface_of_board[board] for board in boards]),
+        table,
+        landing,
+    )
+
+
+def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
+    """Whether friction between all materials of all plans is known; a line where materials or stiffness have no effect.
+
+    Raises:
+        InputError: as ``find_surfaces``.
+    """
+    plans = list(plans)
+    with_materials = [plan for plan in plans if plan.materials]
+    notes = []
+    if not sim.physics.has_own_friction and any(plan.stiffness_n_mm is not None for plan in plans):
+        notes.append("stiffness has no effect: with pyramidal cones all contacts follow physics alone")
+    if not with_materials:
+        return notes
+    if not sim.physics.has_own_friction:
+        return [*notes, "materials have no effect: with pyramidal cones only the friction of boxes and carrier counts"]
+    board_pallet = pallet(sim.carrier)
+    for plan in with_materials:
+        find_surfaces(plan, sim, 1 if board_pallet is None else len(board_pallet.boards))
+    return notes
+
+
+def _boards(sim: Simulation, count: int) -> list[_Board]:
+    board_pallet = pallet(sim.carrier)
+    frictions = board_pallet.frictions if board_pallet is not None else ()
+    materials = board_pallet.materials if board_pallet is not None else ()
+    return list(zip(frictions or (None,) * count, materials or (WOOD,) * count, strict=True))
+
+
+def _pair_friction(one: str, other: str, sim: Simulation) -> float:
+    """As in a table; of a pair that is not known no two bodies touch (``check_pairs``)."""
+    friction = friction_between(one, other, sim.friction_pairs) if one and other else None
+    return LARGER if friction is None else friction
+
+
+def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:
+    """As in a table."""
+    if not (one and other):
+        return USUAL, USUAL
+    restitution, landing_s = landing_between(one, other, sim.landing_pairs)
+    return USUAL if restitution is None else restitution, USUAL if landing_s is None else landing_s

@@ -1,0 +1,185 @@
+"""The scenes of worlds to which boxes are added one by one. A scene is made when it is asked for: a packer places
+thousands of boxes at a time, and reads few scenes.
+
+The next box of each of some worlds, in arrays: what a packer asks about, thousands at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.world.scene import OF_BOXES, Scene, build_scene, half_size_and_target
+
+_FIRST_ROOM = 16
+
+
+class OpenScenes:
+    """The scenes of n worlds with one carrier.
+
+    Args:
+        scenes: at first.
+        blank: what is the same of all boxes that are added.
+    """
+
+    def __init__(self, scenes: Sequence[Scene], blank: EmptyCarrier) -> None:
+        n = len(scenes)
+        self._blank, self._carrier = blank, scenes[0].carrier
+        self._made = list(scenes)
+        """Of each world a scene with its first boxes, perhaps all."""
+        self._count = np.zeros(n, np.int64)
+        self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
+        self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
+        self.set(range(n), scenes)
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def __getitem__(self, world: int) -> Scene:
+        scene, n = self._made[world], int(self._count[world])
+        if scene.n_boxes < n:
+            rest = NextBoxes(*(values[world, scene.n_boxes : n] for values in self._columns))
+            for row in range(len(rest)):
+                scene = self._blank.with_box(scene, rest, row)
+            self._made[world] = scene
+        return scene
+
+    def set(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
+        """Worlds have these scenes now."""
+        for world, scene in zip(worlds, scenes, strict=True):
+            self._make_room(scene.n_boxes)
+            self._made[world], self._count[world] = scene, scene.n_boxes
+            for table, values in zip(self._columns, (scene.half_size, scene.target, scene.mass), strict=True):
+                table[world, : scene.n_boxes], table[world, scene.n_boxes :] = values, np.nan
+
+    def add(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
+        """Each of these worlds has one box more."""
+        rows, at = np.asarray(worlds, np.intp), self._count[worlds]
+        self._make_room(int(at.max(initial=0)) + 1)
+        for table, values in zip(self._columns, (boxes.half_size, boxes.target, boxes.mass), strict=True):
+            table[rows, at] = values
+        self._count[rows] += 1
+
+    def copy(self, sources: Sequence[int], into: Sequence[int]) -> None:
+        """Give worlds the scenes of others."""
+        for world, made in zip(into, [self._made[source] for source in sources], strict=True):
+            self._made[world] = made
+        for table in (self._count, *self._columns):
+            table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
+
+    def stacks(self, worlds: Sequence[int]) -> Stacks:
+        """The boxes of these worlds, which may be named more than once, in arrays as wide as the fullest needs."""
+        rows = np.asarray(worlds, np.intp)
+        width = int(self._count[rows].max(initial=0))
+        half_size, target, mass = (table[rows, :width] for table in self._columns)
+        carrier = self._carrier
+        friction = float(self._blank.friction[0])
+        return Stacks(half_size, target, mass, carrier.mass, float(carrier.friction[:, 0].max()), friction)
+
+    @property
+    def _columns(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self._half_size, self._target, self._mass
+
+    def _make_room(self, n_boxes: int) -> None:
+        """Columns for so many boxes, and for as many again."""
+        if n_boxes <= self._mass.shape[1]:
+            return
+        self._half_size, self._target, self._mass = (_widened_columns(table, 2 * n_boxes) for table in self._columns)
+
+
+def _widened_columns(table: FloatArray, width: int) -> FloatArray:
+    wide: FloatArray = np.full((len(table), width, *table.shape[2:]), np.nan)
+    wide[:, : table.shape[1]] = table
+    return wide
+
+
+_ONE_MM: Final = np.full((1, 3), 100.0)
+
+
+@dataclass(frozen=True, eq=False)
+class NextBoxes:
+    """One box for each of m worlds, as ``Scene`` has them.
+
+    Attributes:
+        half_size: (m, 3) half extents, m.
+        target: (m, 3) planned middles, m, where they are also released.
+        mass: (m,) kg.
+    """
+
+    half_size: FloatArray
+    target: FloatArray
+    mass: FloatArray
+
+    @classmethod
+    def of(cls, size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray, sim: Simulation) -> NextBoxes:
+        """As ``build_scene`` makes them of a plan's, to the last bit.
+
+        Args:
+            size_mm, corner_mm: (m, 3) as they stand; ``mass_kg``: (m,).
+        """
+        return cls(*half_size_and_target(size_mm, corner_mm, sim), mass_kg)
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+    def take(self, rows: NDArray[np.intp]) -> NextBoxes:
+        """Some of them."""
+        return NextBoxes(self.half_size[rows], self.target[rows], self.mass[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Stacks:
+    """The planned boxes of m worlds of one carrier, k columns; NaN where a world has fewer.
+
+    Attributes:
+        half_size, target: (m, k, 3) m; ``mass``: (m, k) kg.
+        carrier_mass: kg; ``carrier_friction``, ``box_friction``: coefficients of sliding friction.
+    """
+
+    half_size: FloatArray
+    target: FloatArray
+    mass: FloatArray
+    carrier_mass: float
+    carrier_friction: float
+    box_friction: float
+
+    def with_next(self, boxes: NextBoxes) -> tuple[FloatArray, FloatArray]:
+        """(m, k + 1, 3) half extents and planned middles with one box more each, m."""
+        m = len(boxes)
+        tables = []
+        count = np.isfinite(self.mass).sum(axis=1)
+        for before, new in ((self.half_size, boxes.half_size), (self.target, boxes.target)):
+            table = np.concatenate([before, np.full((m, 1, 3), np.nan)], axis=1)
+            table[np.arange(m), count] = new
+            tables.append(table)
+        return tables[0], tables[1]
+
+
+class EmptyCarrier:
+    """The carrier of some options alone, and what is the same of all boxes that are put on it."""
+
+    def __init__(self, sim: Simulation) -> None:
+        plan = Plan("", "", _ONE_MM, np.zeros((1, 3)), np.ones(1), ("",), ("",), np.ones(1, np.int64))
+        self._one = build_scene(plan, sim)
+        self.scene = self._one.first(0)
+        self.friction = self._one.friction[0]
+        self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
+
+    def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
+        """A scene with one box more, of which only extents, place and mass are known."""
+        place = boxes.target[row]
+        box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
+        grown: dict[str, Any] = {}
+        for name in OF_BOXES:
+            before = getattr(scene, name)
+            if before is not None:
+                value = box_values[name] if name in box_values else getattr(self._one, name)[0]
+                grown[name] = np.concatenate([before, np.asarray(value)[None]])
+        return replace(scene, **grown)

@@ -1,0 +1,132 @@
+"""What happened in a world over time: frames that an engine recorded, for jobs that ask for it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.text import count_text
+from petmjx.common.units import FloatArray
+
+CARRIER = -1
+FLOOR = -2
+"""Bodies of contacts that are not boxes; boxes count from 0, in packing order."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """What an engine is to record of a world.
+
+    Attributes:
+        interval_s: time between frames, s, rounded to steps. Besides them the moments of placements and the last state
+            are frames.
+        details: also accelerations, penetrations and contacts; engine ``mujoco`` only.
+    """
+
+    interval_s: float
+    details: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Contacts:
+    """Contacts of all frames, c rows in order of frames.
+
+    Attributes:
+        frame: (c,) the frame.
+        body: (c, 2) the two bodies: boxes from 0, ``CARRIER``, ``FLOOR``.
+        point: (c, 3) where, m, world axes.
+        normal: (c, 3) unit vector from the first body to the second.
+        force: (c, 3) force of the first body on the second, N, world axes.
+        distance: (c,) m; negative where the bodies penetrate.
+    """
+
+    frame: NDArray[np.int32]
+    body: NDArray[np.int32]
+    point: FloatArray
+    normal: FloatArray
+    force: FloatArray
+    distance: FloatArray
+
+    @classmethod
+    def none(cls) -> Contacts:
+        """No contacts."""
+        vectors = np.zeros((0, 3))
+        return cls(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), vectors, vectors, vectors, np.zeros(0))
+
+    def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
+        """Those of the frames that are kept, with frames numbered higher by ``shift``."""
+        rows = kept[self.frame]
+        some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
+        return Contacts(**some | {"frame": some["frame"] + np.int32(shift)})
+
+    def __repr__(self) -> str:
+        return f"Contacts({count_text(len(self.frame), 'contact')})"
+
+    def then(self, later: Contacts) -> Contacts:
+        """These contacts and later ones."""
+        names = [field.name for field in fields(self)]
+        return Contacts(**{name: np.concatenate((getattr(self, name), getattr(later, name))) for name in names})
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """One world's f frames of n boxes, in packing order. Values of boxes that are not placed yet are NaN.
+
+    A frame is taken after a step. Its poses are those after the step. Forces, accelerations, contacts and drives are
+    those during the step; MuJoCo evaluates them at its beginning. A box that was placed after the step has none yet: 0.
+
+    Attributes:
+        time_s: (f,) time since the soft start; the first frame is the first placement or, with check ``static``, 0.
+        n_placed: (f,) boxes in the world.
+        pos: (f, n, 3) centres, m.
+        quat: (f, n, 4) orientations, (w, x, y, z).
+        top_force_n: (f, n) force on top of each box, N.
+        carrier_pos: (f, 3) the carrier's centre, m; carrier_quat: (f, 4).
+        drive: (f, 3) what shakes the world: force on the carrier, N, or its acceleration, m/s²; zero without a drive.
+        drive_kind: which of them, "force" or "acceleration"; "" without a drive.
+        lin_acc, ang_acc: (f, n, 3) m/s² and rad/s²; penetration_m: (f, n) greatest depth of any contact of the box.
+            None where details were not recorded, as ``contacts``.
+    """
+
+    time_s: FloatArray
+    n_placed: NDArray[np.int32]
+    pos: FloatArray
+    quat: FloatArray
+    top_force_n: FloatArray
+    carrier_pos: FloatArray
+    carrier_quat: FloatArray
+    drive: FloatArray
+    drive_kind: str = ""
+    lin_acc: FloatArray | None = None
+    ang_acc: FloatArray | None = None
+    penetration_m: FloatArray | None = None
+    contacts: Contacts | None = None
+
+    def __repr__(self) -> str:
+        frames, boxes = self.pos.shape[:2]
+        span = f"{self.time_s[0]:.2f} to {self.time_s[-1]:.2f} s" if frames else "empty"
+        return f"History({count_text(frames, 'frame')} of {count_text(boxes, 'box', 'boxes')}, {span})"
+
+    def then(self, later: History) -> History:
+        """This history up to the first frame of a later one, and then the later one.
+
+        Of the moment at which both have a frame, this one's counts: the later world began there, and what acted before
+        its beginning is not known to it.
+        """
+        kept, after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
+        joined: dict[str, Any] = {}
+        for field in fields(self):
+            ours, theirs = getattr(self, field.name), getattr(later, field.name)
+            if isinstance(ours, str):
+                joined[field.name] = theirs
+            elif ours is None or theirs is None:
+                joined[field.name] = None
+            elif isinstance(ours, Contacts):
+                first = int(kept.sum()) - int((~after).sum())
+                joined[field.name] = ours.of_frames(kept, 0).then(theirs.of_frames(after, first))
+            else:
+                joined[field.name] = np.concatenate((ours[kept], theirs[after]))
+        return History(**joined)

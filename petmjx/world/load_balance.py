@@ -1,0 +1,169 @@
+"""Loads that a stack can balance, by a linear programme with vertical forces.
+
+How boxes on several supports share their loads is not determined by statics. Where one way to share them has a load
+beyond the edge of what bears it, another one may have all loads inside: rigid boxes then stand. So forces are looked
+for at the corners of all contact areas of boxes with several supports that push and balance every box, with the load
+that is nearest to an edge as far inside as can be. Where there are none, loads are as little beyond edges as can be.
+(Forces of this kind: Livesley 1978, "Limit analysis of
+structures formed from rigid blocks", International Journal for Numerical Methods in Engineering 12(12).)
+
+Boxes on one support pass on what they bear, and nothing is unknown about them but their edges.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.world.load_sharing import IntArray
+from petmjx.world.supports import Bearing
+
+FAR_M: Final = 0.1
+"""Loads are not moved further inside than this."""
+
+BEYOND_M: Final = 1e-6
+"""A load that has to be further outside than this is beyond the edge: the solver's own tolerance is a tenth of it."""
+
+_OUTSIDE: Final = 10.0
+"""What a metre outside costs beside one inside, and a moment that nothing bears beside a metre outside."""
+
+_ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+"""Normals of a rectangle's edges: of the lowest corner, then of the highest."""
+
+
+def balanced_loads(
+    bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
+) -> tuple[FloatArray, FloatArray] | None:
+    """(n, 3) loads of one scene's boxes that balance it as well as can be, and (n,) how far they have to be beyond
+    edges at least, m; None where nothing is open.
+
+    Args:
+        bearing: of one scene.
+        load: (n, 3) or more of one way to share them; 0 for boxes that are not placed.
+        edge_m: (n,) how far they are inside.
+        placed: (n,) which boxes are placed.
+    """
+    outside = placed & (edge_m < 0)
+    passed, fixed = _fixed_forces(bearing, placed)
+    several = np.flatnonzero(placed & (bearing.n_supports > 1))
+    together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
+    # which boxes with several supports may change which loads: themselves, as it were, and those below
+    of_box = np.zeros((len(several), len(placed)), bool)
+    np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
+    of_box[np.arange(len(several)), several] = True
+    touched = outside
+    while True:
+        chosen = (of_box & touched).any(axis=1)
+        further = touched | of_box[chosen].any(axis=0)
+        if np.array_equal(further, touched):
+            break
+        touched = further
+    open_ = np.zeros(len(placed), bool)
+    open_[several[chosen]] = True
+    contacts = together[open_[bearing.upper[together]]]
+    changed = np.flatnonzero((passed[contacts].any(axis=0) | open_) & (bearing.n_supports > 0))
+    if not (outside & passed[contacts].any(axis=0)).any():
+        return None
+    return _solved_loads(bearing, contacts, changed, passed, load[:, :3], fixed)
+
+
+def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], FloatArray]:
+    """(c, n) which loads have the force at a contact in them without any choice: that of the box below, and as long as
+    boxes have one support, of those below; and (n, 3) the part of loads that own weights reach likewise."""
+    n = len(placed)
+    one = placed & (bearing.n_supports == 1)
+    below = np.full(n, -1)
+    below[bearing.upper] = bearing.lower
+    below[~one] = -1
+    reach = np.zeros((n + 1, n), bool)  # the last row is the carrier's
+    order = np.argsort(-bearing.level, kind="stable")
+    for box in order[placed[order]].tolist():
+        reach[box] = reach[below[box]]
+        reach[box, box] = True
+    weights = bearing.weights[:, :3] * placed[:, None]
+    reached: FloatArray = reach[:n].T.astype(float) @ weights
+    return reach[bearing.lower], reached
+
+
+def _solved_loads(
+    bearing: Bearing,
+    contacts: IntArray,
+    changed: IntArray,
+    passed: NDArray[np.bool_],
+    load: FloatArray,
+    weights: FloatArray,
+) -> tuple[FloatArray, FloatArray] | None:
+    """(n, 3) the loads with those that are ``changed`` by the forces at contacts.
+
+    Unknowns: the forces at the four corners of each contact; how far each load is outside; moments that nothing bears,
+    of boxes with several supports whose load is beyond their hull; and how far inside all loads are.
+    """
+    middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
+    mean = load[changed, 0].mean()
+    low, high = bearing.low[contacts] - middle, bearing.high[contacts] - middle
+    x = np.stack([low[:, 0], high[:, 0], high[:, 0], low[:, 0]], axis=1).ravel()
+    y = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1).ravel()
+    corner = np.stack([np.ones(len(x)), x, y])
+    fixed = weights[changed] / mean
+    fixed[:, 1:] -= middle * fixed[:, :1]
+    weight = load[changed, 0] / mean
+    j, f, open_ = len(changed), len(x), np.flatnonzero(bearing.n_supports[changed] > 1)
+    outside, moments, least = f, f + j, f + j + 4 * len(open_)
+    reach = np.repeat(passed[contacts].T[changed], 4, axis=1)
+    place, normal, offset = _edges_of(bearing, changed)
+    offset = offset - normal @ middle
+    # of edges: in metres at the load before, which the solver's tolerance is then of
+    edges = np.zeros((len(place), least + 1))
+    edges[:, :f] = reach[place] * (normal @ corner[1:] - offset[:, None]) / weight[place, None]
+    edges[np.arange(len(place)), outside + place], edges[:, least] = 1.0, -1.0
+    inside = (offset * fixed[place, 0] - (normal * fixed[place, 1:]).sum(axis=1)) / weight[place]
+    balance = np.zeros((len(open_), 3, least + 1))
+    lifts = np.repeat(bearing.upper[contacts], 4) == changed[open_, None]
+    balance[..., :f] = (lifts.astype(float) - reach[open_])[:, None] * corner
+    number = np.arange(len(open_))
+    for axis, sign in enumerate((1.0, -1.0, 1.0, -1.0)):
+        balance[number, 1 + axis // 2, moments + 4 * number + axis] = sign * weight[open_]
+    rows = np.concatenate([edges, balance.reshape(-1, least + 1)])
+    open_loads = fixed[open_].ravel()
+    cost, most = np.zeros(least + 1), np.full(least + 1, np.inf)
+    cost[least], most[least] = -1.0, FAR_M
+    cost[outside:moments] = _OUTSIDE
+    cost[moments:least] = _OUTSIDE**2
+    limits = np.concatenate([inside, open_loads]), np.concatenate([np.full(len(place), np.inf), open_loads])
+    force = _least(cost, rows, *limits, most)
+    if force is None:
+        return None
+    balancing, beyond = load.copy(), np.zeros(len(load))
+    loads = fixed + reach @ (corner * force[:f]).T
+    loads[:, 1:] += middle * loads[:, :1]
+    balancing[changed] = mean * loads
+    beyond[changed] = force[outside:moments]
+    unborne = np.abs(force[moments:least]).reshape(-1, 4).max(axis=1, initial=0.0)
+    beyond[changed[open_]] = np.maximum(beyond[changed[open_]], unborne)
+    return balancing, beyond
+
+
+def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """(e,) which of the boxes an edge of what bears it is of, (e, 2) normals and (e,) offsets."""
+    one, several = (np.flatnonzero(which) for which in (bearing.n_supports[boxes] == 1, bearing.n_supports[boxes] > 1))
+    contact, number = bearing.ends[boxes[one]], bearing.number_of_hull[boxes[several]]
+    hull, edge = np.nonzero(np.isfinite(bearing.hulls.offset[number]))
+    place = np.concatenate([np.repeat(one, 4), several[hull]])
+    normal = np.concatenate([np.tile(_ALONG, (len(one), 1)), bearing.hulls.normal[number[hull], edge]])
+    along = np.concatenate([bearing.low[contact], -bearing.high[contact]], axis=1).ravel()
+    return place, normal, np.concatenate([along, bearing.hulls.offset[number[hull], edge]])
+
+
+def _least(
+    cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
+) -> FloatArray | None:
+    """The x of least ``cost @ x`` with least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None where it gives up."""
+    from scipy.optimize import Bounds, LinearConstraint, milp  # a second to load; few plans need it
+    from scipy.sparse import csc_array
+
+    result = milp(cost, constraints=LinearConstraint(csc_array(rows), least, most), bounds=Bounds(0.0, bound))
+    answer: FloatArray | None = result.x
+    return answer

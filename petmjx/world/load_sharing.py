@@ -1,0 +1,192 @@
+"""How boxes share their loads among what bears them, if supports can only push.
+
+The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). Where a load is far from the middle
+of the supports, that plane pulls: on a support that lies on the other side the springs would be stretched. Supports
+push. So of all forces that push, each within its own contact area, those are taken that balance the load with the least
+energy of the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques").
+Where the plane pulls nowhere, that is the plane.
+
+A contact's force F and its moments about the middle of its area A, of half lengths a and b, have the energy
+
+    (F² + 3 Mx²/a² + 3 My²/b²) / 2A,   with F ≥ 0, |Mx| ≤ a F and |My| ≤ b F
+
+In the coordinates z = (F, √3 Mx/a, √3 My/b) / √A these are the squared length and a square cone. So the dual of the
+problem has one pressure plane for each box, three numbers, and the forces are the planes' projections onto the cones:
+a piecewise quadratic function, of which Newton's method finds the least value.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.world.rectangle_hulls import HullTable
+
+IntArray = NDArray[np.intp]
+
+PULL: Final = 1e-9
+"""A support pulls if its force is below this share of the load, or acts by so much beyond its area, m: rounding."""
+
+ON_EDGE_M: Final = 1e-6
+"""A load nearer to the hull's edge than this rests on the edge: the planes get steep without limit there."""
+
+_ROOT: Final = math.sqrt(3.0)
+_MOST_STEPS: Final = 60
+_MOST_HALVINGS: Final = 30
+_EXACT: Final = 1e-11
+_ENOUGH: Final = 1e-8
+"""Of force and moments, as shares of the load and its extent: Newton's steps end at the first, and at the second if
+they do not come nearer, which loads very near an edge do not for rounding."""
+
+_RIDGE: Final = 1e-13
+"""Added to the diagonal of second derivatives, as a share: they are singular where a single corner bears."""
+
+
+def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:
+    """(c,) whether a contact pulls, or pushes beyond its area.
+
+    Args:
+        force: (c, 3) force and first moments along x and y of each contact.
+        low, high: (c, 2) corners of the areas, m.
+        load: (c,) of the box above.
+    """
+    slack = -PULL * np.abs(load)
+    least = np.minimum(force[:, 1:] - low * force[:, :1], high * force[:, :1] - force[:, 1:]).min(axis=1)
+    pulled: NDArray[np.bool_] = (force[:, 0] < slack) | (least < slack)
+    return pulled
+
+
+def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
+    """(c, 3) forces of contacts, and their first moments along x and y, that push and balance loads within the hulls of
+    their contacts.
+
+    Args:
+        load: (p, 3) of boxes: force and first moments along x and y.
+        owner: (c,) whose each contact is, in the order of the boxes; each box has one at least.
+        low, high: (c, 2) corners of the contacts' areas.
+    """
+    begins = np.flatnonzero(np.diff(owner, prepend=-1))
+    around_low, around_high = np.minimum.reduceat(low, begins), np.maximum.reduceat(high, begins)
+    origin, scale = (around_low + around_high) / 2, (around_high - around_low) / 2
+    middle = ((low + high) / 2 - origin[owner]) / scale[owner]
+    half = (high - low) / 2 / scale[owner]
+    area = half.prod(axis=1)
+    root = np.sqrt(area / np.add.reduceat(area, begins)[owner])
+    to_cone = np.zeros((len(owner), 3, 3))
+    to_cone[:, 0, 0] = root
+    to_cone[:, 0, 1:] = root[:, None] * middle
+    to_cone[:, [1, 2], [1, 2]] = root[:, None] * half / _ROOT
+    unit_loads = np.concatenate([np.ones((len(load), 1)), (load[:, 1:] / load[:, :1] - origin) / scale], axis=1)
+    plane = _planes(to_cone, owner, begins, unit_loads)
+    projected, _ = _cone_projection(np.einsum("cij,cj->ci", to_cone, plane[owner]))
+    force: FloatArray = np.einsum("cji,cj->ci", to_cone, projected)
+    force[:, 1:] = origin[owner] * force[:, :1] + scale[owner] * force[:, 1:]
+    force *= load[owner, :1]
+    return force
+
+
+def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
+    """(p, 3) the planes of pressure whose projections balance what is wanted."""
+
+    def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        projected, slope = _cone_projection(np.einsum("cij,cj->ci", to_cone, plane[owner]))
+        value = np.add.reduceat((projected**2).sum(axis=1), begins) / 2 - (plane * unit_loads).sum(axis=1)
+        return value, projected, slope
+
+    second = np.add.reduceat(np.einsum("cki,ckj->cij", to_cone, to_cone), begins)
+    plane: FloatArray = np.asarray(np.linalg.solve(second, unit_loads[..., None])[..., 0], np.float64)
+    value, projected, slope = energy(plane)
+    before, goes_on = np.full(len(plane), np.inf), np.ones(len(plane), bool)
+    for _ in range(_MOST_STEPS):
+        rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
+        off = np.abs(rest).max(axis=1)
+        # each box stops for itself: its forces do not depend on company
+        goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
+        if not goes_on.any():
+            break
+        before = off
+        second = np.add.reduceat(np.einsum("cki,ckl,clj->cij", to_cone, slope, to_cone), begins)
+        second[:, [0, 1, 2], [0, 1, 2]] += _RIDGE * (1 + np.trace(second, axis1=1, axis2=2))[:, None]
+        step: FloatArray = np.asarray(-np.linalg.solve(second, rest[..., None])[..., 0], np.float64)
+        fall = (step * rest).sum(axis=1)
+        share = goes_on.astype(float)
+        for _ in range(_MOST_HALVINGS):
+            further = plane + share[:, None] * step
+            new, new_projected, new_slope = energy(further)
+            worse = goes_on & (new > value + 1e-4 * share * fall + 1e-15 * np.abs(value))
+            if not worse.any():
+                break
+            share[worse] /= 2
+        plane, value, projected, slope = further, new, new_projected, new_slope
+    return plane
+
+
+def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(c, 3) the nearest points of the cone |z₁|, |z₂| ≤ √3 z₀, and (c, 3, 3) their derivatives."""
+    size, sign = np.abs(point[:, 1:]), np.where(point[:, 1:] < 0, -1.0, 1.0)
+    first = np.argmax(size, axis=1)
+    rows = np.arange(len(point))
+    large, small, height = size[rows, first], size[rows, 1 - first], point[:, 0]
+    on_face = (height + _ROOT * large) / 4
+    on_ridge = (height + _ROOT * (large + small)) / 7
+    inside = _ROOT * height >= large
+    face = ~inside & (_ROOT * on_face >= small)
+    ridge = ~inside & ~face & (on_ridge > 0)
+    nearest, slope = np.zeros_like(point), np.zeros((len(point), 3, 3))
+    nearest[inside] = point[inside]
+    slope[inside] = np.eye(3)
+    towards = np.zeros_like(point)
+    towards[:, 0] = 1.0
+    towards[rows, 1 + first] = _ROOT * sign[rows, first]
+    k = np.flatnonzero(face)
+    if len(k):
+        nearest[k] = on_face[k, None] * towards[k]
+        slope[k] = towards[k][:, :, None] * towards[k][:, None, :] / 4
+        other = 2 - first[k]
+        nearest[k, other] = point[k, other]
+        slope[k, other, other] = 1.0
+    k = np.flatnonzero(ridge)
+    if len(k):
+        towards[k, 2 - first[k]] = _ROOT * sign[k, 1 - first[k]]
+        nearest[k] = on_ridge[k, None] * towards[k]
+        slope[k] = towards[k][:, :, None] * towards[k][:, None, :] / 7
+    return nearest, slope
+
+
+def on_edges(
+    load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
+) -> FloatArray:
+    """(c, 3) forces of the contacts of boxes whose loads are at the hull's edge, or beyond: the two outermost corners
+    on the nearest edge bear, as those of a box that begins to tip over.
+
+    Args:
+        load, owner, low, high: as of ``pushes``.
+        hull: (p,) which of the hulls is that of each box's contacts.
+    """
+    point = load[:, 1:] / load[:, :1]
+    nearest = hulls.distances_m(hull, point).argmin(axis=1)
+    normal, offset = hulls.normal[hull, nearest], hulls.offset[hull, nearest]
+    x = np.stack([low[:, 0], high[:, 0], high[:, 0], low[:, 0]], axis=1).ravel()
+    y = np.stack([low[:, 1], low[:, 1], high[:, 1], high[:, 1]], axis=1).ravel()
+    of_corner = np.repeat(owner, 4)
+    begins = np.flatnonzero(np.diff(of_corner, prepend=-1))
+    inside = normal[of_corner, 0] * x + normal[of_corner, 1] * y - offset[of_corner]
+    along = -normal[of_corner, 1] * x + normal[of_corner, 0] * y
+    on_it = inside <= (np.minimum.reduceat(inside, begins) + PULL)[of_corner]
+    places = []
+    for sign in (1.0, -1.0):
+        outermost = np.where(on_it, sign * along, np.inf)
+        places.append(np.lexsort((outermost, of_corner))[begins])
+    first, last = places
+    length = along[last] - along[first]
+    place = -normal[:, 1] * point[:, 0] + normal[:, 0] * point[:, 1] - along[first]
+    share = np.clip(place / np.where(length > 0, length, 1.0), 0.0, 1.0)
+    forces = np.zeros((len(owner), 3))
+    for corner, part in ((first, 1 - share), (last, share)):
+        force = part * load[:, 0]
+        np.add.at(forces, corner // 4, np.stack([force, force * x[corner], force * y[corner]], axis=1))
+    return forces

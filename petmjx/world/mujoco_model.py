@@ -1,0 +1,331 @@
+"""The MuJoCo model of a scene: stepped by the engine ``mujoco``, written by ``petmjx export``, padded for MJX.
+
+A scene's model as text, and with boxes as flex bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+from petmjx.options.physics import Cone, Physics, Triple
+from petmjx.world.compliance import Face, compliances, law_between
+from petmjx.world.friction_pairs import LARGER, filled_up
+from petmjx.world.history import CARRIER, FLOOR
+from petmjx.world.scene import IDENTITY_QUAT, Scene
+from petmjx.world.soft_boxes import add_soft_box, check_soft, set_for_soft, soft_friction
+
+FLOOR_NAME = "floor"
+CARRIER_NAME = "carrier"
+
+_CONE = {Cone.PYRAMIDAL: mujoco.mjtCone.mjCONE_PYRAMIDAL, Cone.ELLIPTIC: mujoco.mjtCone.mjCONE_ELLIPTIC}
+
+_SOLIMP_TAIL = (0.5, 2.0)
+"""MuJoCo's defaults for the last two solimp numbers. The reference implementation does not change them."""
+
+BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
+"""Cardboard in three shades, so that a viewer shows where one box ends and the next begins."""
+
+_CARRIER_COLOUR = (0.45, 0.32, 0.20, 1.0)
+_FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldCarrier:
+    """The pose at which a carrier is clamped. pos (3,) m, quat (4,) (w, x, y, z).
+
+    As a static body; as a mocap body, whose pose is in a world's data, for worlds that share a model.
+    """
+
+    pos: FloatArray
+    quat: FloatArray
+    mocap: bool = False
+
+
+def box_name(box: int) -> str:
+    """Name of a box's body and its shape, by packing order from 0."""
+    return f"box_{box}"
+
+
+def build_spec(
+    scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
+) -> mujoco.MjSpec:
+    """The exact, unpadded model of a scene (docs/rules.md, section 1).
+
+    Bodies in order: world (with the floor), carrier, box_0, box_1, …. A free carrier has the first free joint (qpos
+    0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses. Geoms are the
+    floor and the scene's shapes, body after body: ``geom_bodies`` says which is whose.
+
+    Args:
+        held_carrier: clamp the carrier at this pose instead of giving it a free joint.
+        n_boxes: build only the first boxes in packing order; all of them when None.
+
+    Raises:
+        ValueError: ``n_boxes`` is not in 0…scene.n_boxes.
+    """
+    count = scene.n_boxes if n_boxes is None else n_boxes
+    if not 0 <= count <= scene.n_boxes:
+        raise ValueError(f"n_boxes must be 0…{scene.n_boxes}, got {count}")
+    spec = mujoco.MjSpec()
+    _set_options(spec, physics)
+    carrier = scene.carrier
+    pose = (carrier.pos, IDENTITY_QUAT) if held_carrier is None else (held_carrier.pos, held_carrier.quat)
+    body = spec.worldbody.add_body(name=CARRIER_NAME, pos=pose[0], quat=pose[1])
+    if held_carrier is None:
+        body.add_freejoint(name=CARRIER_NAME)
+    else:
+        body.mocap = held_carrier.mocap
+    _add_shapes(body, scene, physics, CARRIER, _CARRIER_COLOUR)
+    _set_inertia(body, scene, physics, CARRIER)
+    _add_geom(
+        spec.worldbody,
+        FLOOR_NAME,
+        mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0.0, 0.0, 0.1),
+        friction=scene.floor_friction,
+        physics=physics,
+        rgba=_FLOOR_COLOUR,
+        pos=(0.0, 0.0, scene.floor_z),
+    )
+    if held_carrier is None:
+        of_body = _partners(scene, physics)
+        _declare_pairs(spec, physics, filled_up(scene.pair_friction), of_body[FLOOR], of_body[CARRIER])
+    add_boxes(spec, scene, physics, range(count), held=held_carrier is not None)
+    return spec
+
+
+def add_boxes(
+    spec: mujoco.MjSpec,
+    scene: Scene,
+    physics: Physics,
+    boxes: Sequence[int],
+    before: Sequence[int] = (),
+    held: bool = False,
+) -> None:
+    """Add boxes, whose bodies then have this order, to a spec that already holds those before them.
+
+    Args:
+        held: the carrier is clamped.
+    """
+    frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics, held)
+    others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
+    table = filled_up(scene.pair_friction)
+    for box in boxes:
+        body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
+        body.add_freejoint(name=box_name(box))
+        _add_shapes(body, scene, physics, box, BOX_COLOURS[box % len(BOX_COLOURS)])
+        _set_inertia(body, scene, physics, box)
+        _declare_pairs(spec, physics, table, others, of_body[box])
+        others += of_body[box]
+
+
+def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer]) -> NDArray[np.intp]:
+    """(ngeom,) the box that each geom belongs to, ``CARRIER`` or ``FLOOR``.
+
+    Args:
+        boxes: in the order of their bodies, which are the model's last ones.
+    """
+    of_body = np.full(model.nbody, CARRIER, np.intp)
+    of_body[0] = FLOOR
+    of_body[model.nbody - len(boxes) :] = boxes
+    box_of_geom: NDArray[np.intp] = of_body[np.asarray(model.geom_bodyid)]
+    return box_of_geom
+
+
+@dataclass(frozen=True)
+class _Partner:
+    """What declared pairs need to know of a geom."""
+
+    name: str
+    friction: Triple
+    skin_m: float
+    surface: int = 0
+    face: Face | None = None
+    """Where boxes of the scene give (petmjx/world/compliance.py); of the floor None."""
+
+
+def _declare_pairs(
+    spec: mujoco.MjSpec,
+    physics: Physics,
+    table: FloatArray,
+    these: Sequence[_Partner],
+    other_partners: Sequence[_Partner],
+) -> None:
+    """Each of these touches each of those.
+
+    Pairs are declared if friction has a time constant of its own: MuJoCo gives it to declared pairs only. All else is
+    what it would be without: MuJoCo takes the larger friction of two geoms, unless the table of their surfaces says
+    another one.
+    """
+    if not physics.has_own_friction:
+        return
+    for one in these:
+        for two in other_partners:
+            sliding, torsional, rolling = map(max, one.friction, two.friction)
+            table_friction = float(table[one.surface, two.surface])
+            sliding = sliding if table_friction == LARGER else table_friction
+            solref, solimp = physics.solref, physics.solimp
+            if two.face is not None:
+                solref, solimp = law_between(physics, two.face, one.face)
+            spec.add_pair(
+                geomname1=one.name,
+                geomname2=two.name,
+                margin=-(one.skin_m + two.skin_m),
+                friction=[sliding, sliding, torsional, rolling, rolling],
+                solref=solref,
+                solreffriction=physics.solreffriction,
+                solimp=solimp + _SOLIMP_TAIL,
+            )
+
+
+@lru_cache(maxsize=256)
+def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
+    """The shapes of each body and the floor; ``held``: the carrier is clamped."""
+    partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
+    shapes = scene.shapes
+    faces = _faces(scene, held)
+    rows = zip(shapes.body.tolist(), shapes.friction.tolist(), shapes.surface.tolist(), faces, strict=True)
+    for body, friction, surface, face in rows:
+        skin_m = physics.carrier_skin_m if body == CARRIER else physics.skin_m
+        name = CARRIER_NAME if body == CARRIER else box_name(body)
+        partners.setdefault(body, []).append(_Partner(name, tuple(friction), skin_m, surface, face))
+    for body, several in partners.items():
+        if len(several) > 1:
+            partners[body] = [
+                replace(partner, name=f"{partner.name}_{number}") for number, partner in enumerate(several)
+            ]
+    return partners
+
+
+def _faces(scene: Scene, held: bool) -> list[Face | None]:
+    """What laws of contacts need to know of each shape of a scene in which boxes give."""
+    if scene.stiffness is None:
+        return [None] * len(scene.shapes.body)
+    carrier, shapes = scene.carrier, scene.shapes
+    # CARRIER is the last of each
+    give = np.append(compliances(scene.stiffness, scene.half_size), 0.0)[shapes.body]
+    inverse = np.append(1 / scene.mass, 0.0 if held else 1 / carrier.mass)[shapes.body]
+    frame = np.vstack([scene.target - scene.middle, carrier.pos])[shapes.body]
+    rows = zip(give.tolist(), (frame + shapes.pos).tolist(), shapes.half_size.tolist(), inverse.tolist(), strict=True)
+    return [Face(compliance, tuple(middle), tuple(half), lightness) for compliance, middle, half, lightness in rows]
+
+
+def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:
+    option = spec.option
+    option.timestep = physics.timestep_s
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.solver = mujoco.mjtSolver.mjSOL_NEWTON
+    option.cone = _CONE[physics.cone]
+    option.impratio = physics.impratio
+    option.gravity = np.array([0.0, 0.0, -physics.gravity_m_s2])
+
+
+def _add_shapes(
+    body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int, rgba: tuple[float, float, float, float]
+) -> None:
+    """Give a body its shapes, each larger on all sides by its skin.
+
+    A contact then begins as deep as the skins of both partners are thick: those of faces where the boxes themselves
+    touch, those of edges and corners up to √2 − 1 and √3 − 1 skins before.
+
+    MuJoCo's collider takes the contact of two edges, one point, instead of a face's if it is less deep by 5 % (3.17:
+    ``engine_collision_box.c``). At the depth of a contact, a tenth of a millimetre, it takes now the one and now the
+    other, and pallets tremble. With a skin faces and edges are both deeper by as much (docs/validation.md).
+    """
+    shapes = scene.shapes
+    for row, partner in zip(shapes.of(number), _partners(scene, physics)[number], strict=True):
+        half_size = shapes.half_size[row]
+        if not (half_size > 0).all():
+            raise ValueError(f"half sizes must be positive, got {half_size.tolist()} m for {partner.name}")
+        geom = _add_geom(
+            body,
+            partner.name,
+            mujoco.mjtGeom.mjGEOM_BOX,
+            size=half_size + partner.skin_m,
+            friction=partner.friction,
+            physics=physics,
+            rgba=rgba,
+            pos=shapes.pos[row],
+        )
+        if partner.skin_m:
+            geom.margin = -partner.skin_m
+
+
+def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
+    """Mass and moments of inertia. MuJoCo works out those of a solid box without a skin, to other last digits, which
+    the physics of the reference implementation has."""
+    mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
+    solid = scene.inertia_box is None and len(scene.carrier.half_size) == 1 and not scene.pieces
+    if solid and scene.mass_center is None and not physics.skin_m:
+        body.first_geom().mass = mass
+        return
+    squares = scene.inertia_boxes[number + 1] ** 2
+    body.explicitinertial = True
+    body.mass = mass
+    body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
+    body.inertia = mass / 3 * (squares.sum() - squares)
+
+
+def _add_geom(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    *,
+    size: Triple | FloatArray,
+    friction: Triple,
+    physics: Physics,
+    rgba: tuple[float, float, float, float],
+    pos: Triple | FloatArray,
+) -> mujoco.MjsGeom:
+    geom = body.add_geom(name=name, type=kind, size=size, pos=pos, rgba=rgba)
+    geom.friction = np.array(friction)
+    geom.solref = np.array(physics.solref)
+    geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
+    if physics.has_own_friction:
+        geom.contype = geom.conaffinity = 0  # touches what it is declared to touch (_declare_pairs), and that only once
+    return geom
+
+
+_MEMORY_BYTES = 1 << 24
+"""For each box: faces of points have up to a hundred contacts each. The system gives what is used."""
+
+
+def soft_spec(
+    scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
+) -> mujoco.MjSpec:
+    """As ``petmjx.world.mujoco_model.build_spec``, with soft boxes as flex bodies: 27 bodies each instead of one.
+
+    Raises:
+        InputError: as ``check_soft``.
+    """
+    check_soft(scene)
+    count = scene.n_boxes if n_boxes is None else n_boxes
+    spec, frictions = build_spec(scene, physics, held_carrier, n_boxes=0), soft_friction(scene)
+    rigid: list[int] = []
+    for box in range(count):
+        if scene.soft is not None and scene.soft[box]:
+            sliding, *others = scene.friction[box].tolist()
+            sliding = float(frictions.of_boxes[box])
+            rgba = BOX_COLOURS[box % len(BOX_COLOURS)]
+            add_soft_box(spec, scene, physics, box, (sliding, others[0], others[1]), rgba)
+        else:
+            add_boxes(spec, scene, physics, [box], before=rigid, held=held_carrier is not None)
+            rigid.append(box)
+    set_for_soft(spec, scene, physics, frictions)
+    spec.memory = _MEMORY_BYTES * (1 + count)
+    return spec
+
+
+def to_mjcf(scene: Scene, physics: Physics) -> str:
+    """The scene as MJCF text for MuJoCo's viewer, with every box at its release pose."""
+    spec = build_spec(scene, physics) if scene.soft is None else soft_spec(scene, physics)
+    spec.modelname = "petmjx"
+    spec.worldbody.add_light(pos=[0.0, 0.0, 4.0], dir=[0.0, 0.0, -1.0])
+    spec.compile()
+    return str(spec.to_xml())

@@ -1,0 +1,185 @@
+"""Lines on options that have no effect, and on options and plans that do not mean what they seem to."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.common.units import FloatArray
+from petmjx.options.placing import Placing, Way
+from petmjx.options.simulation import Attempts, Check, Schedule, Simulation
+from petmjx.options.wrap import Wrap
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
+from petmjx.world.carrier_boards import carrier_notes, pallet
+from petmjx.world.friction_pairs import check_surfaces
+from petmjx.world.scene import build_scene
+from petmjx.world.supports import bearing_of
+
+_USES: Final = {
+    Way.EXACT: (),
+    Way.DROP: ("height_mm",),
+    Way.HAND: ("height_mm", "side_mm", "speed_m_s", "force_n"),
+    Way.TINES: ("height_mm", "side_mm", "speed_m_s", "force_n", "tines_mm"),
+}
+"""Way → the fields of ``PlacementState`` that it uses."""
+
+_AXES: Final = {
+    "placing_height_mm": "height_mm",
+    "placing_side_mm": "side_mm",
+    "placing_speed_m_s": "speed_m_s",
+    "placing_force_n": "force_n",
+    "tines_height_mm": "tines_mm",
+}
+"""Axis of sweeps → the field of ``PlacementState`` that it changes."""
+
+
+def notes_about(
+    sim: Simulation, plans: Sequence[Plan], *, axes: Collection[str] = (), errors: bool = False, driven: bool = False
+) -> list[str]:
+    """All such lines about a run.
+
+    Args:
+        axes: of a sweep, by name.
+        errors: whether places or sizes have errors in some worlds.
+        driven: whether worlds are shaken.
+
+    Raises:
+        InputError: as ``check_surfaces``; or soft boxes that MuJoCo cannot have.
+    """
+    return [
+        *carrier_notes(sim),
+        *check_surfaces(plans, sim),
+        *_placing_notes(sim.placing, axes, errors),
+        *_wrap_notes(sim.wrap, axes, driven),
+        *_gap_notes(sim, plans),
+        *_stiffness_notes(sim, plans, errors),
+        *_attempt_notes(sim, driven),
+        *_static_notes(sim),
+    ]
+
+
+def _placing_notes(placing: Placing, axes: Collection[str], errors: bool) -> Iterator[str]:
+    way = placing.name
+    if way is Way.AUTO:
+        way = Way.HAND if errors else Way.EXACT
+    given = [name for name in Placing.model_fields if name != "name" and getattr(placing, name) != _default(name)]
+    idle = [f"placing.{name}" for name in given if name not in _USES[way]]
+    idle += [name for name, changed in _AXES.items() if name in axes and changed not in _USES[way]]
+    if idle:
+        verb = "has" if len(idle) == 1 else "have"
+        yield f"{' and '.join(idle)} {verb} no effect: boxes are placed by {way}"
+
+
+def _default(name: str) -> object:
+    return Placing.model_fields[name].default
+
+
+def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool) -> Iterator[str]:
+    given = [name for name in Wrap.model_fields if getattr(wrap, name) != Wrap.model_fields[name].default]
+    holds = wrap.turns > 0 or "wrap_turns" in axes
+    if holds and not driven:
+        yield "wrap has no effect: there is no profile, and film acts only while a pallet is shaken"
+    elif given and not holds:
+        verb = "has" if len(given) == 1 else "have"
+        yield f"{' and '.join(f'wrap.{name}' for name in given)} {verb} no effect: there are no turns of film"
+
+
+def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
+    """Boxes on a carrier of boards whose middles are outside of all that bears them."""
+    board_pallet = pallet(sim.carrier)
+    if board_pallet is None:
+        return
+    named: list[str] = []
+    count = 0
+    for plan in plans:
+        boxes = _over_gaps(plan, board_pallet.deck_mm)
+        count += len(boxes)
+        named += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+    if count:
+        more = ", …" if count > len(named) else ""
+        verb = "stands" if count == 1 else "stand"
+        first = f"{', '.join(named)}{more}"
+        yield f"{count_text(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap ({first})"
+
+
+def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
+    """Notes on boxes that are too soft for their loads, and on options for soft boxes where there are none."""
+    if sim.has_soft and errors and sim.placing.name is Way.AUTO:
+        raise InputError(
+            "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing exact"
+        )
+    giving = [plan for plan in plans if plan.stiffness_n_mm is not None]
+    if sim.soft and (not giving or not sim.physics.has_own_friction):
+        yield "soft has no effect: no box has a stiffness that counts"
+    if sim.has_soft:
+        _check_soft(sim, plans if sim.attempts is Attempts.SOFT else giving)
+    if not sim.physics.has_own_friction:
+        return
+    named: list[str] = []
+    count = 0
+    for plan in giving:
+        boxes = _pressed_through(plan, sim)
+        count += len(boxes)
+        named += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+    if count:
+        more = ", …" if count > len(named) else ""
+        verb = "is" if count == 1 else "are"
+        first = f"{', '.join(named)}{more}"
+        yield (
+            f"{count_text(count, 'box', 'boxes')} {verb} compressed by more than half of the height by the plan's "
+            "loads "
+            f"({first}): check stiffness_n_mm"
+        )
+
+
+def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
+    if driven and sim.attempts is Attempts.SOFT:
+        yield "attempts soft has no effect on drives: they begin from a settled placement, which has rigid boxes"
+
+
+def _static_notes(sim: Simulation) -> Iterator[str]:
+    """Of a static check that was given a duration: it ends when the pallet rests."""
+    given = sim.duration_s != Simulation.model_fields["duration_s"].default
+    if given and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
+        yield (
+            f"duration_s of {sim.duration_s:g} s is the longest: with the schedule adaptive a static check ends when "
+            "the pallet rests; with the schedule fixed it lasts so long"
+        )
+    elif given and sim.check is not Check.STATIC:
+        yield "duration_s has no effect: it is of the check static"
+
+
+def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:
+    from petmjx.world.soft_boxes import check_soft  # loads MuJoCo
+
+    for plan in plans:
+        scene = build_scene(plan, sim)
+        try:
+            check_soft(scene.all_soft if sim.attempts is Attempts.SOFT else scene)
+        except InputError as error:
+            raise InputError(f"plan {printable_name(plan.plan_id)}: {error}") from None
+
+
+def _pressed_through(plan: Plan, sim: Simulation) -> list[int]:
+    scene = build_scene(plan, sim)
+    assert scene.stiffness is not None
+    load_n = sim.physics.gravity_m_s2 * (bearing_of(scene).loads(scene.n_boxes)[:, 0] - scene.mass / 2)
+    boxes: list[int] = np.flatnonzero(load_n / scene.stiffness > scene.half_size[:, 2]).tolist()
+    return boxes
+
+
+def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
+    lying = np.flatnonzero(np.abs(plan.corner_mm[:, 2]) <= DEFAULT_TOLERANCE_MM)
+    low, high = plan.corner_mm[lying, :2], (plan.corner_mm + plan.size_mm)[lying, :2]
+    begin, end = np.maximum(low[:, None], deck_mm[None, :, 0]), np.minimum(high[:, None], deck_mm[None, :, 1])
+    borne = (end > begin).all(axis=2, keepdims=True)
+    # the hull of what bears a box is no larger than the rectangle around it
+    least, most = np.where(borne, begin, np.inf).min(axis=1), np.where(borne, end, -np.inf).max(axis=1)
+    middle = (low + high) / 2
+    boxes: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()
+    return boxes

@@ -1,0 +1,287 @@
+"""Accelerations of the carrier, simulated as gravity − a with the carrier clamped.
+
+Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
+
+Random vibration with a power spectral density (PSD) from the user, in g²/Hz over Hz.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.units import STANDARD_GRAVITY, FloatArray
+from petmjx.world.job import ACCELERATION, Excitation
+from petmjx.world.profiles.profile import Profile, Strength, step_averages, steps_to_cover
+from petmjx.world.random_streams import WorldKey
+
+EUMOS_RAMP_S = 0.05
+"""EUMOS 40509: the acceleration level is reached within 50 ms."""
+EUMOS_HOLD_S = 0.3
+"""EUMOS 40509: the level is then held for at least 0.3 s."""
+EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"
+
+EN_12195_FORWARD_G = 0.8
+EN_12195_SIDEWAYS_G = 0.5
+EN_12195_REARWARD_G = 0.5
+EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward, 0.5 sideways and rearward)"
+
+
+def _horizontal_unit(yaw_deg: float) -> FloatArray:
+    """(3,) unit vector, with exact zeros and ones along the axes."""
+    yaw = math.radians(yaw_deg)
+    return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
+
+
+@dataclass(frozen=True)
+class Trapezoid:
+    """Horizontal acceleration that ramps up linearly, holds, and ramps down.
+
+    Attributes:
+        level_g: height of the plateau, g.
+        ramp_s, hold_s: length of each ramp and of the plateau, s.
+        yaw_deg: where the carrier accelerates to, degrees from +x towards +y.
+    """
+
+    name: str
+    source: str
+    level_g: float
+    ramp_s: float
+    hold_s: float
+    yaw_deg: float = 0.0
+    strength: Strength = Strength.LEVEL
+    kind: str = ACCELERATION
+    random: bool = False
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(2 * self.ramp_s + self.hold_s, timestep_s)
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        edges_s: FloatArray = np.arange(self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
+        fall_s = self.ramp_s + self.hold_s
+        covered = self._ramp_integral(edges_s) - self._ramp_integral(edges_s - fall_s)
+        magnitude = self.level_g * STANDARD_GRAVITY * step_averages(covered, timestep_s)
+        return Excitation(self.name, self.kind, magnitude[:, None] * _horizontal_unit(self.yaw_deg))
+
+    def _ramp_integral(self, time_s: FloatArray) -> FloatArray:
+        """Integral of a unit ramp that begins at 0 and stays at 1 after ``ramp_s``."""
+        rising = np.clip(time_s, 0.0, self.ramp_s) ** 2 / (2 * self.ramp_s)
+        return rising + np.maximum(time_s - self.ramp_s, 0.0)
+
+
+def eumos_40509() -> Trapezoid:
+    """One acceleration test of EUMOS 40509:2020 at 1 g; the factor of a drive is then the level in g (0.5 is usual).
+
+    The standard asks for a level that is reached within 50 ms and held for at least 0.3 s, and for an end that is not
+    abrupt. Here both ramps take 50 ms, and the level is held for 0.3 s.
+    """
+    return Trapezoid("eumos-40509", EUMOS_SOURCE, 1.0, EUMOS_RAMP_S, EUMOS_HOLD_S)
+
+
+def en_12195_1() -> tuple[Trapezoid, ...]:
+    """The four load cases of EN 12195-1:2010 for road transport, vehicle's front along +x.
+
+    The standard gives quasi-static coefficients, but no curve over time. petmjx takes 0.5 s to reach them, holds them
+    for 1 s, and takes 0.5 s back. When the vehicle brakes, the load is thrown forward, so the carrier accelerates
+    backward. The vertical coefficient is always 1.0. For goods that may tip the standard asks for 0.6 g sideways: a
+    scale of 1.2.
+    """
+    cases = (
+        ("en-12195-1-forward", EN_12195_FORWARD_G, 180.0),
+        ("en-12195-1-rearward", EN_12195_REARWARD_G, 0.0),
+        ("en-12195-1-left", EN_12195_SIDEWAYS_G, -90.0),
+        ("en-12195-1-right", EN_12195_SIDEWAYS_G, 90.0),
+    )
+    return tuple(
+        Trapezoid(name, EN_12195_SOURCE, level_g, 0.5, 1.0, yaw_deg, strength=Strength.SCALE)
+        for name, level_g, yaw_deg in cases
+    )
+
+
+@dataclass(frozen=True)
+class Tilt:
+    """The carrier is tilted slowly about a horizontal axis: seen from the carrier, gravity turns.
+
+    Direction 0 pulls the load towards −x, as an acceleration along +x does. The angle grows by ``rate_deg_s`` to
+    ``max_deg``, stays there for ``hold_s`` and returns within ``return_s``, slowly enough that a pallet that survived
+    does not fall on the way back. Centrifugal and Euler forces are left out: at 5°/s they are below 0.1 % of gravity.
+
+    Source: definition. It can be checked in closed form: a rigid box begins to slide at atan μ and to topple at
+    atan(width / height). A first sign comes later, since a box takes its time to slide as far as the threshold, or to
+    tip: docs/profiles.md says by how much.
+    """
+
+    name: str = "tilt"
+    max_deg: float = 45.0
+    rate_deg_s: float = 5.0
+    hold_s: float = 1.0
+    return_s: float = 1.0
+    source: str = "definition: tilt test"
+    strength: Strength = Strength.ANGLE
+    kind: str = ACCELERATION
+    random: bool = False
+
+    @property
+    def rise_s(self) -> float:
+        """Time until the largest angle is reached, s."""
+        return self.max_deg / self.rate_deg_s
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(self.rise_s + self.hold_s + self.return_s, timestep_s)
+
+    def _angles_deg(self, time_s: FloatArray) -> FloatArray:
+        corners_s = np.cumsum([0.0, self.rise_s, self.hold_s, self.return_s])
+        return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """a = g − g_tilted with its vertical part, so that gravity − a has the length 9.81 at every angle."""
+        ends_s: FloatArray = np.arange(1, self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
+        angle = np.radians(self._angles_deg(ends_s))
+        samples = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0], axis=1)
+        return Excitation(self.name, self.kind, STANDARD_GRAVITY * samples)
+
+
+@dataclass(frozen=True)
+class HalfSine:
+    """A shock: half a period of a sine, peak 1 g × level, along ``axis``.
+
+    Source: pulse shape of IEC 60068-2-27; 11 ms is one of its standard durations.
+
+    Attributes:
+        duration_ms: length of the pulse, ms.
+        axis: (3,) direction of the carrier's acceleration; any length.
+    """
+
+    name: str = "half-sine"
+    duration_ms: float = 11.0
+    axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    source: str = "IEC 60068-2-27, half-sine pulse"
+    strength: Strength = Strength.LEVEL
+    kind: str = ACCELERATION
+    random: bool = False
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(self.duration_ms / 1000, timestep_s)
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """Means of the pulse over steps: its change of velocity, 2/π × peak × duration, is exact for any timestep."""
+        duration_s = self.duration_ms / 1000
+        edges_s = np.minimum(np.arange(self.n_steps(timestep_s) + 1) * timestep_s, duration_s)
+        covered = duration_s / math.pi * (1.0 - np.cos(math.pi * edges_s / duration_s))
+        magnitude = STANDARD_GRAVITY * step_averages(covered, timestep_s)
+        return Excitation(self.name, self.kind, magnitude[:, None] * _unit(self.axis))
+
+
+def _unit(axis: tuple[float, float, float]) -> FloatArray:
+    """(3,) the direction of an axis of any length; the square of a very long or short one is no float64."""
+    vector: FloatArray = np.asarray(axis, dtype=np.float64)
+    longest = float(np.abs(vector).max())
+    if not 0 < longest < math.inf:
+        raise InputError(f"axis must be finite and not zero, got {axis}")
+    if not 1e-100 < longest < 1e100:
+        vector = vector / longest
+    unit: FloatArray = vector / np.linalg.norm(vector)
+    return unit
+
+
+QUASI_STATIC_DEG_S: Final = 0.5
+"""Boxes fail 0.4 to 0.6° late at this rate, measured (docs/profiles.md); a rate of 5°/s makes it 2.5 to 2.7°."""
+
+
+def quasi_static_tilt() -> Tilt:
+    """The tilt test at ``QUASI_STATIC_DEG_S``: ten times as many steps."""
+    return Tilt("tilt-quasi-static", rate_deg_s=QUASI_STATIC_DEG_S, source="definition: quasi-static tilt test")
+
+
+BUILT_IN_ACCELERATIONS: tuple[Profile, ...] = (
+    eumos_40509(),
+    *en_12195_1(),
+    Tilt(),
+    quasi_static_tilt(),
+    HalfSine(),
+)
+"""To add a built-in acceleration: define it above, list it here, and describe it in docs/profiles.md."""
+
+
+PsdTable = tuple[tuple[float, float], ...]
+"""Rows of (Hz, g²/Hz), with rising frequencies."""
+
+
+def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
+    """(n,) integral of the PSD from its first frequency up to each given one, g².
+
+    Between rows the PSD is a straight line in log–log, as test standards draw it: G = G₁ (f/f₁)^m, with the
+    closed-form integral of that power law in each segment. Outside the table the PSD is 0.
+    """
+    total = np.zeros_like(up_to_hz)
+    for (f1, g1), (f2, g2) in itertools.pairwise(table):
+        slope = math.log(g2 / g1) / math.log(f2 / f1)
+        ratio = np.clip(up_to_hz, f1, f2) / f1
+        # At a slope of −1 the power formula is 0/0; its limit is the logarithm.
+        power = np.log(ratio) if abs(slope + 1) < 1e-9 else (ratio ** (slope + 1) - 1) / (slope + 1)
+        total = total + g1 * f1 * power
+    return total
+
+
+def psd_rms_g(table: PsdTable) -> float:
+    """Root mean square acceleration of a PSD, g."""
+    return math.sqrt(float(psd_integral(table, np.array([table[-1][0]]))[0]))
+
+
+@dataclass(frozen=True)
+class RandomVibration:
+    """Nearly Gaussian vibration: a sum of sine waves with the PSD's power and random phases.
+
+    The sine waves have a spacing of 1 / duration, and each has exactly the power of the PSD in its band. So the RMS
+    over the duration equals the square root of the PSD's integral for any phases; only these are random. Source: the
+    user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
+
+    Attributes:
+        psd: rows of (Hz, g²/Hz).
+        duration_s: length, s; also the period of the signal.
+        axes: which of "x", "y", "z" vibrate, each with other phases.
+    """
+
+    name: str
+    psd: PsdTable
+    duration_s: float = 10.0
+    axes: str = "z"
+    source: str = "user's PSD table; spectral representation, Shinozuka and Deodatis (1991)"
+    strength: Strength = Strength.SCALE
+    kind: str = ACCELERATION
+    random: bool = True
+
+    def n_steps(self, timestep_s: float) -> int:
+        return steps_to_cover(self.duration_s, timestep_s)
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """
+        Raises:
+            InputError: the PSD has frequencies too high for the timestep, or too low for the duration.
+        """
+        n_steps = self.n_steps(timestep_s)
+        top_hz = self.psd[-1][0]
+        spacing_hz = 1.0 / (n_steps * timestep_s)
+        nyquist_hz = 0.5 / timestep_s
+        if top_hz >= nyquist_hz - spacing_hz / 2:
+            raise InputError(f"profile {self.name}: PSD reaches {top_hz:g} Hz, a timestep of {timestep_s:g} s "
+                             f"shows less than {nyquist_hz:g} Hz")  # fmt: skip
+        band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
+        power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
+        # No sine wave that fits the duration has power below the first line, so this power would be missing.
+        if power_g2[0] > 0:
+            raise InputError(f"profile {self.name}: PSD begins at {self.psd[0][0]:g} Hz, which needs a duration "
+                             f"of at least {0.5 / self.psd[0][0]:g} s, got {self.duration_s:g} s")  # fmt: skip
+        rng = (world or WorldKey(0, "")).rng(f"vibration:{self.name}")
+        amplitude = np.sqrt(2 * power_g2) * n_steps / 2
+        samples = np.zeros((n_steps, 3))
+        for column, axis in enumerate("xyz"):
+            phase = rng.uniform(0.0, 2 * math.pi, len(amplitude))
+            if axis in self.axes:
+                samples[:, column] = np.fft.irfft(amplitude * np.exp(1j * phase), n=n_steps)
+        return Excitation(self.name, self.kind, STANDARD_GRAVITY * samples)

@@ -1,0 +1,193 @@
+"""Force profiles as lists of windows: a vector that acts from one time to another on the carrier.
+
+Vectors are in units of scale × total mass × 9.81 m/s² (``petmjx.world.job.Drive.unit``): a vector of length 1 is the
+force that accelerates carrier and boxes together by 1 g.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from petmjx.common.units import seconds_to_steps
+from petmjx.world.job import FORCE, Excitation
+from petmjx.world.profiles.profile import Profile, Strength
+from petmjx.world.random_streams import WorldKey
+
+Vector = tuple[float, float, float]
+
+PET_PHYSICS = "PET-Physics, the reference implementation"
+
+
+@dataclass(frozen=True)
+class Window:
+    """One push: ``vector`` acts from ``start_s`` for ``duration_s``.
+
+    ``offset_s`` is where in a chain the window's profile begins. It is kept apart from ``start_s`` because the
+    reference implementation adds profile start + offset first, and the window's start last. Another order can change
+    the last digit, and so the step to which a time is truncated.
+    """
+
+    start_s: float
+    duration_s: float
+    vector: Vector
+    offset_s: float = 0.0
+
+    def absolute_s(self, profile_start_s: float) -> tuple[float, float]:
+        """Beginning and end in absolute time, s."""
+        begin_s = (profile_start_s + self.offset_s) + self.start_s
+        return begin_s, begin_s + self.duration_s
+
+
+@dataclass(frozen=True)
+class WindowProfile:
+    """A force profile.
+
+    ``replaces``: False: windows that overlap add up. True: as in the reference implementation, a window that begins
+    ends the one before it, and the first end of any window ends the force that acts. Of windows that begin on the same
+    step only the last one acts. The chain of the reference's demo needs this.
+    """
+
+    name: str
+    windows: tuple[Window, ...]
+    source: str
+    replaces: bool = False
+    kind: str = FORCE
+    strength: Strength = Strength.SCALE
+    random: bool = False
+
+    @property
+    def end_s(self) -> float:
+        """End of the last window, s."""
+        return max(window.absolute_s(0.0)[1] for window in self.windows)
+
+    def n_steps(self, timestep_s: float) -> int:
+        return max(seconds_to_steps(self.end_s, timestep_s), 1)
+
+    def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
+        """Windows act from step int(begin/dt) to step int(end/dt) of absolute time.
+
+        Row 0 belongs to the step after int(start_s/dt); a window shorter than a step may vanish.
+        """
+        first_step = seconds_to_steps(start_s, timestep_s)
+        spans = []
+        for window in self.windows:
+            begin_s, end_s = window.absolute_s(start_s)
+            begin = seconds_to_steps(begin_s, timestep_s) - first_step
+            end = seconds_to_steps(end_s, timestep_s) - first_step
+            spans.append((begin, end, window.vector))
+        samples = np.zeros((max(1, *(end for _, end, _ in spans)), 3))
+        if self.replaces:
+            spans = _one_at_a_time(spans)
+        for begin, end, vector in spans:
+            samples[begin:end] += np.asarray(vector)
+        return Excitation(self.name, self.kind, samples)
+
+
+def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
+    """How the reference implementation treats overlapping windows: as spans that do not overlap.
+
+    It acts once at every beginning and every end, in order of time. Each time it first removes the force that acts, and
+    then sets the force of the next window, if that has begun.
+    """
+    waiting = deque(sorted(spans, key=lambda span: span[0]))
+    looks = sorted(step for begin, end, _ in spans for step in (begin, end))
+    acting: list[tuple[int, int, Vector]] = []
+    for look, until in zip(looks, [*looks[1:], looks[-1]], strict=True):
+        if waiting and waiting[0][0] <= look:
+            acting.append((look, until, waiting.popleft()[2]))
+    return acting
+
+
+def chain(
+    name: str, links: Sequence[tuple[WindowProfile, float, float]], source: str, replaces: bool = False
+) -> WindowProfile:
+    """Several force profiles one after the other (or over each other).
+
+    Args:
+        links: (profile, offset in s, scale) of each.
+        replaces: as of `WindowProfile`.
+    """
+    windows = [
+        replace(
+            window,
+            offset_s=offset_s + window.offset_s,
+            vector=(window.vector[0] * scale, window.vector[1] * scale, window.vector[2] * scale),
+        )
+        for profile, offset_s, scale in links
+        for window in profile.windows
+    ]
+    return WindowProfile(name, tuple(windows), source, replaces)
+
+
+def _pushes(duration_s: float, *pushes: tuple[float, Vector]) -> tuple[Window, ...]:
+    """Windows of one length. A push: its beginning (s) and its vector."""
+    return tuple(Window(start_s, duration_s, vector) for start_s, vector in pushes)
+
+
+_SQRT2 = math.sqrt(2)
+
+RADIAL = WindowProfile(
+    "radial",
+    _pushes(
+        0.03,
+        (0.0, (_SQRT2, 0.0, 0.1)),
+        (0.3, (1.0, 1.0, 0.1)),
+        (0.6, (0.0, _SQRT2, 0.1)),
+        (0.9, (-1.0, 1.0, 0.1)),
+        (1.2, (-_SQRT2, 0.0, 0.1)),
+        (1.5, (-1.0, -1.0, 0.1)),
+        (1.8, (0.0, -_SQRT2, 0.1)),
+        (2.1, (1.0, -1.0, 0.1)),
+        (3.1, (1.0, 0.0, 1.0)),
+        (3.4, (0.0, 1.0, 1.0)),
+    ),
+    f"{PET_PHYSICS}, profile 'radial'",
+)
+"""Eight horizontal pushes in all directions, then two that also lift. Source: PET-Physics."""
+
+JOLTS = WindowProfile(
+    "jolts",
+    _pushes(
+        0.15,
+        (1.0, (0.9, 0.1, 0.0)),
+        (1.1, (-0.4, -0.1, 0.0)),
+        (2.0, (-0.95, -0.1, 0.1)),
+        (3.0, (0.55, 0.2, 0.1)),
+        (4.0, (-0.75, -0.3, 0.15)),
+        (5.0, (-1.0, -0.25, 0.1)),
+        (6.0, (1.1, 0.2, 0.1)),
+        (7.0, (1.2, 0.2, 0.1)),
+        (8.0, (1.2, 0.2, 10.0)),
+    ),
+    f"{PET_PHYSICS}, profile 'dummy'",
+)
+"""Nine long jolts mainly along x; the last throws the pallet up. Source: PET-Physics (its "dummy" profile)."""
+
+SINE = WindowProfile(
+    "sine",
+    tuple(Window(i / 10, 0.1, (math.sin(i / 10), 0.0, math.sin(3 * (i / 10)))) for i in range(1, 100)),
+    f"{PET_PHYSICS}, profile 'sin dummy'",
+)
+"""Steps of 0.1 s along sin t in x and sin 3t in z. Source: PET-Physics (its "sin dummy" profile)."""
+
+RADIAL_CHAIN = chain(
+    "radial-chain",
+    [
+        (RADIAL, offset_s, scale)
+        for offset_s, scale in ((2.0, 1.0), (4.0, 1.1), (7.0, 1.2), (9.5, 1.3), (12.0, 1.4), (14.5, 1.5), (17.0, 2.0))
+    ],
+    f"{PET_PHYSICS}, dynamic stability demo",
+    replaces=True,
+)
+"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo. There it begins 2 s
+(``settle_s``) after the nominal end of placement, n × interval, and its first push comes 2 s later. From the third
+profile on, the last two pushes of each profile act at the same time as two of the next (first at 10.1 and 10.4 s). The
+reference implementation then applies only one push, and so does this profile."""
+
+BUILT_IN_FORCES: tuple[Profile, ...] = (RADIAL, JOLTS, SINE, RADIAL_CHAIN)
+"""To add a built-in force profile: define it above, list it here, and describe it in docs/profiles.md."""

@@ -1,0 +1,36 @@
+"""Profiles by name. What each is: docs/profiles.md."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from petmjx.common.checked_records import hint
+from petmjx.common.errors import InputError
+from petmjx.world.profiles.accelerations import BUILT_IN_ACCELERATIONS, en_12195_1
+from petmjx.world.profiles.force_windows import BUILT_IN_FORCES
+from petmjx.world.profiles.profile import Profile
+
+BUILT_IN: dict[str, Profile] = {profile.name: profile for profile in (*BUILT_IN_FORCES, *BUILT_IN_ACCELERATIONS)}
+"""Profiles that need no parameters, by name."""
+
+FAMILIES: dict[str, tuple[str, ...]] = {"en-12195-1": tuple(profile.name for profile in en_12195_1())}
+"""Names that stand for several profiles each."""
+
+
+def resolve(name: str, defined: Mapping[str, Profile] | None = None) -> tuple[Profile, ...]:
+    """The profiles of a name: one, or all of a family such as ``en-12195-1``.
+
+    Args:
+        defined: profiles that a sweep file defines, in addition to the built-in ones.
+
+    Raises:
+        InputError: unknown name; the line suggests a similar one, or lists the known ones.
+    """
+    known = {**BUILT_IN, **(defined or {})}
+    if name in known:
+        return (known[name],)
+    if name in FAMILIES:
+        return tuple(known[member] for member in FAMILIES[name])
+    if name == "random":
+        raise InputError("'random' needs a PSD table: define [profiles.NAME] with kind = \"random\" and psd")
+    raise InputError(f"unknown profile {name!r}; {hint(name, sorted([*known, *FAMILIES]))}")

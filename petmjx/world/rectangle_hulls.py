@@ -1,0 +1,112 @@
+"""Convex hulls of rectangles along x and y."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.convex_hull import convex_hull
+from petmjx.common.units import FloatArray
+
+IntArray = NDArray[np.intp]
+
+Edge = tuple[float, float, float]
+"""A hull's edge: its normal along x and y, which points inwards, and the normal's product with points of the edge."""
+
+LEAST_EDGE_M: Final = 1e-9
+"""Shorter ones are left out: their direction is rounding."""
+
+_STRAIGHT_M: Final = 1e-12
+"""A corner that lies outside a line by less lies on it: rounding."""
+
+_Point = Sequence[float]
+
+
+def hull_edges(low: Sequence[_Point], high: Sequence[_Point]) -> list[Edge]:
+    """The edges of the hull of rectangles, by their lowest and highest corners (x, y), m."""
+    sides = zip(low, high, strict=True)
+    hull = convex_hull((x, y) for (x0, y0), (x1, y1) in sides for x in (x0, x1) for y in (y0, y1))
+    edges = []
+    for (x0, y0), (x1, y1) in pairwise([*hull, hull[0]]):
+        length = math.hypot(x1 - x0, y1 - y0)
+        if length > LEAST_EDGE_M:
+            normal_x, normal_y = (y0 - y1) / length, (x1 - x0) / length
+            edges.append((normal_x, normal_y, normal_x * x0 + normal_y * y0))
+    return edges
+
+
+class HullTable(NamedTuple):
+    """The edges of many hulls, each padded to e with edges that are infinitely far.
+
+    Attributes:
+        normal: (s, e, 2) pointing inwards.
+        offset: (s, e) product of the normal with points of the edge.
+    """
+
+    normal: FloatArray
+    offset: FloatArray
+
+    def inside_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
+        """(p,) how far (p, 2) points are inside the nearest edge of each one's hull, m."""
+        nearest: FloatArray = self.distances_m(hull, point).min(axis=1, initial=np.inf)
+        return nearest
+
+    def distances_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
+        """(p, e) the same for each edge."""
+        normal = self.normal[hull]
+        inside: FloatArray = normal[..., 0] * point[:, :1] + normal[..., 1] * point[:, 1:] - self.offset[hull]
+        return inside
+
+
+def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
+    """The hulls of rectangles, of many sets at once: the edges of ``hull_edges``.
+
+    An edge lies along an axis, or joins two rectangles by the same corner of each: from there all others are inside.
+
+    Args:
+        low, high: (c, 2) corners of the rectangles, set after set.
+        count: (s,) how many each set has.
+    """
+    begins, size = np.cumsum(count) - count, len(count)
+    parts: list[tuple[IntArray, FloatArray, FloatArray]] = []
+    for k in np.unique(count).tolist():
+        sets = np.flatnonzero(count == k)
+        rows = begins[sets][:, None] + np.arange(k)
+        parts.append((sets, *_stacked_hulls(low[rows], high[rows])))
+    most = max((offset.shape[1] for _, _, offset in parts), default=0)
+    normal, offset = np.zeros((size, most, 2)), np.full((size, most), -np.inf)
+    for sets, some_normal, some_offset in parts:
+        edges = some_offset.shape[1]
+        normal[sets, :edges], offset[sets, :edges] = some_normal, some_offset
+    return HullTable(normal, offset)
+
+
+def _stacked_hulls(low: FloatArray, high: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(s, e, 2) normals and (s, e) offsets of the hulls of (s, k, 2) rectangles."""
+    along = np.stack([low[..., 0].min(1), -high[..., 0].max(1), low[..., 1].min(1), -high[..., 1].max(1)], axis=1)
+    normals = [np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))]
+    offsets = [along]
+    one, other = np.triu_indices(low.shape[1], 1)
+    for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # of a normal: the corner is low where it is positive
+        x, y = (low if sign_x > 0 else high)[..., 0], (low if sign_y > 0 else high)[..., 1]
+        step_x, step_y = x[:, other] - x[:, one], y[:, other] - y[:, one]
+        length = np.hypot(step_x, step_y)
+        # anticlockwise, with the hull on the left
+        slanted = (step_x * step_y * sign_x * sign_y < 0) & (length > LEAST_EDGE_M)
+        turn = np.where(step_x * sign_y > 0, 1.0, -1.0)
+        length = np.where(slanted, length, 1.0) * turn
+        normal_x, normal_y = -step_y / length, step_x / length
+        begin_x, begin_y = np.where(turn > 0, x[:, one], x[:, other]), np.where(turn > 0, y[:, one], y[:, other])
+        offset = normal_x * begin_x + normal_y * begin_y
+        least = (normal_x[..., None] * x[:, None] + normal_y[..., None] * y[:, None]).min(axis=-1, initial=np.inf)
+        slanted &= least >= offset - _STRAIGHT_M
+        normals.append(np.where(slanted[..., None], np.stack([normal_x, normal_y], axis=-1), 0.0))
+        offsets.append(np.where(slanted, offset, -np.inf))
+    normal, offset = np.concatenate(normals, axis=1), np.concatenate(offsets, axis=1)
+    order = np.argsort(np.isinf(offset), axis=1, kind="stable")[:, : int(np.isfinite(offset).sum(axis=1).max())]
+    return np.take_along_axis(normal, order[..., None], axis=1), np.take_along_axis(offset, order, axis=1)

@@ -1,0 +1,34 @@
+"""Boxes that are turned: rotation matrices of quaternions, turned vectors, and corners."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+
+
+def rotations(quat: FloatArray) -> FloatArray:
+    """(k, 3, 3) rotation matrices of (k, 4) quaternions (w, x, y, z), which need not have length 1. Their columns are
+    the axes of the boxes."""
+    w, x, y, z = quat.T / np.linalg.norm(quat, axis=1)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotated_vectors(quat: FloatArray, vector: FloatArray) -> FloatArray:
+    """(…, 3) vectors turned by (…, 4) quaternions (w, x, y, z) of any length but zero."""
+    axis, w = quat[..., 1:], quat[..., :1]
+    twice = 2 * np.cross(axis, vector) / (quat**2).sum(axis=-1, keepdims=True)
+    turned_vector: FloatArray = vector + w * twice + np.cross(axis, twice)
+    return turned_vector
+
+
+def corners(pos: FloatArray, turns: FloatArray, half_size: FloatArray) -> FloatArray:
+    """(k, 8, 3) corners of boxes, m, from (k, 3) centres, (k, 3, 3) rotations and (k, 3) half sizes. They come by the
+    signs of their half sizes, −1 before 1, x slowest."""
+    signs = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(8, 3)
+    return np.asarray(pos[:, None] + np.einsum("kij,kcj->kci", turns, signs * half_size[:, None]))

@@ -1,0 +1,311 @@
+"""Soft boxes: boxes as MuJoCo flex bodies, 3 × 3 × 3 points whose edges are held by equality constraints.
+
+MuJoCo 3.17 takes no elasticity beside such constraints, so that the constraints are the springs. At rest one of
+impedance d and stiffness k (solref −k, −b) is the spring κ·μ, with κ = d²k / (1 − d) and μ the harmonic mass
+1 / (1/m₁ + 1/m₂) of its two points. The stiffness of the whole network between two plates is then κ·c, where c follows
+from places and masses of the points (``_network_kg``), and a box of stiffness S has κ = S / c.
+
+The points' masses are 1 : 4 : 1 along each axis, Simpson's weights, with which three points have the moments of inertia
+of a solid box. Edges are as stiff as their points are heavy, so that a box also resists tilting as a bed does, with
+S·L²/12, and its own weight presses all its columns alike.
+
+MuJoCo gives an element one point of contact, which on a flat face jumps from step to step, and boxes tremble. So each
+point has a ball of its own, and elements touch a little later than balls: flat faces rest on balls, and the elements
+bear where edges cross.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import combinations, product
+from typing import Final
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.units import FloatArray
+from petmjx.options.physics import Physics, Triple
+from petmjx.world.contact_laws import MOST_IMPEDANCE
+from petmjx.world.friction_pairs import LARGER, filled_up
+from petmjx.world.history import CARRIER
+from petmjx.world.rotation import rotations
+from petmjx.world.scene import IDENTITY_QUAT, Scene
+
+POINTS: Final = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
+"""(27, 3) the points of a box of half sizes 1."""
+
+ROUNDING_M: Final = 0.001
+"""Radius of edges and corners, with which the points' faces are covered. Without it the collider would meet faces that
+reach into one another, where it finds no good normals."""
+
+BALL_M: Final = 0.0002
+"""How much deeper than balls elements must be to touch: more than contacts are deep. Elements have half of it as a
+negative margin and rigid shapes as well, and balls have it as a positive one; margins add up."""
+
+MOST_ROUNDING: Final = 0.1
+"""Of the shortest half size."""
+
+IMPEDANCE: Final = 0.99
+"""Of the edges. Those of 0.95 and as stiff a box tremble four times as much; with 0.999 it takes 0.1 s to give way."""
+
+MOST_RATE: Final = 0.05
+"""Largest k·dt² of an edge, which is integrated explicitly; boxes that are stiffer have edges of larger impedance."""
+
+CONTACT_SOLREF: Final = (0.004, 1.0)
+CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
+"""Of contacts of soft boxes, whose points weigh a 216th of a box and more: as stiff as the timestep lets them be. Under
+1,000 times its own weight a box's contacts are 0.1 mm deep."""
+
+_ALONE: Final = 1e9
+"""MuJoCo's weight of a law; that of rigid shapes is 1."""
+
+_ELEMENTS: Final = 2
+_BALLS: Final = 4
+"""Bits of MuJoCo's collision filter: elements touch elements, balls and rigid shapes; balls do not touch balls."""
+
+
+@lru_cache(maxsize=1)
+def tetrahedra() -> NDArray[np.intp]:
+    """(40, 4) points of the elements: five in each of the eight cells, mirrored from cell to cell, so that no box
+    twists when it is pressed."""
+    elements = []
+    for cell in product(range(2), repeat=3):
+        corners = [tuple(np.add(cell, offset)) for offset in product(range(2), repeat=3)]
+        even = [cell_corner for cell_corner in corners if sum(cell_corner) % 2 == 0]
+        elements.append(even)
+        for corner in corners:
+            if corner not in even:
+                elements.append(
+                    [corner, *(neighbour for neighbour in even if np.abs(np.subtract(neighbour, corner)).sum() == 1)]
+                )
+    numbers = np.array(elements) @ np.array([9, 3, 1])
+    for element in numbers:
+        sides = POINTS[element[1:]] - POINTS[element[0]]
+        if np.linalg.det(sides) < 0:
+            element[:2] = element[1::-1]
+    return np.asarray(numbers, np.intp)
+
+
+@lru_cache(maxsize=1)
+def _edges() -> NDArray[np.intp]:
+    """(e, 2) pairs of points with an edge."""
+    return np.unique(np.sort(np.concatenate([tetrahedra()[:, pair] for pair in combinations(range(4), 2)])), axis=0)
+
+
+def rounding_m(half_size: FloatArray) -> float:
+    """Radius of a box's edges, m."""
+    return min(ROUNDING_M, MOST_ROUNDING * float(half_size.min()))
+
+
+def points_of(half_size: FloatArray) -> FloatArray:
+    """(27, 3) where a box's points are, seen from its middle, m."""
+    points_m: FloatArray = POINTS * (half_size - rounding_m(half_size))
+    return points_m
+
+
+def shares() -> FloatArray:
+    """(27,) of a box's mass that its points have: Simpson's weights."""
+    along = np.array([1.0, 4.0, 1.0]) / 6.0
+    return np.asarray(np.einsum("i,j,k->ijk", along, along, along).ravel())
+
+
+def check_soft(scene: Scene) -> None:
+    """Whether MuJoCo can have a scene's soft boxes.
+
+    Raises:
+        InputError: they cannot be as the scene has them.
+    """
+    if scene.soft is None:
+        return
+    if not scene.placing.appears:
+        raise InputError("soft: soft boxes appear at their places; name placing exact")
+    if scene.mass_center is not None and scene.mass_center[scene.soft].any():
+        box = int(np.flatnonzero(scene.soft & scene.mass_center.any(axis=1))[0])
+        raise InputError(f"soft: a soft box has its centre of mass in the middle, and box {box} has it elsewhere")
+    soft_friction(scene)
+
+
+@dataclass(frozen=True)
+class EdgeLaw:
+    """solref and solimp of a box's edges."""
+
+    solref: tuple[float, float]
+    solimp: Triple
+
+
+def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_s: float) -> EdgeLaw:
+    """For a box between plates to be a spring of this stiffness, or as stiff as the timestep lets it be (inf)."""
+    most = MOST_RATE / timestep_s**2
+    kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
+    impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
+    if rate == most:
+        impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)  # κ = d²k / (1 − d), for d
+    return EdgeLaw((-rate, -2 * rate**0.5), (impedance, impedance, 0.001))
+
+
+@lru_cache(maxsize=1)
+def _mujocos_share() -> float:
+    """What MuJoCo takes for the inverse mass of an edge, as a share of it: 1/2 of points whose bodies have nothing but
+    slides (3.17), so that edges are twice as stiff as by its documentation. It is asked, since that may change."""
+    spec = mujoco.MjSpec()
+    mass = shares()
+    _add_points(spec, "probe", POINTS, mass)
+    flex = _add_flex(spec, "probe")
+    flex.radius = MOST_ROUNDING
+    spec.add_equality(type=mujoco.mjtEq.mjEQ_FLEX, name1=flex.name)
+    model = spec.compile()
+    one, two = model.flex_edge[0]
+    return float(model.flexedge_invweight0[0] / (1 / mass[one] + 1 / mass[two]))
+
+
+@lru_cache(maxsize=4096)
+def _network_kg(length: float, width: float, height: float) -> float:
+    """Stiffness of a box of mass 1 kg between two plates on which it does not slide for each κ, kg: half sizes in m."""
+    points, mass, edges = points_of(np.array([length, width, height])), shares(), _edges()
+    along = points[edges[:, 1]] - points[edges[:, 0]]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    spring = 1 / (1 / mass[edges]).sum(axis=1)
+    jacobian = np.zeros((len(edges), len(points), 3))
+    rows = np.arange(len(edges))
+    jacobian[rows, edges[:, 1]], jacobian[rows, edges[:, 0]] = along, -along
+    flat = jacobian.reshape(len(edges), -1)
+    matrix = flat.T @ (spring[:, None] * flat)
+    given = np.zeros((len(points), 3), bool)
+    given[POINTS[:, 2] != 0] = True
+    down = np.zeros((len(points), 3))
+    down[POINTS[:, 2] > 0, 2] = -1.0
+    free, moved = ~given.ravel(), down.ravel()
+    moved[free] = np.linalg.solve(matrix[np.ix_(free, free)], -(matrix @ moved)[free])
+    return float(moved @ matrix @ moved)
+
+
+def point_name(box: str, point: int) -> str:
+    """Name of the body of a box's point."""
+    return f"{box}_point_{point}"
+
+
+def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatArray) -> list[mujoco.MjsBody]:
+    """Bodies with three slides each, as the last of a spec."""
+    bodies = []
+    for number, place in enumerate(places):
+        body = spec.worldbody.add_body(name=point_name(box, number), pos=place)
+        body.explicitinertial = True
+        body.mass = mass[number]
+        body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
+        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # it does not turn
+        for axis in np.eye(3):
+            body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
+        bodies.append(body)
+    return bodies
+
+
+def _add_flex(spec: mujoco.MjSpec, box: str) -> mujoco.MjsFlex:
+    flex = spec.add_flex(name=box)
+    flex.dim = 3
+    flex.vertbody = [point_name(box, number) for number in range(len(POINTS))]
+    flex.elem = tetrahedra().ravel().tolist()
+    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
+    return flex
+
+
+def add_soft_box(
+    spec: mujoco.MjSpec, scene: Scene, physics: Physics, box: int, friction: Triple, rgba: Sequence[float]
+) -> None:
+    """Add a soft box at its place, as the last bodies of a spec: 27, with three slides each."""
+    half, name = scene.half_size[box], f"box_{box}"
+    (turn,) = rotations(scene.start_quat[box, None])
+    places = scene.start_pos[box] + points_of(half) @ turn.T
+    radius = rounding_m(half)
+    for number, body in enumerate(_add_points(spec, name, places, float(scene.mass[box]) * shares())):
+        if POINTS[number].any():
+            ball = body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0.0, 0.0], rgba=rgba)
+            ball.contype, ball.conaffinity = _BALLS, 0
+            ball.margin = BALL_M / 2
+            _set_contact(ball, friction)
+    flex = _add_flex(spec, name)
+    flex.radius, flex.margin = radius, -BALL_M / 2
+    flex.rgba = np.array(rgba)
+    flex.contype, flex.conaffinity = _ELEMENTS, _ELEMENTS | _BALLS
+    _set_contact(flex, friction)
+    stiffness = np.inf if scene.stiffness is None else float(scene.stiffness[box])
+    law = edge_law(half, float(scene.mass[box]), stiffness, physics.timestep_s)
+    held = spec.add_equality(type=mujoco.mjtEq.mjEQ_FLEX, name1=flex.name)
+    held.active = True
+    held.solref = np.array(law.solref)
+    held.solimp[:3] = law.solimp
+
+
+def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> None:
+    """Contacts of soft boxes have a law of their own in any physics: MuJoCo mixes those of both partners by weights."""
+    shape.condim = 3
+    shape.friction = np.array(friction)
+    shape.solref, shape.solmix = np.array(CONTACT_SOLREF), _ALONE
+    shape.solimp[:3] = CONTACT_SOLIMP
+
+
+def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions: SoftFriction) -> None:
+    """What rigid shapes have in a world with soft boxes. Call it when all are there."""
+    for geom in spec.geoms:
+        if geom.contype == _BALLS:
+            continue
+        geom.conaffinity |= _ELEMENTS | _BALLS
+        sliding = frictions.of_geom(geom.parent.name)
+        if physics.has_own_friction:  # rigid shapes touch one another in declared pairs, which have all of their own
+            geom.margin -= BALL_M / 2
+            geom.friction[0] = geom.friction[0] if sliding is None else sliding
+
+
+@dataclass(frozen=True, eq=False)
+class SoftFriction:
+    """Sliding friction of shapes in contacts of soft boxes, where MuJoCo takes the larger one of both partners.
+
+    Attributes:
+        of_boxes: (n,) of the boxes.
+        of_carrier: of the carrier; None: its own.
+    """
+
+    of_boxes: FloatArray
+    of_carrier: float | None
+
+    def of_geom(self, body: str) -> float | None:
+        """Of the geoms of a body, by its name."""
+        if body == "carrier":
+            return self.of_carrier
+        return float(self.of_boxes[int(body.removeprefix("box_"))]) if body.startswith("box_") else None
+
+
+def soft_friction(scene: Scene) -> SoftFriction:
+    """Friction of soft boxes by the table of their surfaces.
+
+    Raises:
+        InputError: it has frictions of pairs that "the larger of both coefficients" cannot express.
+    """
+    box_friction = scene.friction[:, 0].copy()
+    if scene.pair_friction is None or scene.surface is None or scene.soft is None:
+        return SoftFriction(box_friction, None)
+    table, surface = filled_up(scene.pair_friction), scene.surface
+    shapes = scene.shapes
+    boards = np.flatnonzero(shapes.body == CARRIER)
+    soft = np.flatnonzero(scene.soft)
+    alike = table[surface, surface]
+    box_friction = np.where(alike == LARGER, box_friction, alike)
+    with_boards = table[np.ix_(surface[soft], shapes.surface[boards])]
+    bare = with_boards == LARGER
+    given = np.where(bare, np.maximum(box_friction[soft][:, None], shapes.friction[boards, 0]), with_boards)
+    of_carrier = float(np.where(given > box_friction[soft][:, None] + 1e-9, given, 0.0).max())
+    pair_friction = table[np.ix_(surface[soft], surface)]
+    pair_friction = np.where(
+        pair_friction == LARGER, np.maximum(scene.friction[soft, 0][:, None], scene.friction[:, 0]), pair_friction
+    )
+    np.putmask(pair_friction, np.arange(scene.n_boxes) == soft[:, None], box_friction[soft])
+    larger = np.maximum(box_friction[soft][:, None], box_friction), np.maximum(box_friction[soft], of_carrier)[:, None]
+    if not (np.allclose(larger[0], pair_friction) and np.allclose(larger[1], given)):
+        raise InputError(
+            "soft: MuJoCo takes the larger friction of two soft boxes, and these materials have pairs with a "
+            "smaller one: leave materials out, or name friction_pairs that fit"
+        )
+    return SoftFriction(box_friction, of_carrier)

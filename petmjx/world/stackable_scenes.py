@@ -1,0 +1,42 @@
+"""Scenes whose arrays can be stacked: for what is worked out for many worlds at once, to the last bit as for each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from operator import attrgetter
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.world.scene import Scene
+
+AT_A_TIME: Final = 64
+"""Scenes of a group at most: arrays of all pairs of 43 boxes take 1 MB then."""
+
+
+def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
+    """Numbers of scenes that are alike, and whether they are plain: boxes alone, that neither give nor lie on sheets.
+    What is not plain has a group of its own. Worlds of a plan are alike."""
+    numbers_by_key: dict[Any, list[int]] = {}
+    for number, scene in enumerate(scenes):
+        if not is_plain(scene):
+            yield [number], False
+            continue
+        key = scene.n_boxes, len(scene.carrier.half_size), id(scene.approach), scene.placing, scene.wrap
+        group = numbers_by_key.setdefault(key, [])
+        group.append(number)
+        if len(group) == AT_A_TIME:
+            yield numbers_by_key.pop(key), True
+    yield from ((group, True) for group in numbers_by_key.values())
+
+
+def is_plain(scene: Scene) -> bool:
+    """Whether nothing but places, sizes, masses and friction tells a scene's boxes apart."""
+    more = scene.mass_center, scene.inertia_box, scene.surface, scene.stiffness, scene.soft, scene.carrier.surface
+    return not scene.pieces and all(array is None for array in more)
+
+
+def stacked_values(scenes: Sequence[Scene], name: str) -> NDArray[Any]:
+    """(m, …) a value of each scene, by its name, such as ``carrier.mass``."""
+    return np.array([*map(attrgetter(name), scenes)])

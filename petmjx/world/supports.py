@@ -1,0 +1,404 @@
+"""Which boxes of scenes bear which, as planned, and how far the loads of boxes are from the edges of what bears them.
+
+The load of a box is its own weight and all that rests on it. It acts at a point of the box's base, its centre of
+pressure, and the box is in balance if that lies within the convex hull of what bears it. Where a box has several
+supports, statics does not say how they share its load; here as on a bed of equal springs (Winkler 1867, "Die Lehre von
+der Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, which force and moments determine.
+Where springs would pull, supports push with the least energy (petmjx.world.load_sharing).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets
+from petmjx.world.body_shapes import Body
+from petmjx.world.history import CARRIER
+from petmjx.world.load_sharing import ON_EDGE_M, on_edges, pulls, pushes
+from petmjx.world.rectangle_hulls import HullTable, hull_table
+from petmjx.world.scene import Scene
+from petmjx.world.stackable_scenes import stackable_groups, stacked_values
+
+IntArray = NDArray[np.intp]
+
+TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
+"""Faces that are no further apart touch, as in the warnings about a plan."""
+
+_LEAST_OVERLAP_M: Final = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """The boxes of scenes, one scene after the other, n in all.
+
+    Attributes:
+        first: (s + 1,) where each scene's begin; the last one is n.
+        target: (n, 3) planned middles, m.
+        half_size: (n, 3) m.
+        mass: (n,) kg.
+        mass_center: (n, 3) from the middle, m.
+        carrier_mass: (n,) of what the scene's boxes stand on, kg.
+    """
+
+    first: IntArray
+    target: FloatArray
+    half_size: FloatArray
+    mass: FloatArray
+    mass_center: FloatArray
+    carrier_mass: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene) -> Boxes:
+        """Those of one scene."""
+        n = scene.n_boxes
+        mass_center = np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
+        carrier_mass = np.full(n, scene.carrier.mass)
+        return cls(np.array([0, n]), scene.target, scene.half_size, scene.mass, mass_center, carrier_mass)
+
+    @classmethod
+    def together(cls, scenes: Sequence[Boxes]) -> Boxes:
+        """Those of several."""
+        counts = [np.diff(boxes.first) for boxes in scenes]
+        first = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
+        names = [field.name for field in fields(cls) if field.name != "first"]
+        return cls(first, *(np.concatenate([getattr(boxes, name) for boxes in scenes]) for name in names))
+
+    @cached_property
+    def bottom(self) -> FloatArray:
+        """(n,) heights of the planned bottoms, m."""
+        low: FloatArray = (self.target - self.half_size)[:, 2]
+        return low
+
+    def among(self, placed: int | Sequence[int]) -> NDArray[np.bool_]:
+        """(n,) which boxes are among the first so many of their scene."""
+        counts = np.diff(self.first)
+        number = np.arange(self.first[-1]) - np.repeat(self.first[:-1], counts)
+        among: NDArray[np.bool_] = number < np.repeat(np.broadcast_to(placed, len(counts)), counts)
+        return among
+
+
+@dataclass(frozen=True, eq=False)
+class Bearing:
+    """Who bears whom in scenes of n boxes together: c rectangles on which a box lies, in the order of the boxes above.
+
+    Attributes:
+        boxes: whose planned places count, not where boxes are released.
+        upper: (c,) the box above.
+        lower: (c,) the box below, whenever it is placed, or ``CARRIER``.
+        low, high: (c, 2) corners of the rectangles along x and y, m.
+    """
+
+    boxes: Boxes
+    upper: IntArray
+    lower: IntArray
+    low: FloatArray
+    high: FloatArray
+
+    def loads(self, placed: int | Sequence[int]) -> FloatArray:
+        """(n, 4) loads once the first ``placed`` boxes of each scene are placed: mass, kg, and its first moments along
+        x, y and z, kg·m. 0 for the other boxes."""
+        load = self.weights
+        load[~self.boxes.among(placed)] = 0.0
+        for level, between in enumerate(self.levels):
+            upper, lower = self.upper[between], self.lower[between]
+            passed = self.forces(load, self.borne_together[level])[between]
+            height = load[upper, 3] / np.where(load[upper, 0] > 0, load[upper, 0], 1.0)
+            np.add.at(load, lower, np.c_[passed, passed[:, 0] * height])
+        return load
+
+    @property
+    def weights(self) -> FloatArray:
+        """(n, 4) the boxes' own weights, as ``loads`` has them."""
+        boxes = self.boxes
+        centre = boxes.target + boxes.mass_center
+        weights: FloatArray = boxes.mass[:, None] * np.concatenate([np.ones((len(centre), 1)), centre], axis=1)
+        return weights
+
+    def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
+        """(c, 3) what boxes under loads press on what bears them at each contact: force and first moments along x and
+        y, as ``load`` has them. A box on one support presses on it with its load.
+
+        Args:
+            load: (n, 3) or more.
+            together: the contacts of boxes with several supports that are looked at; those of the others have no
+                meaning.
+        """
+        force = load[self.upper, :3]
+        if not len(together):
+            return force
+        upper, low, high = self.upper[together], self.low[together], self.high[together]
+        force[together] = np.einsum("cij,cj->ci", self.shares[together], load[upper, :3])
+        pulled = np.unique(upper[pulls(force[together], low, high, load[upper, 0])])
+        if len(pulled):
+            contacts = together[np.isin(upper, pulled)]
+            owner = np.searchsorted(pulled, self.upper[contacts])
+            force[contacts] = self.pushed(load[pulled, :3], pulled, owner, self.low[contacts], self.high[contacts])
+        return force
+
+    def pushed(
+        self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
+    ) -> FloatArray:
+        """(k, 3) the forces at contacts, if supports can only push, of boxes that have several.
+
+        Args:
+            load: (p, 3) one load of each of these ``boxes``.
+            owner: (k,) which of the loads presses at each contact; contacts come in this order.
+            low, high: (k, 2) their rectangles.
+        """
+        force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
+        within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
+        for chosen in (within, ~within):
+            if chosen.any():
+                some = chosen[owner]
+                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[some]], low[some], high[some]
+                force[some] = (
+                    pushes(*contact_args) if chosen is within else on_edges(*contact_args, self.hulls, hull[chosen])
+                )
+        return force
+
+    def edges_m(self, load: FloatArray) -> FloatArray:
+        """(n,) how far inside the nearest edge of what bears it each box's load acts, m: negative beyond it, NaN where
+        nothing bears the box, or there is no load."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            point = load[:, 1:3] / load[:, :1]
+        distance_m = np.full(len(load), np.nan)
+        single = np.flatnonzero(self.n_supports[self.upper] == 1)
+        alone = self.upper[single]
+        distance_m[alone] = np.minimum(point[alone] - self.low[single], self.high[single] - point[alone]).min(axis=1)
+        several = np.flatnonzero(self.n_supports > 1)
+        distance_m[several] = self.hulls.inside_m(np.arange(len(several)), point[several])
+        return distance_m
+
+    @cached_property
+    def hulls(self) -> HullTable:
+        """Of the supports of boxes that have several, in order."""
+        several = self.n_supports[self.upper] > 1
+        return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
+
+    def share_hulls(self, number: int, one: Bearing) -> None:
+        """Let the bearing ``one`` of a scene, the number of which is given, have the hulls of all scenes together."""
+        begin, end = self.boxes.first[number : number + 2].tolist()
+        before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
+        hulls = slice(before, before + count)
+        vars(one).setdefault("hulls", HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]))
+
+    @cached_property
+    def number_of_hull(self) -> IntArray:
+        """(n,) which of ``hulls`` is a box's, if it has several supports."""
+        return np.cumsum(self.n_supports > 1) - 1
+
+    @cached_property
+    def widths_m(self) -> FloatArray:
+        """(n,) extent of what bears each box, along x or y, where it is shorter, m; NaN where nothing does."""
+        low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
+        np.minimum.at(low, self.upper, self.low)
+        np.maximum.at(high, self.upper, self.high)
+        width: FloatArray = (high - low).min(axis=1)
+        return np.where(np.isfinite(width), width, np.nan)
+
+    @cached_property
+    def n_supports(self) -> IntArray:
+        """(n,) how many rectangles bear each box."""
+        return np.bincount(self.upper, minlength=len(self.boxes.mass))
+
+    @cached_property
+    def ends(self) -> IntArray:
+        """(n + 1,) where each box's contacts begin; the last one is their number."""
+        return np.concatenate([[0], np.cumsum(self.n_supports)])
+
+    @cached_property
+    def level(self) -> IntArray:
+        """(n,) the most contacts from a box up to one that bears none."""
+        between = np.flatnonzero(self.lower != CARRIER)
+        upper, lower = self.upper[between], self.lower[between]
+        level = np.zeros(len(self.boxes.mass), int)
+        while (level[lower] <= level[upper]).any():
+            np.maximum.at(level, lower, level[upper] + 1)
+        return level
+
+    @cached_property
+    def levels(self) -> list[IntArray]:
+        """The contacts between boxes, in groups: once all before are done, nothing is added to the upper boxes."""
+        between = np.flatnonzero(self.lower != CARRIER)
+        between = between[np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")]
+        level = self.level[self.upper[between]]
+        order = np.argsort(level, kind="stable")
+        return np.split(between[order], np.flatnonzero(np.diff(level[order])) + 1) if len(order) else []
+
+    @cached_property
+    def borne_together(self) -> list[IntArray]:
+        """For each group of ``levels`` the contacts of its boxes that have several supports, the carrier's too."""
+        groups = []
+        for between in self.levels:
+            chosen = np.zeros(len(self.boxes.mass), bool)
+            chosen[self.upper[between]] = True
+            groups.append(np.flatnonzero((chosen & (self.n_supports > 1))[self.upper]))
+        return groups
+
+    @cached_property
+    def shares(self) -> FloatArray:
+        """(c, 3, 3): load of the upper box (mass and moments) → the part that reaches the lower one at this contact."""
+        share = np.tile(np.eye(3), (len(self.upper), 1, 1))
+        several = self.n_supports[self.upper] > 1
+        if not several.any():
+            return share
+        boxes, upper = self.boxes, self.upper[several]
+        # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
+        origin, scale = boxes.target[upper, :2], boxes.half_size[upper, :2]
+        low, high = (self.low[several] - origin) / scale, (self.high[several] - origin) / scale
+        middle, length = np.c_[np.ones(len(upper)), (low + high) / 2], high - low
+        area = length.prod(axis=1)
+        moments = area[:, None, None] * middle[:, :, None] * middle[:, None, :]
+        moments[:, [1, 2], [1, 2]] += area[:, None] * length**2 / 12
+        total_moments = np.zeros((len(boxes.mass), 3, 3))
+        np.add.at(total_moments, upper, moments)
+        to_global = np.zeros_like(moments)
+        to_global[:, 0, 0] = 1.0
+        to_global[:, 1:, 0] = origin
+        to_global[:, [1, 2], [1, 2]] = scale
+        inverse = np.zeros_like(total_moments)
+        together = self.n_supports > 1
+        inverse[together] = np.linalg.inv(total_moments[together])
+        share[several] = to_global @ (moments @ inverse[upper]) @ np.linalg.inv(to_global)
+        return share
+
+
+@lru_cache(maxsize=256)
+def bearing_of(scene: Scene) -> Bearing:
+    """``find_bearing``, kept, since in a sweep many worlds have the same scene."""
+    return find_bearing(scene)
+
+
+def bearings_of(
+    scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()
+) -> list[Bearing]:
+    """``bearing_of`` of each scene, and then of those that are at rest with their boxes at (n, 3) places, m."""
+    different = list({id(scene): scene for scene in scenes}.values())
+    if len(different) == 1:
+        return [bearing_of(different[0])] * len(scenes) + find_bearings(at_rest, pos)
+    bearings = find_bearings([*different, *at_rest], [*(scene.target for scene in different), *pos])
+    of_scene = dict(zip(map(id, different), bearings, strict=False))
+    return [of_scene[id(scene)] for scene in scenes] + bearings[len(different) :]
+
+
+def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float = TOUCH_M) -> list[Bearing]:
+    """``find_bearing`` of each scene with its boxes at (n, 3) places, m: of those that are alike at once."""
+    if len(scenes) < 2:
+        moved = [replace(scene, target=target) for scene, target in zip(scenes, targets, strict=True)]
+        return [find_bearing(scene, most_gap_m) for scene in moved]
+    bearing_by_number: dict[int, Bearing] = {}
+    for numbers, plain in stackable_groups(scenes):
+        some = [scenes[k] for k in numbers]
+        if plain and some[0].n_boxes:
+            target = np.array([targets[k] for k in numbers])
+            bearing_by_number.update(zip(numbers, _stacked_bearings(some, target, most_gap_m), strict=True))
+        else:
+            bearing_by_number.update(
+                (k, find_bearing(replace(scenes[k], target=targets[k]), most_gap_m)) for k in numbers
+            )
+    return [bearing_by_number[k] for k in range(len(scenes))]
+
+
+def _stacked_bearings(scenes: Sequence[Scene], target: FloatArray, most_gap_m: float) -> Iterator[Bearing]:
+    """The bearings of plain scenes that are alike, with their boxes at (m, n, 3) places, m."""
+    half_size = stacked_values(scenes, "half_size")
+    (m, n), low, high = target.shape[:2], target - half_size, target + half_size
+    decks = [_deck(scene.carrier) for scene in scenes]
+    boards = np.array([len(deck_low) for deck_low, _ in decks])
+    first_board = np.cumsum(boards) - boards
+    deck_low, deck_high = (np.concatenate(corners) for corners in zip(*decks, strict=True))
+    touching = meets(low[..., 2], high[..., 2], TOUCH_M, most_gap_m) & (low[..., :, None, 2] < low[..., None, :, 2])
+    of_below, below, above = np.nonzero(touching)
+    lies_in, lying = np.nonzero(low[..., 2] <= most_gap_m)
+    times = boards[lies_in]
+    board = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times - first_board[lies_in], times)
+    world = np.concatenate([np.repeat(lies_in, times), of_below])
+    upper = np.concatenate([np.repeat(lying, times), above])
+    lower = np.concatenate([np.full(len(board), CARRIER), below])
+    under_low = np.concatenate([deck_low[board], low[of_below, below, :2]])
+    under_high = np.concatenate([deck_high[board], high[of_below, below, :2]])
+    area_low = np.maximum(low[world, upper, :2], under_low)
+    area_high = np.minimum(high[world, upper, :2], under_high)
+    wide = np.flatnonzero((area_high - area_low > _LEAST_OVERLAP_M).all(axis=1))
+    order = wide[np.lexsort((lower[wide], upper[wide], world[wide]))]
+    ends = np.searchsorted(world[order], np.arange(m + 1)).tolist()
+    every = upper[order], lower[order], area_low[order], area_high[order]
+    first, centred = np.array([0, n]), np.zeros((n, 3))
+    for k, scene in enumerate(scenes):
+        boxes = Boxes(first, target[k], half_size[k], scene.mass, centred, np.full(n, scene.carrier.mass))
+        yield Bearing(boxes, *(values[ends[k] : ends[k + 1]] for values in every))
+
+
+def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
+    """Who bears whom, by the planned places.
+
+    A box lies on a board of the carrier's deck if its bottom is not above its top, and on another box that begins lower
+    if that one's top is at the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
+
+    Args:
+        most_gap_m: a box lies on what is no further below its bottom than this, too: it leans onto it.
+    """
+    low, high = scene.target - scene.half_size, scene.target + scene.half_size
+    deck_low, deck_high = _deck(scene.carrier)
+    touching = meets(low[:, 2], high[:, 2], TOUCH_M, most_gap_m)
+    touching &= np.less.outer(low[:, 2], low[:, 2])
+    below, above = np.nonzero(touching)
+    cut_below, cut_low, cut_high = _cut(scene, low, high)
+    # each box above a sheet lies on its pieces, each box above another one on its whole top
+    row, pieces = np.nonzero(below[:, None] == cut_below)
+    below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
+    on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))
+    lying = low[on_deck, 2] <= most_gap_m
+    on_deck, board = on_deck[lying], board[lying]
+    upper = np.concatenate([on_deck, above])
+    lower = np.concatenate([np.full(len(on_deck), CARRIER), below])
+    under_low = np.concatenate([deck_low[board], piece_low])
+    under_high = np.concatenate([deck_high[board], piece_high])
+    area_low, area_high = np.maximum(low[upper, :2], under_low), np.minimum(high[upper, :2], under_high)
+    order = np.lexsort((lower, upper))
+    order = order[((area_high - area_low)[order] > _LEAST_OVERLAP_M).all(axis=1)]
+    return Bearing(Boxes.of(scene), upper[order], lower[order], area_low[order], area_high[order])
+
+
+def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """(t,) whose the tops of a scene's boxes are, and (t, 2) their corners: a box has one, a sheet those of its pieces.
+
+    Args:
+        low, high: (n, 3) corners of the boxes, m.
+    """
+    if not scene.pieces:
+        return np.arange(scene.n_boxes), low[:, :2], high[:, :2]
+    shapes = scene.shapes
+    of_boxes = shapes.body != CARRIER
+    box = shapes.body[of_boxes]
+    middle = (scene.target[box] + shapes.pos[of_boxes] - scene.middle[box])[:, :2]
+    half = shapes.half_size[of_boxes, :2]
+    return box, middle - half, middle + half
+
+
+def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
+    """(b, 2) lowest and (b, 2) highest corners of the boards whose tops are the carrier's, m."""
+    center = carrier.pos + carrier.shape_pos
+    deck = (center + carrier.half_size)[:, 2] >= -TOUCH_M
+    return (center - carrier.half_size)[deck, :2], (center + carrier.half_size)[deck, :2]
+
+
+def joined_bearing(bearings: Sequence[Bearing]) -> Bearing:
+    """The bearings of several scenes as one, with the boxes scene after scene, so that all are computed at once."""
+    boxes = Boxes.together([bearing.boxes for bearing in bearings])
+    first = boxes.first.tolist()
+    lower = [np.where(b.lower == CARRIER, CARRIER, b.lower + k) for b, k in zip(bearings, first, strict=False)]
+    return Bearing(
+        boxes,
+        np.concatenate([bearing.upper + k for bearing, k in zip(bearings, first, strict=False)]),
+        np.concatenate(lower),
+        np.concatenate([bearing.low for bearing in bearings]),
+        np.concatenate([bearing.high for bearing in bearings]),
+    )

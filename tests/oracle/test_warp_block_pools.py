@@ -1,0 +1,102 @@
+"""Which thread blocks a group's worlds have: by size, for few boxes and for the last ones, with room for contacts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+from petmjx.engines.contact_penetration import stiffened_physics
+from petmjx.engines.warp import block_pool
+from petmjx.engines.warp.block_launch import SIZES
+from petmjx.engines.warp.block_pool import BlockPools, most_room
+from petmjx.engines.warp.kernel_features import KernelFeatures
+from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX
+from petmjx.engines.warp.world_groups import MAX_GROWTH
+from petmjx.options.simulation import Simulation
+
+USUAL = Simulation()
+STIFF = USUAL.changed(physics=stiffened_physics(USUAL.physics, 0.5))
+SMALL, LARGE = (size.most_boxes for size in SIZES)
+
+
+def group(sim: Simulation = USUAL, widths: dict[int, int] | None = None, boards: int = 1) -> Any:
+    """Of three worlds that begin with 1, 15 and 16 boxes."""
+    run = SimpleNamespace(sim=sim, needs=KernelFeatures(widths or {SMALL: 40}))
+    table = SimpleNamespace(placed=[1, 15, 16, 0, 0])  # two rows are spare
+    return SimpleNamespace(run=run, table=table, jobs=[None] * 3, boards=boards)
+
+
+@pytest.fixture
+def few_worlds(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Worlds for which blocks for few boxes were asked for; they are on this device."""
+    counts: list[int] = []
+
+    def fleet_for_few(fleet: Any, worlds: int, lanes: int | None) -> Any:
+        counts.append(worlds)
+        return replace(fleet, least=1)
+
+    monkeypatch.setattr(block_pool, "small_world_pool", fleet_for_few)
+    monkeypatch.setattr(block_pool, "tail_pool", lambda fleet, lanes: replace(fleet, last=True))
+    return counts
+
+
+def kinds(chosen_fleets: Any) -> list[str]:
+    return ["last" if fleet.last else "few" if fleet.least else str(fleet.n_boxes) for fleet in chosen_fleets]
+
+
+def test_the_largest_worlds_come_first_behind_the_extra_ones(few_worlds: list[int]) -> None:
+    chosen_fleets = BlockPools(None, lambda launch: 3).of(group(widths={SMALL: 40, LARGE: 120}))
+    assert kinds(chosen_fleets) == ["last", "few", "120", "40"]
+    assert [fleet.n_boxes for fleet in chosen_fleets] == [40, 40, 120, 40]
+    assert few_worlds == [2]
+    assert {fleet.blocks for fleet in chosen_fleets} == {3}
+
+
+def test_stiff_contacts_have_no_blocks_for_few_boxes(few_worlds: list[int]) -> None:
+    chosen_fleets = BlockPools(None, lambda launch: 3).of(group(STIFF, {SMALL: 40, LARGE: 120}))
+    assert kinds(chosen_fleets) == ["last", "120", "40"]
+    assert chosen_fleets[0].n_boxes == 40
+    assert few_worlds == []
+
+
+def test_larger_buffers_are_of_the_size_that_needs_them_and_end_blocks_for_few_boxes(few_worlds: list[int]) -> None:
+    both = group(widths={SMALL: 40, LARGE: 120})
+    mine = BlockPools(None, lambda launch: 3)
+    usual = {fleet.n_boxes: fleet for fleet in mine.of(both)}
+    assert mine.grow(both.run, LARGE) == 2
+    assert kinds(mine.of(both)) == ["last", "few", "120", "40"], "the others are of the usual size"
+    assert mine.grow(both.run, SMALL) == 2
+    grown = mine.of(both)
+    assert kinds(grown) == ["last", "120", "40"]
+    for fleet in grown:
+        assert (fleet.npairmax, fleet.nconmax) == (
+            2 * usual[fleet.n_boxes].npairmax, 2 * usual[fleet.n_boxes].nconmax
+        )  # fmt: skip
+    assert mine.grow(group(STIFF, widths={SMALL: 40}).run, SMALL) == 4, "for the same cones"
+    pyramids = USUAL.changed(physics=USUAL.physics.changed(cone="pyramidal"))
+    assert kinds(mine.of(group(pyramids))) == ["last", "few", "40"]
+
+
+def test_buffers_grow_until_a_world_of_the_largest_size_would_have_enough() -> None:
+    mine, run = BlockPools(None, lambda launch: 3), group(widths={SMALL: SMALL}).run
+    growths = [mine.grow(run, SMALL) for _ in range(4)]
+    assert growths == [2, 4, MAX_GROWTH, None]
+    narrow = group(widths={SMALL: 2}).run
+    mine = BlockPools(None, lambda launch: 3)
+    while mine.grow(narrow, SMALL):
+        pass
+    (fleet,) = mine.of(group(widths={SMALL: 2}))[-1:]
+    assert fleet.npairmax == PAIRS_PER_BOX * most_room(SMALL)
+
+
+@pytest.mark.parametrize("boards", [1, 3])
+def test_each_shape_of_a_carrier_has_room_as_a_box_has(boards: int) -> None:
+    *_, fleet = BlockPools(None, lambda launch: 3).of(group(boards=boards))
+    shapes = 40 + MORE_BOXES + boards - 1
+    assert (fleet.npairmax, fleet.nconmax) == (PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+    assert fleet.boards == boards

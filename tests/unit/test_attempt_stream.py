@@ -1,0 +1,267 @@
+"""The retry procedure, on an engine that fails as planned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.failing_engine import FailingEngine, outcome_of, worlds_failing
+from support.outcomes import make_outcome
+from support.plans import make_plan, make_world
+
+import petmjx.engines.outcome_checks as looked_at
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.subprocess.check_pool import CheckPool
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.engines.world_results import World
+from petmjx.options.physics import PHYSICS
+from petmjx.options.simulation import Simulation, Solver
+from petmjx.world.job import Drive, Excitation, Job
+
+
+@pytest.mark.parametrize("takes_more", [False, True])
+def test_worlds_that_follow_from_results_are_simulated_too(takes_more: bool) -> None:
+    """At once by an engine that takes more jobs while it runs, else when those before have ended. Of an invalid world
+    they follow when its last attempt has ended."""
+
+    class Taking(FailingEngine):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            self.calls.append((sim, list(jobs)))
+            index = 0
+            while index < len(jobs):
+                failures = round(float(jobs[index].scene.mass[0])) - 1
+                yield outcome_of(index, Verdict.INVALID if len(self.calls) <= failures else Verdict.STABLE)
+                index += 1
+
+    engine = Taking() if takes_more else FailingEngine()
+    engine.takes_more = takes_more
+    first, second, third, fourth = worlds_failing(0, 9, 0, 0)
+    follow = {"p0": [second, third], "p1": [fourth]}
+    queue: list[World] = []
+
+    def more() -> list[World]:
+        next_worlds = queue.copy()
+        queue.clear()
+        return next_worlds
+
+    seen = []
+    for result in score_worlds([first], Simulation(), engine, more=more):
+        seen.append(result.world.plan.plan_id)
+        queue += follow.get(seen[-1], [])
+    assert sorted(seen) == ["p0", "p1", "p2", "p3"]
+    assert seen[0] == "p0"
+    assert seen.index("p3") > seen.index("p1")
+    assert [len(jobs) for _, jobs in engine.calls][:2] == ([1, 1] if takes_more else [1, 2])
+
+
+def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class InSlices(FailingEngine):
+        takes_more = True
+
+        @says_at_hand
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            done = 0
+            while done < len(jobs):
+                ended = range(done, len(jobs))
+                done = len(jobs)
+                for index in ended:
+                    assert progress is not None
+                    progress.at_hand = ended[-1] - index
+                    yield outcome_of(index, Verdict.STABLE)
+
+    together: list[int] = []
+    monkeypatch.setattr(looked_at, "note_edges", lambda outcomes, jobs: together.append(len(outcomes)))
+    queue, worlds = [], worlds_failing(0, 0, 0, 0, 0)
+
+    def more() -> list[World]:
+        next_worlds = queue.copy()
+        queue.clear()
+        return next_worlds
+
+    for result in score_worlds(worlds[:3], Simulation(), InSlices(), more=more):
+        queue += worlds[3:] if result.world is worlds[2] else []
+    assert [number for number in together if number] == [3, 2]
+
+
+def test_what_looks_at_answers_is_waited_for_until_more_are_at_hand() -> None:
+    class Answering(FailingEngine):
+        @says_at_hand
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            for outcome in super().run(jobs, sim, progress):
+                assert progress is not None
+                progress.at_hand = 0
+                yield outcome
+
+    class Waiting(CheckPool[Any]):
+        """While they wait, other answers are at hand."""
+
+        def exchanged(self, came: Any, *_: Any, wait: bool, until: Callable[[], bool]) -> Any:
+            assert wait
+            assert not until()
+            kept.extend(came)
+            progress.at_hand = 1
+            if until():
+                return []
+            answers = kept.copy()
+            kept.clear()
+            went_on.append(len(answers))
+            return answers
+
+    kept, went_on = list[Any](), list[int]()
+    progress, worlds = Progress(), worlds_failing(0, 0, 0)
+    results = score_worlds(worlds, Simulation(), Answering(), progress=progress, lookers=Waiting(0))
+    assert sorted(result.world.plan.plan_id for result in results) == ["p0", "p1", "p2"]
+    assert [count for count in went_on if count] == [3], "in the end all are waited for"
+
+
+def test_valid_worlds_run_once() -> None:
+    engine = FailingEngine()
+    results = list(score_worlds(worlds_failing(0, 0, 0), Simulation(), engine))
+    assert {r.world.plan.plan_id for r in results} == {"p0", "p1", "p2"}
+    assert [len(r.attempts) for r in results] == [1, 1, 1]
+    assert len(engine.calls) == 1
+
+
+def test_invalid_worlds_run_again_as_one_batch_until_they_are_valid() -> None:
+    engine = FailingEngine()
+    results = {r.world.plan.plan_id: r for r in score_worlds(worlds_failing(0, 1, 3, 9, 1), Simulation(), engine)}
+    assert [len(jobs) for _, jobs in engine.calls] == [5, 4, 2, 2, 1]
+    assert {name: len(r.attempts) for name, r in results.items()} == {"p0": 1, "p1": 2, "p2": 4, "p3": 5, "p4": 2}
+    assert {name: r.outcome.attempt for name, r in results.items()} == {
+        "p0": 1, "p1": 2, "p2": 4, "p3": 5, "p4": 2
+    }  # fmt: skip
+    assert results["p3"].outcome.verdict is Verdict.INVALID
+    assert results["p3"].outcome.reason is Reason.EXPLOSION
+    assert results["p2"].outcome.verdict is Verdict.STABLE
+    assert [a.verdict for a in results["p2"].attempts] == ["invalid", "invalid", "invalid", "stable"]
+    assert [a.solver for a in results["p3"].attempts] == ["newton", "newton", "cg", "cg", "newton"]
+    assert [a.timestep_s for a in results["p3"].attempts] == [0.002] * 4 + [0.001]
+
+
+def test_flags_of_an_engine_of_one_s_own_may_be_numbers() -> None:
+    outcome = make_outcome(1, Verdict.STABLE, flags=int(Flag.SINKING))  # type: ignore[arg-type]
+    numbers = [attempt.number for attempt in ATTEMPTS if attempt.is_for(outcome, Simulation())]
+    assert numbers == [
+        attempt.number for attempt in ATTEMPTS if attempt.is_for(replace(outcome, flags=Flag.SINKING), Simulation())
+    ]
+    assert numbers
+
+
+def test_no_attempt_repeats_another() -> None:
+    engine = FailingEngine()
+    list(score_worlds(worlds_failing(9), Simulation(), engine))
+    sims = [sim for sim, _ in engine.calls]
+    assert len(sims) == 5
+    assert all(sims[i] != sims[j] for i in range(5) for j in range(i))
+    assert [sim.solver for sim in sims] == [Solver.NEWTON, Solver.NEWTON, Solver.CG, Solver.CG, Solver.NEWTON]
+    assert [sim.solver_iterations for sim in sims] == [None, *[CAREFUL_ITERATIONS] * 3, None]
+    assert [sim.solver_tolerance for sim in sims] == [None, CAREFUL_TOLERANCE, None, CAREFUL_TOLERANCE, None]
+
+
+def test_half_the_timestep_keeps_durations() -> None:
+    sim = Simulation()
+    (half,) = (recipe.apply_to_sim(sim) for recipe in ATTEMPTS if recipe.number == 5)
+    assert half.physics.timestep_s == sim.physics.timestep_s / 2
+    for name in ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps"):
+        before, after = (getattr(s.quiet, name) * s.physics.timestep_s for s in (sim, half))
+        assert after == pytest.approx(before)
+
+
+def test_half_the_timestep_resamples_force_profiles_and_keeps_them_shared() -> None:
+    engine = FailingEngine()
+    pulse = Excitation("pulse", "force", np.arange(6.0).reshape(2, 3))
+    worlds = [replace(world, job=replace(world.job, drive=Drive(pulse, scale=2.0))) for world in worlds_failing(9, 9)]
+    list(score_worlds(worlds, Simulation(), engine))
+    drives = [job.drive for job in engine.calls[-1][1]]
+    assert drives[0] is not None
+    assert drives[1] is not None
+    assert drives[0].scale == 2.0
+    np.testing.assert_array_equal(drives[0].excitation.samples, [[0, 1, 2], [0, 1, 2], [3, 4, 5], [3, 4, 5]])
+    assert drives[0].excitation is drives[1].excitation
+    assert engine.calls[0][1][0].drive is worlds[0].job.drive
+
+
+def test_no_worlds() -> None:
+    engine = FailingEngine()
+    assert list(score_worlds([], Simulation(), engine)) == []
+    assert engine.calls == []
+
+
+def test_an_engine_that_loses_or_repeats_a_world_is_found_out() -> None:
+    with pytest.raises(RuntimeError, match="did not answer 1 of 2 jobs"):
+        list(score_worlds(worlds_failing(0, 0), Simulation(), FailingEngine(drop_last=True)))
+    with pytest.raises(RuntimeError, match="answered job 0 twice"):
+        list(score_worlds(worlds_failing(0, 0), Simulation(), FailingEngine(repeat_last=True)))
+
+
+def test_second_attempts_change_what_the_c_engine_computes() -> None:
+    sim = Simulation()
+    cube = (200.0, 200.0, 200.0)
+    boxes = [(cube, (0, 0, 0), 1.0), (cube, (0, 0, 205), 4.0), (cube, (30, 0, 410), 9.0)]
+    jobs = [make_world(make_plan("tower", boxes)).job]
+    positions = []
+    attempts = [recipe for recipe in ATTEMPTS if not recipe.checks]
+    for recipe in attempts:
+        [outcome] = MujocoEngine(1).run(recipe.apply_to_jobs(jobs), recipe.apply_to_sim(sim))
+        positions.append(outcome.boxes.pos)
+        assert outcome.verdict is Verdict.STABLE
+    assert all((positions[i] != positions[j]).any() for i in range(len(attempts)) for j in range(i))
+
+
+@dataclass
+class AnsweringEngine(Engine):
+    """Answers the k-th run with the k-th of some reasons ("" for stable)."""
+
+    reasons: list[Reason]
+    name: str = "answering"
+    sims: list[Simulation] = field(default_factory=list)
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        reason = self.reasons[len(self.sims)]
+        self.sims.append(sim)
+        for index in range(len(jobs)):
+            flags = Flag.SINKING if reason is SINKING else Flag.NONE
+            yield make_outcome(1, Verdict.INVALID if reason else Verdict.STABLE, reason, job=index, flags=flags)
+
+
+SINKING, EXPLOSION, NONE = Reason.SINKING, Reason.EXPLOSION, Reason.NONE
+
+
+@pytest.mark.parametrize(
+    ("reasons", "attempts"),
+    [
+        ([SINKING, NONE], [1, 6]),
+        ([SINKING, SINKING, NONE], [1, 6, 7]),
+        ([SINKING] * 3, [1, 6, 7]),
+        ([SINKING, EXPLOSION], [1, 6]),
+        ([EXPLOSION, EXPLOSION, SINKING, NONE], [1, 2, 3, 6]),
+        ([EXPLOSION] * 5, [1, 2, 3, 4, 5]),
+        ([Reason.FAILED, NONE], [1, 2]),
+        ([Reason.TIMEOUT], [1]),
+        ([EXPLOSION, Reason.TIMEOUT], [1, 2]),
+    ],
+)
+def test_attempts_are_for_what_went_wrong(reasons: list[Reason], attempts: list[int]) -> None:
+    engine = AnsweringEngine(reasons)
+    (result,) = score_worlds(worlds_failing(0), Simulation(), engine)
+    assert [attempt.attempt for attempt in result.attempts] == attempts
+    assert result.outcome.reason is reasons[-1]
+    for sim, number in zip(engine.sims, attempts, strict=True):
+        assert (sim.physics.solimp[1] > PHYSICS["pallet"].solimp[1]) == (number >= 6)
+
+
+@pytest.mark.parametrize(("n_boxes", "asked"), [(12, {6, 7}), (13, {6}), (96, {6}), (97, set())])
+def test_stiff_contacts_are_asked_about_what_they_can_answer_in_time(n_boxes: int, asked: set[int]) -> None:
+    """A large world keeps its verdict and says that contacts may be why; one without is always asked again."""
+    leaning = make_outcome(n_boxes, Verdict.UNSTABLE, Reason.DROP, flags=Flag.SINKING)
+    sunk = make_outcome(n_boxes, Verdict.INVALID, Reason.SINKING, flags=Flag.SINKING)
+    assert {attempt.number for attempt in ATTEMPTS[1:] if attempt.is_for(leaning, Simulation())} == asked
+    assert {attempt.number for attempt in ATTEMPTS[1:] if attempt.is_for(sunk, Simulation())} == {6, 7}

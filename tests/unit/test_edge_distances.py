@@ -1,0 +1,230 @@
+"""Verdicts on a knife's edge, and those that the timestep decides, say so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from io import StringIO
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+from support.outcomes import make_outcome
+from support.plans import Box, make_plan, make_scene
+from test_fallback import Scripted, never, scored
+
+import petmjx
+from petmjx.analysis.story import headline, notes_in_words
+from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.outcome_checks import note_edges, outcome_checks
+from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.show.run_tables import worlds_table
+from petmjx.world.job import Job
+
+MM = 1e-3
+
+
+@pytest.mark.parametrize(("overhang_mm", "flagged"), [(199.4, False), (199.6, True), (200.0, True), (200.6, False)])
+def test_a_load_within_half_a_millimetre_of_an_edge_is_on_a_knife_s_edge(overhang_mm: float, flagged: bool) -> None:
+    """A box of 400 mm, whose size is reduced by 0.1 mm at its far end, as the edge below is."""
+    boxes: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (overhang_mm, 0, 200), 5.0))
+    worlds = petmjx.score(make_plan("edge", boxes), engine="mujoco", size_reduction_mm=0.0).worlds
+    assert worlds.plan_edge_m[0] == pytest.approx((200 - overhang_mm) * MM, abs=1e-9)
+    assert bool(worlds["flags"][0] & Flag.KNIFE_EDGE) is flagged
+    if worlds.verdict[0] == "stable":
+        assert worlds.rest_edge_m[0] == pytest.approx(worlds.plan_edge_m[0], abs=2e-4)
+    else:
+        assert worlds.isna().rest_edge_m[0]
+
+
+def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
+    """The plank would fall when it is placed; the weight on its inner end holds it afterwards, by the plan, and comes
+    too late for it."""
+    plank: Box = ((1000, 300, 100), (0, 0, 300), 5.0)
+    weight: Box = ((200, 300, 200), (0, 0, 400), 50.0)
+    scene = make_scene([((400, 300, 300), (0, 0, 0), 5.0), plank, weight], Simulation(size_reduction_mm=0.0))
+    outcome = replace(make_outcome(3, Verdict.UNSTABLE, Reason.DROP), n_placed=3)
+    first = replace(outcome, n_placed=1)
+    note_edges([outcome, first], [Job(scene), Job(scene)])
+    # with the weight the plank's load acts at 136 mm, alone at 500 mm; the weight itself is 100 mm inside
+    assert outcome.boxes.plan_edge_m[1] == pytest.approx((5 * 0.5 + 50 * 0.1) / 55)
+    assert (outcome.plan_edge_m, outcome.plan_edge_box) == (pytest.approx(0.1), 2)
+    assert (outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step) == (pytest.approx(-0.1), 1, 1)
+    assert first.plan_edge_m == pytest.approx(0.15)  # a box alone on the carrier
+    assert np.isnan(first.boxes.plan_edge_m[1:]).all()
+    at_once = replace(outcome, build_edge_m=np.nan, build_edge_box=-1)
+    note_edges([at_once], [Job(scene)], in_order=False)
+    assert np.isnan(at_once.build_edge_m)
+    assert at_once.build_edge_box == -1
+
+
+def near(margin: float, **changes: Any) -> Outcome:
+    """One box that used its threshold but for this margin."""
+    return make_outcome(1, shift_m=np.array([[0.02 * (1 - margin), 0.0, 0.0]]), **changes)
+
+
+@pytest.mark.parametrize(("margin", "checked"), [(0.6, False), (0.4, True)])
+def test_worlds_near_a_threshold_are_checked_at_half_the_timestep(
+    margin: float, checked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Near(Scripted):
+        def run(self, jobs: Any, sim: Any, progress: Any = None) -> Any:
+            self.sims.append(sim)
+            half = sim.physics.timestep_s < 0.002
+            for index in range(len(jobs)):
+                changed = half and index == 1
+                falls = {"verdict": Verdict.UNSTABLE, "reason": Reason.SHIFT} if changed else {}
+                yield near(-0.1 if changed else margin, job=index, **falls)
+
+    engine = Near("mjx-warp", never)
+    results, notes = scored(engine, Near("mujoco", never), monkeypatch, Simulation(check_timestep=True))
+    assert {result.outcome.verdict for result in results} == {Verdict.STABLE}
+    assert [a.attempt for a in results[0].attempts] == ([1, 8] if checked else [1])
+    changed = [result.world.plan.plan_id for result in results if result.outcome.flags & Flag.TIMESTEP]
+    assert changed == (["p1"] if checked else [])
+    assert ("p1: stable, and unstable at half the timestep" in notes) is checked
+    assert [sim.physics.timestep_s for sim in engine.sims] == ([0.002, 0.001] if checked else [0.002])
+
+
+def test_a_world_that_ended_on_its_way_down_is_near_nothing() -> None:
+    (check,) = (recipe for recipe in ATTEMPTS if recipe.checks)
+    falling = near(-0.1, verdict=Verdict.UNSTABLE, reason=Reason.TILT)
+    sim = Simulation(check_timestep=True)
+    assert check.is_for(falling, sim)
+    assert not check.is_for(replace(falling, flags=Flag.EARLY_STOP), sim)
+
+
+def test_nothing_is_checked_unless_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    c_engine = Scripted("mujoco", never)
+    scored(Scripted("mjx-warp", never), c_engine, monkeypatch)
+    assert c_engine.sims == []
+
+
+def test_an_engine_computes_what_is_checked() -> None:
+    floats: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 212), 5.0))
+    results = petmjx.score(make_plan("floats", floats), engine="mujoco", check_timestep=True)
+    assert 0 < results.worlds.margin[0] < 0.5
+    assert results.attempts.attempt.tolist() == [1, 8]
+    assert results.attempts.timestep_s.tolist() == [0.002, 0.001]
+
+
+EDGE: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 10.0), ((400, 300, 200), (199.7, 0, 200), 5.0))
+"""The upper box is 0.3 mm inside its edge, or 0.25 mm, less what boxes are smaller by."""
+
+PULL: Sequence[Box] = (
+    ((400, 300, 300), (0, 600, 0), 10.0),
+    ((200, 300, 200), (700, 600, 0), 5.0),
+    ((200, 300, 100), (620, 600, 200), 0.5),
+    ((820, 300, 50), (0, 600, 300), 1.0),
+    ((300, 300, 300), (0, 600, 350), 20.0),
+)
+LATE: Sequence[Box] = (
+    ((200, 300, 300), (0, 0, 0), 10.0),
+    ((360, 300, 100), (0, 0, 300), 2.0),
+    ((150, 300, 200), (210, 0, 400), 6.0),
+    ((200, 300, 300), (0, 0, 400), 12.0),
+)
+"""A beam, what hangs on its far end, and then its counterweight."""
+LID: Sequence[Box] = (
+    ((100, 300, 200), (0, 0, 0), 5.0),
+    ((200, 300, 170), (160, 0, 0), 8.0),
+    ((250, 300, 100), (0, 0, 200), 2.0),
+)
+"""A lid that tips onto a neighbour that is 30 mm lower."""
+
+
+def test_any_box_within_reach_sets_the_flag() -> None:
+    """Alone, beside loads that are further inside, and beside a box that is 3 mm from its edge."""
+    far: Sequence[Box] = (((400, 300, 200), (0, 400, 0), 10.0), ((400, 300, 200), (197, 400, 200), 5.0))
+    plans = [make_plan("alone", EDGE), make_plan("beside", (*EDGE, *PULL)), make_plan("far", (*far, *PULL))]
+    results = petmjx.score(plans, engine="mujoco", check="static", duration_s=0.2)
+    assert [bool(flags & Flag.KNIFE_EDGE) for flags in results.worlds["flags"]] == [True, True, False]
+    assert results.worlds.plan_edge_box.tolist() == [1, 1, 1]
+    np.testing.assert_allclose(results.worlds.plan_edge_m, [0.25e-3, 0.25e-3, 2.95e-3], atol=1e-9)
+    of_boxes = results.boxes[results.boxes.plan_id == "beside"].plan_edge_m.to_numpy()
+    np.testing.assert_allclose(of_boxes[[1, 4]] / MM, [0.25, 19.95], atol=1e-4)
+    assert (of_boxes[[0, 2, 3, 5, 6]] > 50 * MM).all()
+
+
+@pytest.mark.parametrize(
+    ("inside_mm", "again"), [(0.1, True), (0.39, True), (0.7, True), (0.99, True), (3.0, False), (-0.7, False)]
+)
+def test_an_unstable_load_within_a_millimetre_is_tried_in_stiffer_contacts(inside_mm: float, again: bool) -> None:
+    """On whichever floor of a tower it is."""
+    sim = Simulation(size_reduction_mm=0.0)
+    upper: Box = ((400, 300, 200), (200 - inside_mm, 0, 200), 5.0)
+    tower = (((400, 300, 200), (0, 0, 0), 5.0), upper, ((400, 300, 200), (200 - inside_mm, 0, 400), 5.0))
+    scene = make_scene(tower, sim)
+    for culprit in (1, 2):
+        tilt = {"max_tilt_deg": np.array([0.0, 90.0, 90.0]), "max_top_force_n": np.zeros(3)}
+        fell = make_outcome(3, Verdict.UNSTABLE, Reason.TILT, culprit=culprit, **tilt)
+        (noted,) = outcome_checks([fell], [Job(scene)], sim)
+        assert bool(noted.flags & Flag.SINKING) is again
+        assert noted.verdict is Verdict.UNSTABLE
+
+
+def test_a_verdict_against_a_load_within_a_millimetre_has_the_flag() -> None:
+    """It stands 0.8 mm beyond the edge, or falls 0.8 mm inside; the other way round nothing is odd."""
+    for inside_mm, falls in ((0.8, True), (-0.8, False), (0.8, False), (-0.8, True)):
+        scene = make_scene(
+            (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (200 - inside_mm, 0, 200), 5.0)),
+            Simulation(size_reduction_mm=0.0),
+        )
+        verdict = (Verdict.UNSTABLE, Reason.TILT) if falls else (Verdict.STABLE, Reason.NONE)
+        outcome = make_outcome(2, *verdict, pos=np.full((2, 3), 10.0))  # at rest nothing bears anything
+        note_edges([outcome], [Job(scene)])
+        assert bool(outcome.flags & Flag.KNIFE_EDGE) is (falls == (inside_mm > 0))
+
+
+def test_a_counterweight_that_comes_too_late_is_named() -> None:
+    plans = [make_plan("late", LATE), make_plan("first", (*LATE[:2], LATE[3], LATE[2]))]
+    worlds = petmjx.score(plans, engine="mujoco").worlds
+    assert worlds.verdict.tolist() == ["unstable", "stable"]
+    assert (worlds.build_edge_box[0], worlds.build_edge_step[0]) == (1, 2)
+    # 2 kg at 179.95 mm and 6 kg at 284.95 mm on a base that ends at 199.9 mm
+    assert worlds.build_edge_m[0] == pytest.approx((199.9 - (2 * 179.95 + 6 * 284.95) / 8) * MM, abs=1e-9)
+    assert worlds.build_edge_m[1] == pytest.approx(19.95 * MM, abs=1e-9)
+    (note,) = notes_in_words(petmjx.tell("late", plans, engine="mujoco"))
+    assert "box 1 hangs over from step 2 on; its counterweight, box 3, comes too late" in note
+    assert notes_in_words(petmjx.tell("first", plans, engine="mujoco")) == []
+    at_once = petmjx.score(plans, engine="mujoco", check="static", duration_s=0.1).worlds
+    assert at_once.build_edge_m.isna().all()
+    assert at_once.build_edge_box.isna().all()
+
+
+def test_a_world_that_stands_otherwise_than_planned_leans() -> None:
+    """A lid that tips by 11°, a box that comes down by 12 mm, and both as planned."""
+    flat = (LID[0], ((200, 300, 200), (160, 0, 0), 8.0), LID[2])
+    floats: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 212), 5.0))
+    near: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 202), 5.0))
+    plans = [make_plan(str(k), boxes) for k, boxes in enumerate((LID, floats, flat, near))]
+    results = petmjx.score(plans, engine="mujoco")
+    assert results.worlds.verdict.tolist() == ["stable"] * 4
+    assert [bool(flags & Flag.LEANS) for flags in results.worlds["flags"]] == [True, True, False, False]
+    assert results.info["counts"]["leans"] == 2
+    story = petmjx.tell("0", plans, engine="mujoco")
+    assert headline(story).startswith("stable, leans, margin")
+    assert any("leans: box 2 (" in note and "tilted by 11." in note for note in notes_in_words(story))
+
+
+def test_what_an_engine_needed_twice_is_not_in_results() -> None:
+    """Flag 32 depends on the worlds beside one."""
+    scene = make_scene(EDGE, Simulation())
+    outcome = make_outcome(2, flags=Flag.RERUN_AFTER_OVERFLOW | Flag.EARLY_STOP)
+    (noted,) = outcome_checks([outcome], [Job(scene)], Simulation())
+    assert noted.flags & ~Flag.KNIFE_EDGE == Flag.EARLY_STOP
+
+
+def test_the_table_names_the_box_on_the_edge() -> None:
+    """Only where a world is on a knife's edge; the others have their edges, too."""
+    plans = [make_plan("edge", (*EDGE, *PULL)), make_plan("flat", LID[:2])]
+    results = petmjx.score(plans, engine="mujoco")
+    console = Console(width=140, record=True, file=StringIO())
+    console.print(worlds_table(results.worlds, results.boxes))
+    header, *rows = [" ".join(line.split()) for line in console.export_text().splitlines() if line.strip()][1:]
+    assert "mm box force N" in header
+    assert [" ".join(row.split()[-3:-1]) for row in rows] == ["0.2 1", "49.9 0"]
+    console.print(worlds_table(results.worlds[1:], results.boxes))
+    assert "mm box" not in console.export_text()

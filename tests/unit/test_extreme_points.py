@@ -1,0 +1,107 @@
+"""Places on many pallets: the same whatever happened to a pallet before, and whatever is asked with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from petmjx.loop import candidate_places
+from petmjx.loop.box_tables import BoxTable
+from petmjx.loop.candidate_places import Places, free_places
+from petmjx.loop.placements import Placements
+
+EXTENT_MM = (1200.0, 800.0)
+
+
+def boxes(size_mm: np.ndarray, pallet: np.ndarray, corner_mm: np.ndarray | None = None) -> Placements:
+    return Placements(size_mm, np.zeros_like(size_mm) if corner_mm is None else corner_mm, np.ones(len(pallet)), pallet)
+
+
+def found_for(
+    stock: BoxTable, request: Placements, grid: np.ndarray | None = None, highest_mm: float = 9000.0
+) -> Places:
+    return free_places(stock, request, EXTENT_MM, highest_mm, grid)
+
+
+def assert_same(one: Places, other: Places) -> None:
+    for mine, its in zip(one, other, strict=True):
+        np.testing.assert_array_equal(mine, its)
+
+
+def lively_stock(rng: np.random.Generator, n: int) -> BoxTable:
+    """Pallets on which boxes came and went, some asked about in between, some copies of others."""
+    stock = BoxTable(n)
+    for step in range(12):
+        rows = np.flatnonzero(rng.random(n) < 0.7)
+        sizes = rng.uniform(100, 600, (len(rows), 3))
+        spots = found_for(stock, boxes(sizes, rows))
+        first = np.searchsorted(spots.row, np.arange(len(rows)))
+        last = np.searchsorted(spots.row, np.arange(len(rows)), side="right")
+        fits = np.flatnonzero(last > first)
+        chosen = rng.integers(first[fits], last[fits])
+        corners = spots.corner_mm[chosen]
+        corners[:, :2] += rng.choice([0.0, 7.3], (len(fits), 2))  # not at extreme points alone
+        stock.add(boxes(sizes[fits], rows[fits], corners))
+        if step % 3 == 2:
+            some = rng.permutation(n)[: n // 3]
+            stock.cut(some, np.maximum(stock.count[some] - rng.integers(1, 4, len(some)), 0))
+            stock.copy(rng.integers(0, n, 2), np.array([0, 1]))
+    return stock
+
+
+def built_anew(stock: BoxTable, pallet: int) -> BoxTable:
+    """One pallet with the same boxes, of which nobody has asked anything."""
+    one = BoxTable(1)
+    for number in range(int(stock.count[pallet])):
+        box = stock.box(np.array([pallet]), number)
+        one.add(Placements(box.size_mm, box.corner_mm, box.mass_kg, np.zeros(1, np.int64)))
+    return one
+
+
+def test_places_of_a_pallet_depend_on_its_boxes_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng, n = np.random.default_rng(5), 9
+    stock = lively_stock(rng, n)
+    assert stock.count.min() < stock.count.max() > 6
+    pallet = np.repeat(rng.permutation(n), 2)
+    request = boxes(rng.uniform(100, 600, (len(pallet), 3)), pallet)
+    corners = np.indices((6, 4)).reshape(2, -1).T * 181.7
+    for grid in (None, corners):
+        together = found_for(stock, request, grid)
+        for row in range(len(request)):
+            alone = found_for(
+                built_anew(stock, int(pallet[row])), boxes(request.size_mm[[row]], np.zeros(1, int)), grid
+            )
+            assert_same(alone._replace(row=alone.row + row, pallet=alone.pallet + pallet[row]), part(together, row))
+        with monkeypatch.context() as patched:
+            for name in ("_AT_ONCE", "_WORTH_A_THREAD"):
+                patched.setattr(candidate_places, name, 500)  # many pieces, on threads
+            assert_same(found_for(stock, request, grid), together)
+
+
+def test_places_with_less_support_are_left_out() -> None:
+    rng, n = np.random.default_rng(2), 7
+    stock, request = lively_stock(rng, n), boxes(rng.uniform(100, 600, (n, 3)), np.arange(n))
+    spots = found_for(stock, request)
+    borne = spots.support >= 0.6
+    assert 0 < borne.sum() < len(borne)
+    some = free_places(stock, request, EXTENT_MM, 9000.0, least_support=0.6)
+    assert_same(some, Places(*(values[borne] for values in spots)))
+
+
+def part(spots: Places, row: int) -> Places:
+    which = spots.row == row
+    assert which.any()
+    return Places(*(values[which] for values in spots))
+
+
+def test_what_bears_a_box() -> None:
+    stock, one = BoxTable(1), np.zeros(1, np.int64)
+    for x in (0.0, 400.0):
+        stock.add(boxes(np.array([[400.0, 300.0, 200.0]]), one, np.array([[x, 0.0, 0.0]])))
+    spots = found_for(stock, boxes(np.array([[600.0, 500.0, 100.0]]), one))
+    assert spots.corner_mm.tolist() == [[0, 300, 0], [400, 300, 0], [0, 0, 200], [400, 0, 200]]
+    assert spots.support.tolist() == [1, 1, 0.6, 0.4]
+    assert spots.centred is not None
+    assert spots.centred.tolist() == [True, True, True, True]
+    high = found_for(stock, boxes(np.array([[600.0, 600.0, 1400.0]]), one), highest_mm=1500.0)
+    assert high.corner_mm.tolist() == []  # too high on the boxes, and too long behind them

@@ -1,0 +1,201 @@
+"""A GPU or workers start while plans are read, where they will be used, and whatever goes wrong there is told by who
+needs it."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from petmjx.common.errors import InputError
+from petmjx.engines import gpu_start, run_engine
+from petmjx.engines.cost_model import MEASURED, Work
+from petmjx.engines.remote import ray_cluster as of_clusters
+from petmjx.engines.remote import worker_choice as of_workers
+from petmjx.engines.remote.ray_actor import Recipe
+from petmjx.engines.remote.worker_resources import Node
+from petmjx.engines.run_engine import engine_warmup
+from petmjx.options.run_options import RunOptions
+from petmjx.options.simulation import Simulation
+
+
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """Is set where a GPU is started."""
+    event = threading.Event()
+    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr(run_engine, "start_gpu", event.set)
+    return event
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"engine": "mjx-warp"}, True),
+        ({"engine": "auto"}, True),
+        ({"engine": "mujoco"}, False),
+    ],
+)
+def test_it_starts_where_it_will_be_the_engine(
+    options: dict[str, object], expected: bool, started: threading.Event, tmp_path: Path
+) -> None:
+    (tmp_path / "plans.json").write_bytes(b" " * (run_engine.WORTH_A_GPU))
+    for plans in (tmp_path, [tmp_path / "plans.json"]):
+        started.clear()
+        with engine_warmup(RunOptions(**options), plans):
+            pass
+        assert started.is_set() is expected
+
+
+def test_auto_starts_none_for_few_plans_or_without_one(
+    started: threading.Event, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "plans.json").write_text("{}")
+    for plans in (tmp_path / "plans.json", tmp_path / "missing", None, 3, "\0"):
+        with engine_warmup(RunOptions(), plans):
+            pass
+    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ())
+    with engine_warmup(RunOptions(engine="mjx-warp"), tmp_path):
+        pass
+    assert not started.is_set()
+
+
+def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    released = threading.Event()
+    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr(run_engine, "start_gpu", released.wait)
+    with pytest.raises(InputError, match="no such"), engine_warmup(RunOptions(engine="mjx-warp"), None):
+        raise InputError("no such file")
+    released.set()
+
+
+def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
+    monkeypatch.setattr(gpu_start.importlib, "import_module", lambda name: 1 / 0)
+    with engine_warmup(RunOptions(engine="mjx-warp"), None):
+        pass
+
+
+class _Cluster:
+    """Two CPUs and two GPUs. What is done with it, and with pools on it, is noted."""
+
+    nodes: tuple[Node, ...] = (Node(2, 2),)
+
+    def __init__(self, notes: queue.SimpleQueue[str]) -> None:
+        self.said = notes
+        notes.put("cluster")
+
+    def close(self) -> None:
+        self.said.put("closed")
+
+
+class _Pool:
+    size = 2
+
+    def __init__(self, recipe: Recipe, places: object, cluster: _Cluster, lookers: int) -> None:
+        self.name, self._cluster = recipe.name, cluster
+        cluster.said.put(recipe.name)
+
+    def wait_for_first(self) -> None:
+        self._cluster.said.put("ready")
+
+    def dismiss(self) -> None:
+        self._cluster.said.put("dismissed")
+
+    def close(self) -> None:
+        self._cluster.close()
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> queue.SimpleQueue[str]:
+    """What is done with clusters and pools."""
+    notes: queue.SimpleQueue[str] = queue.SimpleQueue()
+    monkeypatch.setattr(of_workers, "Cluster", lambda address: _Cluster(notes))
+    monkeypatch.setattr(of_workers, "WorkerPool", _Pool)
+    return notes
+
+
+def _heard(notes: queue.SimpleQueue[str], most: int) -> list[str]:
+    return [notes.get(timeout=5.0) for _ in range(most)]
+
+
+@pytest.mark.parametrize(
+    ("engine", "size", "steps", "early", "later"),
+    [
+        ("mujoco", 0, 9, ["cluster", "mujoco"], ["ready"]),
+        ("auto", run_engine.WORTH_A_GPU, 10_000_000, ["cluster", "mjx-warp"], ["ready"]),
+        ("auto", run_engine.WORTH_A_GPU, 9, ["cluster", "mjx-warp"], ["dismissed", "mujoco", "ready"]),
+        ("auto", 0, 9, ["cluster"], ["mujoco", "ready"]),
+    ],
+)
+def test_workers_start_before_plans_are_read(
+    engine: str, size: int, steps: int, early: list[str], later: list[str], said: queue.SimpleQueue[str], tmp_path: Path
+) -> None:
+    (tmp_path / "plans.json").write_bytes(b" " * size)
+    options, work = RunOptions(engine=engine, workers=2), Work(Simulation(), [50] * max(steps // 1000, 1))
+    with engine_warmup(options, tmp_path) as ahead:
+        assert _heard(said, len(early)) == early
+    pool, choice = of_workers.resolve_workers(options, work, MEASURED, ahead)
+    assert _heard(said, len(later)) == later
+    assert said.empty()
+    assert pool.name == choice.name
+    assert choice.reason.endswith("in 2 workers")
+
+
+@pytest.mark.parametrize(
+    ("workers", "name", "reason"),
+    [(2, "mjx-warp", "about"), (5, "mujoco", "mjx-warp would be faster but cannot run: at most 4 share a GPU")],
+)
+def test_auto_lets_workers_share_a_gpu(
+    workers: int, name: str, reason: str, said: queue.SimpleQueue[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_Cluster, "nodes", (Node(8, 1),))
+    options, work = RunOptions(workers=workers), Work(Simulation(), [50] * 10_000)
+    alone = MEASURED.seconds(work, threads=8, gpus=1)
+    pool, choice = of_workers.resolve_workers(options, work, MEASURED)
+    assert (pool.name, choice.seconds) == (name, alone[name])
+    assert choice.reason.startswith(reason)
+
+
+def test_workers_of_a_run_whose_plans_are_wrong_are_ended(said: queue.SimpleQueue[str]) -> None:
+    with pytest.raises(InputError, match="no such"), engine_warmup(RunOptions(engine="mujoco", workers=2), None):
+        raise InputError("no such file")
+    heard = [""]
+    while heard[-1] != "closed":
+        heard += _heard(said, 1)
+    assert heard[1] == "cluster"
+
+
+def test_what_workers_cannot_do_is_told_when_they_are_needed(said: queue.SimpleQueue[str]) -> None:
+    for options, line in (({"workers": 1, "lanes": 3}, "lanes belong to"), ({"workers": 3}, "no room for 3 workers")):
+        run_options = RunOptions(engine="mujoco", **options)
+        with engine_warmup(run_options, None) as ahead:
+            pass
+        with pytest.raises(InputError, match=line):
+            of_workers.resolve_workers(run_options, Work(Simulation(), [9]), MEASURED, ahead)
+    assert _heard(said, 2) == ["cluster", "closed"]  # options are looked at before
+    assert said.empty()
+
+
+def test_threads_do_not_import_ray_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What one has set in the environment meanwhile, the other would put back at its end, and it stayed."""
+    meets, met = threading.Barrier(2, timeout=0.2), []
+
+    def importing(name: str) -> SimpleNamespace:
+        with suppress(threading.BrokenBarrierError):
+            met.append(meets.wait())
+        return SimpleNamespace(is_initialized=lambda: True, get_runtime_context=lambda: SimpleNamespace(gcs_address=""))
+
+    before = dict(os.environ)
+    monkeypatch.setattr(of_clusters, "importlib", SimpleNamespace(import_module=importing))
+    with ThreadPoolExecutor(2) as pool:
+        for user in [pool.submit(of_clusters.Cluster) for _ in range(2)]:
+            user.result().leave()
+    assert not met
+    assert dict(os.environ) == before

@@ -1,0 +1,126 @@
+"""Which boxes tremble, and that the engines agree on it. mjx-warp's kernel: ``tests/oracle/test_warp_rules.py``."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from support.plans import make_scene
+
+from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.rules import Rules
+from petmjx.engines.mjx.timetable import build_timetable
+from petmjx.engines.mjx.world_constants import upload_worlds
+from petmjx.engines.mjx.world_state import NEVER, Status, fresh_state
+from petmjx.engines.mujoco.rest import QuietRule
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Job
+
+BOXES = 4
+SCENE = make_scene(BOXES)
+SIM = Simulation()
+PERIOD = SIM.quiet.tremble_looks
+LOOK_S = SIM.quiet.poll_steps * SIM.physics.timestep_s
+
+SHAKEN, SWAYING, SLIDING, TURNING = range(BOXES)
+
+
+def some_motion(looks: int, rng: np.random.Generator, drift_m_s: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """(look, box, 7) poses and (look, box, 6) velocities of boxes that go to and fro quickly, with a drift along y, and
+    slowly; that slide; and that turn to and fro."""
+    poses = np.tile(np.concatenate([SCENE.start_pos, SCENE.start_quat], axis=1), (looks, 1, 1))
+    velocities = np.zeros((looks, BOXES, 6))
+    time_s = LOOK_S * np.arange(looks)
+    poses[:, SHAKEN, 0] += 5e-5 * rng.uniform(-1, 1, looks)
+    poses[:, SHAKEN, 1] += drift_m_s * time_s
+    velocities[:, SHAKEN, 0] = 0.015 * rng.choice([-1, 1], looks)
+    angle = 2 * np.pi * 0.5 * time_s
+    poses[:, SWAYING, 0] += 0.005 * np.sin(angle)
+    velocities[:, SWAYING, 0] = 0.005 * np.pi * np.cos(angle)
+    poses[:, SLIDING, 1] += 0.012 * time_s
+    velocities[:, SLIDING, 1] = 0.012
+    half = 5e-5 * rng.uniform(-1, 1, looks)
+    poses[:, TURNING, 3], poses[:, TURNING, 4] = np.cos(half), np.sin(half)
+    velocities[:, TURNING, 3] = 0.1
+    return poses, velocities
+
+
+def on_c(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
+    """Which boxes tremble after each look, in C's rule."""
+    rule = QuietRule(SIM, SCENE)
+    flags = []
+    for pose, velocity in zip(poses, velocities, strict=True):
+        rule.look(pose, velocity, has_failed=False)
+        flags.append(rule.trembling.which(BOXES).tolist())
+    return flags
+
+
+@functools.cache
+def _count_quiet() -> Any:
+    return jax.jit(Rules(SIM, build_timetable(SIM, BOXES), BOXES, driven=False).count_quiet)
+
+
+def on_mjx(poses: FloatArray, velocities: FloatArray) -> list[list[bool]]:
+    """The same in the rules that the MJX engines share."""
+    worlds = upload_worlds([Job(SCENE)], 1, BOXES, {}, SIM)
+    state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER), rest_steps=1)
+    state = state._replace(status=jnp.array([Status.RUNNING], jnp.int32))
+    yes, flags = jnp.array([True]), []
+    for pose, velocity in zip(poses, velocities, strict=True):
+        state = state._replace(qpos=jnp.asarray(pose, jnp.float32)[None], qvel=jnp.asarray(velocity, jnp.float32)[None])
+        state, _ = _count_quiet()(state, worlds, yes, yes)
+        flags.append((np.asarray(state.trembles)[0] == 1).tolist())
+    return flags
+
+
+@pytest.mark.parametrize("find", [on_c, on_mjx])
+def test_a_box_that_goes_to_and_fro_and_gets_nowhere_trembles(find: Any) -> None:
+    flags = find(*some_motion(2 * PERIOD + 1, np.random.default_rng(3)))
+    assert flags[: 2 * PERIOD] == [[False] * BOXES] * (2 * PERIOD)  # what lands is not measured
+    assert flags[-1] == [True, False, False, True]
+
+
+@pytest.mark.parametrize("find", [on_c, on_mjx])
+def test_a_box_that_walks_meanwhile_does_not_tremble(find: Any) -> None:
+    walks = 1.1 * SIM.quiet.slow_m_s
+    flags = find(*some_motion(2 * PERIOD + 1, np.random.default_rng(3), walks))
+    assert flags[-1] == [False, False, False, True]
+
+
+def test_the_engines_agree_on_what_trembles() -> None:
+    rng = np.random.default_rng(7)
+    poses, velocities = some_motion(4 * PERIOD + 2, rng)
+    # one that trembles, walks from some time on, and trembles again
+    poses[2 * PERIOD + 9 : 3 * PERIOD, SHAKEN, 1] += np.linspace(0, 0.002, PERIOD - 9)
+    poses[3 * PERIOD :, SHAKEN, 1] += 0.002
+    flags = on_c(poses, velocities)
+    assert flags == on_mjx(poses, velocities)
+    assert [flags[n * PERIOD][SHAKEN] for n in range(5)] == [False, False, True, False, True]
+
+
+def test_what_trembles_is_not_waited_for() -> None:
+    rule = QuietRule(SIM, SCENE)
+    poses, velocities = (some[:, :1] for some in some_motion(2 * PERIOD + 3, np.random.default_rng(3)))
+    quiet = [rule.look(pose, velocity, has_failed=False) for pose, velocity in zip(poses, velocities, strict=True)]
+    assert quiet.index(True) == 2 * PERIOD + SIM.quiet.steps // SIM.quiet.poll_steps - 1
+    assert not rule.holds  # whoever goes on then has the flag of worlds that move
+    moved = np.array([[0.5 * SIM.quiet.slow_m_s * 0.1, 0, 0, 0, 0, 0, 0]])
+    fast = velocities[-1]
+    assert rule.motion(poses[0], poses[0] + moved, fast, 0.1) == (True, False)
+    assert rule.motion(poses[0], poses[0] + 3 * moved, fast, 0.1) == (True, True)
+    assert rule.motion(poses[0], poses[0], fast, 0.1) == (False, False)
+    # another box is placed: the first one may move otherwise now
+    assert rule.trembling.which(1).tolist() == [True]
+    assert rule.trembling.which(2).tolist() == [False, False]
+
+
+def test_what_rests_beside_it_does_not_tremble() -> None:
+    """A box at rest goes to and fro, too, by less than is worth waiting for. It may begin to topple."""
+    poses, velocities = some_motion(2 * PERIOD + 1, np.random.default_rng(3))
+    velocities[:, TURNING] *= 0.01
+    for find in (on_c, on_mjx):
+        assert find(poses, velocities)[-1] == [True, False, False, False]

@@ -1,0 +1,53 @@
+"""How the kernels of a run are loaded."""
+
+from __future__ import annotations
+
+from threading import Barrier
+from typing import Any
+
+import pytest
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+import warp as wp
+
+from petmjx.common.warp_cpp import with_cpp
+from petmjx.engines.warp import kernel_launcher
+from petmjx.engines.warp.block_launch import Launch, own_kernels
+from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
+
+LONG_S = 20
+"""Longer than all threads take to begin."""
+
+
+def _tiny(number: int, threads: int) -> Any:
+    def fill(values: wp.array[int]) -> None:
+        values[wp.tid()] = number  # type: ignore[call-overload]  # one number in a kernel of one dimension
+
+    return with_cpp(fill, f"// {number}\n", threads=threads)
+
+
+def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels = {threads: _tiny(threads, threads) for threads in (128, 256)}
+    launches = [Launch(1, threads, 1, 256, 2, hands=False) for threads in (256, 128, 128)]
+    modules = {kernel.module for kernel in own_kernels(len(launches))}
+    begun, loaded, load = Barrier(2 + len(modules), timeout=LONG_S), [], wp.Module.load
+
+    def watched(module: Any, *args: Any, **options: Any) -> Any:
+        begun.wait()  # breaks if one begins only after another one
+        loaded.append(module)
+        return load(module, *args, **options)
+
+    marching = KernelLauncher.__new__(KernelLauncher)
+    marching.fleets = tuple(BlockPool(launch, 1, 8, 1, 80, 64) for launch in launches)
+    with monkeypatch.context() as patched:
+        patched.setattr(wp.Module, "load", watched)
+        patched.setattr(kernel_launcher, "kernel", lambda launch: kernels[launch.threads])
+        marching.load()
+    assert len(loaded) == 2 + len(modules)
+    assert set(loaded) == {kernels[128].module, kernels[256].module} | modules
+    for number, kernel in kernels.items():
+        assert kernel.module.execs
+        values = wp.zeros(2, int)
+        wp.launch(kernel, dim=2, inputs=[values], block_dim=number)
+        assert values.numpy().tolist() == [number] * 2

@@ -1,0 +1,197 @@
+"""Outcomes are not held back, however silent the engine is after them: they are shown at once, and on disk in time."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.failing_engine import FailingEngine, outcome_of, worlds_failing
+from support.outcomes import make_outcome, make_plan
+
+import petmjx
+import petmjx.results.table_files as tables_module
+from petmjx.common.errors import InputError
+from petmjx.engines import attempts
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.subprocess.attempt_process import Answer, Task
+from petmjx.engines.verdict import Flag, Outcome, Verdict
+from petmjx.options.simulation import Simulation
+from petmjx.results.run_reader import load_run
+from petmjx.results.run_writer import RunWriter
+from petmjx.world.job import Job
+
+N = 12
+LONGEST_S = 30.0
+"""The tests wait as long as a loaded machine may take."""
+
+Hold = Callable[[int], None]
+"""Called with the number of outcomes that have been yielded: waits until the watcher has heard of as many."""
+
+
+class FromAList(MujocoEngine):
+    """All outcomes come at once; then the last one is waited for."""
+
+    hold: Hold
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        outcomes = list(super().run(jobs, sim, progress))
+        yield from outcomes[:-1]
+        self.hold(len(outcomes) - 1)
+        yield outcomes[-1]
+
+
+class InTheMidst(MujocoEngine):
+    """An engine that inherits from one of petmjx's, and is slow with each outcome, whatever that says of the next."""
+
+    hold: Hold
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        for count, outcome in enumerate(super().run(jobs, sim, progress)):
+            self.hold(count)
+            yield outcome
+
+
+class OnItsOwn:
+    """The least that an engine has. It once said that many outcomes are at hand."""
+
+    name = "mine"
+    hold: Hold
+
+    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        assert progress is not None
+        progress.at_hand = 99
+        for index, job in enumerate(jobs):
+            yield make_outcome(job.scene.n_boxes, job=index)
+            if index % 5 == 4:
+                self.hold(index + 1)
+
+
+class TakingMore(InTheMidst):
+    """The same of jobs that grow, in a search."""
+
+    takes_more = True
+
+
+@pytest.mark.parametrize("kind", [FromAList, InTheMidst, OnItsOwn, TakingMore])
+def test_what_has_ended_is_shown_while_the_engine_is_silent(kind: type[Any]) -> None:
+    heard, late = threading.Semaphore(0), []
+    count = 0
+
+    class Watcher:
+        def begin(self, start: Any) -> None:
+            pass
+
+        def world_done(self, world: Any) -> None:
+            heard.release()
+
+    def hold(yielded: int) -> None:
+        nonlocal count
+        while count < yielded:
+            # one process has one thread that both yields and hears: what it has not heard of by now is held back
+            if not heard.acquire(blocking=False):
+                late.append(yielded)
+                return
+            count += 1
+
+    engine = kind()
+    engine.hold = hold
+    plans = [make_plan(f"p{number:02d}") for number in range(N)]
+    petmjx.score(plans, engine=engine, watcher=Watcher())
+    assert not late
+
+
+def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One world goes on beside the run, on CPU threads. It ends while the device works on another one."""
+    beside: list[Task] = []
+
+    class Beside:
+        def begin(self, task: Task) -> None:
+            beside.append(task)
+
+        def ended(self, *, wait: bool) -> Iterator[Answer]:
+            while beside and answered.is_set():
+                yield Answer(beside.pop().number, make_outcome(1), "")
+
+        def close(self) -> None:
+            pass
+
+    answered, seen = threading.Event(), list[str]()
+
+    class Device(Engine):
+        name = "mjx-warp"
+
+        @says_at_hand
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            assert progress is not None
+            assert progress.pauses
+            progress.at_hand = 0
+            sinks = outcome_of(0, Verdict.UNSTABLE)
+            sinks.flags |= Flag.SINKING
+            yield sinks
+            assert not seen
+            answered.set()
+            yield None  # type: ignore[misc]
+            assert seen == ["p0"], "it was shown in the pause"
+            yield outcome_of(1, Verdict.STABLE)
+
+    monkeypatch.setattr(attempts, "SubprocessSimulator", Beside)
+    monkeypatch.setattr("petmjx.engines.attempt_runner.looked_at", lambda outcomes, jobs, sim: list(outcomes))
+    for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
+        seen.append(result.world.plan.plan_id)
+    assert seen == ["p0", "p1"]
+
+
+def test_no_pause_is_asked_of_an_engine_that_does_not_know_them() -> None:
+    pauses: list[bool] = []
+
+    class Own(FailingEngine):
+        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+            assert progress is not None
+            pauses.append(progress.pauses)
+            return super().run(jobs, sim, progress)
+
+    assert len(list(score_worlds(worlds_failing(0, 2), Simulation(), Own()))) == 2
+    assert pauses
+    assert not any(pauses)
+
+
+def wait_for_worlds(folder: Path, count: int) -> float:
+    """Seconds until a run's folder has so many worlds on disk."""
+    begin = time.monotonic()
+    while time.monotonic() - begin < LONGEST_S:
+        try:
+            if load_run(folder).info["counts"]["worlds"] == count:
+                return time.monotonic() - begin
+        except InputError:  # run.json is about to be written
+            pass
+        time.sleep(0.01)
+    raise AssertionError(f"{count} worlds are not on disk after {LONGEST_S} s")
+
+
+@pytest.mark.parametrize(
+    "error", [ValueError("odd"), MemoryError(), OSError(28, "No space left on device"), KeyError()]
+)
+def test_the_timer_that_writes_parts_outlives_errors_of_all_kinds(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the first tries failed, what waits is on disk though no world follows."""
+    failures, write = [error, error], tables_module.write_table
+
+    def failing(*arguments: Any) -> str:
+        if threading.current_thread() is not threading.main_thread() and failures:
+            raise failures.pop()
+        return write(*arguments)
+
+    with RunWriter(tmp_path, {}, seconds_per_part=0.05) as run:
+        monkeypatch.setattr(tables_module, "write_table", failing)
+        for number in range(3):
+            run.add(make_plan(f"p{number}"), 0, "fixed", make_outcome())
+        wait_for_worlds(tmp_path, 3)
+        assert not failures
+    assert sorted(load_run(tmp_path).worlds["plan_id"]) == ["p0", "p1", "p2"]

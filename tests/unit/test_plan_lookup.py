@@ -1,0 +1,131 @@
+"""A run keeps its plans, to the last bit: its folder alone is enough, wherever they came from and it is now."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from support.command_line import run
+
+import petmjx
+from petmjx.plans.plan import Plan
+from petmjx.results.placement_table import kept_plans, placements_table
+from petmjx.results.run_manifest import plan_digest, records_of
+from petmjx.results.run_tables import Parts
+from petmjx.results.table_files import Tables
+
+FIELDS = [name for name in Plan.__slots__ if name != "source"]
+
+
+def plans() -> list[Plan]:
+    """With and without everything that a plan may say."""
+    tower = {"size_mm": [[400, 300, 200]] * 2, "corner_mm": [[0, 0, 0], [0, 0, 200]], "mass_kg": [6.1, 5 / 3]}
+    odd = np.nextafter(np.array([[400.0, 300, 200]] * 2), 1e9)
+    everything = {
+        "orientation": [1, 0], "product_group": ["dairy", ""], "material": ["wood", ""], "article": ["a", "日本"],
+        "item_id": ["1", "2"], "stiffness_n_mm": [200.0, np.nan], "strength_n": [np.nan, 900.0],
+        "approach_deg": [0.0, 45.5], "com_length_mm": [10.0, 0.0], "order_sequence": [7, 3],
+    }  # fmt: skip
+    sheet = {**tower, "size_mm": [[400, 300, 200], [400, 300, 2]]}
+    return [
+        Plan.from_boxes("plain", **tower),
+        Plan.from_boxes("exact", **{**tower, "size_mm": odd}),
+        Plan.from_boxes("everything", **tower, **everything),
+        Plan.from_boxes("sheet", **sheet, kind=["box", "sheet"]),
+        Plan("bare", "python", odd, np.zeros((2, 3)), np.ones(2), ("", ""), ("", ""), np.array([5, 2])),
+        Plan("named", "python", odd, np.zeros((2, 3)), np.ones(2), ("", ""), ("", ""), np.array([5, 2]),
+             materials=("", ""), stiffness_n_mm=np.full(2, np.nan)),
+    ]  # fmt: skip
+
+
+def same(one: Plan, other: Plan) -> bool:
+    def bits(value: object) -> object:
+        return (value.dtype, value.tobytes()) if isinstance(value, np.ndarray) else value
+
+    return all(bits(getattr(one, name)) == bits(getattr(other, name)) for name in FIELDS)
+
+
+def test_what_is_kept_is_what_was_given(tmp_path: Path) -> None:
+    known = plans()
+    table = placements_table(known)
+    assert table is not None
+    parts = Parts(tmp_path, {})
+    parts.add(Tables(tmp_path).files_of(0, [("placements", table)]))
+    plan_by_id = kept_plans(parts, records_of(known), [plan.plan_id for plan in known])
+    assert list(plan_by_id) == [plan.plan_id for plan in known]
+    for plan in known:
+        kept = plan_by_id[plan.plan_id]
+        assert plan_digest(kept) == plan_digest(plan)
+        assert same(kept, plan), plan.plan_id
+        assert kept.source == plan.source
+    assert kept_plans(parts, records_of(known), ["exact", "none"]).keys() == {"exact"}
+    assert table.nbytes < 1_500 * len(known)
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of objects, one of a file that is gone, and a sweep whose file is gone; all in another folder now."""
+    made, now = tmp_path_factory.mktemp("made"), tmp_path_factory.mktemp("now")
+    boxes = {"size_mm": [[400, 300, 200]] * 2, "mass_kg": [6.0, 5.0], "strength_n": [1.0, 1.0]}
+    objects = [Plan.from_boxes(f"p{k}", corner_mm=[[0, 0, 0], [60.0 * k, 0, 200]], **boxes) for k in range(3)]
+    petmjx.score(objects, engine="mujoco", out=made / "objects")
+    petmjx.save_plans(objects[:2], made / "plans.csv")
+    petmjx.score(made / "plans.csv", engine="mujoco", out=made / "file")
+    (made / "own.toml").write_text('[axes]\nfriction_factor = [0.9, 1.1]\n[simulation]\ncarrier = "euro-pallet"\n')
+    petmjx.sweep(made / "own.toml", objects[:1], engine="mujoco", out=made / "sweep")
+    petmjx.score(objects[:1], engine="mujoco", confidence=4, errors=_errors(made), out=made / "sure")
+    for k in (1, 2):
+        petmjx.score(objects, engine="mujoco", shard=f"{k}/2", out=made / f"half-{k}")
+    petmjx.merge_runs([made / "half-1", made / "half-2"], made / "merged")
+    for name in ("objects", "file", "sweep", "sure", "merged"):
+        shutil.move(made / name, now / name)
+    shutil.rmtree(made)
+    return now
+
+
+def _errors(folder: Path) -> Path:
+    (folder / "mine.toml").write_text("[axes]\nplacement_error_mm = 2\n")
+    return folder / "mine.toml"
+
+
+@pytest.mark.parametrize(
+    ("folder", "variant"), [("objects", None), ("file", None), ("sweep", 1), ("sure", 2), ("merged", None)]
+)
+def test_the_folder_alone_is_enough(
+    folder: str, variant: int | None, moved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    world = [] if variant is None else ["--variant", str(variant)]
+    assert run("show", "p0", moved / folder, *world) == 0
+    assert run("show", "p0", moved / folder, *world, "--html", "p0.html") == 0
+    assert run("export", "p0", moved / folder, *world, "-o", "p0.xml") == 0
+    assert run("report", moved / folder, "-o", "r.html") == 0
+    assert "not found again" not in Path("r.html").read_text()
+    story = petmjx.tell("p0", moved / folder, variant=variant)
+    row = petmjx.load_run(moved / folder).worlds.set_index(["plan_id", "variant"]).loc[("p0", variant or 0)]
+    assert story.outcome.verdict.value == row["verdict"]
+    assert story.outcome.n_steps == row["n_steps"]
+
+
+def test_loads_and_leaderboards_need_no_files(moved: Path, tmp_path: Path) -> None:
+    assert petmjx.loads(moved / "objects").plans["overloaded"].sum() >= 1
+    page = petmjx.leaderboard([moved / "objects", moved / "file"], tmp_path / "board", stories=1)
+    assert (page.parent / "plans" / "objects.json").exists()
+
+
+def test_a_run_in_memory_keeps_them_where_it_is_written() -> None:
+    results = petmjx.score(plans()[:2], engine="mujoco")
+    assert petmjx.tell("plain", results.path).outcome.verdict.value == results.worlds.verdict[0]
+    assert pq.read_table(results.path / "placements" / "part-00000.parquet").num_rows == 4
+
+
+def test_resumed_runs_keep_them_once(tmp_path: Path) -> None:
+    petmjx.score(plans()[:2], engine="mujoco", out=tmp_path / "run")
+    part = tmp_path / "run" / "placements" / "part-00000.parquet"
+    before = part.read_bytes()
+    petmjx.score(plans()[:2], engine="mujoco", out=tmp_path / "run", resume=True)
+    assert part.read_bytes() == before
+    assert [file.name for file in part.parent.iterdir()] == ["part-00000.parquet"]

@@ -1,0 +1,127 @@
+"""A generator that a thread runs ahead."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import threading
+import time
+import weakref
+from collections.abc import Generator
+from contextlib import suppress
+
+import pytest
+
+from petmjx.common.prefetch import prefetch
+
+
+class Numbers:
+    """0, 1, … and how far somebody has come with them."""
+
+    def __init__(self, count: int, error: Exception | None = None) -> None:
+        self.count, self.error = count, error
+        self.made, self.closed_in = 0, ""
+        self.ahead = threading.Semaphore(0)
+
+    def all(self) -> Generator[int]:
+        try:
+            for number in range(self.count):
+                self.made += 1
+                self.ahead.release()
+                yield number
+            if self.error is not None:
+                raise self.error
+        finally:
+            self.closed_in = threading.current_thread().name
+
+
+def test_items_come_in_order_from_a_thread_that_is_ahead() -> None:
+    numbers = Numbers(20)
+    ahead = prefetch(numbers.all(), 3)
+    assert numbers.made == 0
+    head = [next(ahead)]
+    for _ in range(5):  # one was taken, three may wait, and one more is made
+        assert numbers.ahead.acquire(timeout=5)
+    assert not numbers.ahead.acquire(timeout=0.05)
+    assert [*head, *ahead] == [*range(20)]
+    assert numbers.closed_in == "petmjx-ahead"
+
+
+def test_an_error_comes_after_what_came_before_it() -> None:
+    numbers: list[int] = []
+    with pytest.raises(MemoryError, match="none left"):
+        numbers.extend(prefetch(Numbers(5, MemoryError("none left")).all(), 10))
+    ahead = prefetch(Numbers(5, MemoryError("none left")).all(), 10)
+    assert [next(ahead) for _ in range(5)] == [*range(5)]
+    with pytest.raises(MemoryError, match="none left"):
+        next(ahead)
+
+
+def test_an_error_holds_nothing_of_the_generator() -> None:
+    """What has failed for want of memory must be free before it is tried again."""
+
+    class Large:
+        pass
+
+    held: list[weakref.ref[Large]] = []
+
+    def fails() -> Generator[int]:
+        large = Large()
+        held.append(weakref.ref(large))
+        yield 0
+        raise MemoryError
+
+    gc.disable()
+    try:
+        with suppress(MemoryError):
+            list(prefetch(fails(), 1))
+        assert [reference() for reference in held] == [None]
+    finally:
+        gc.enable()
+
+
+def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
+    """Else another run would take what the thread still works with."""
+    closing, done = threading.Event(), threading.Event()
+
+    def slow() -> Generator[int]:
+        try:
+            while True:
+                yield 0
+        finally:
+            closing.set()
+            time.sleep(0.4)
+            done.set()
+
+    def interrupt() -> None:
+        closing.wait()
+        for _ in range(2):
+            time.sleep(0.1)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    ahead = prefetch(slow(), 1)
+    next(ahead)
+    threading.Thread(target=interrupt).start()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            ahead.close()
+        assert done.is_set()
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("most", [1, 100])
+def test_to_close_it_closes_the_generator_and_ends_its_thread(most: int) -> None:
+    """Whether the thread waits for room or not."""
+    numbers = Numbers(10**9)
+    ahead = prefetch(numbers.all(), most)
+    assert next(ahead) == 0
+    ahead.close()
+    assert numbers.closed_in == "petmjx-ahead"
+    assert numbers.made < 10**9
+    assert "petmjx-ahead" not in [thread.name for thread in threading.enumerate()]
+    never = Numbers(3)
+    prefetch(never.all(), most).close()
+    assert never.made == 0

@@ -1,0 +1,227 @@
+"""What boxes bear as they are stacked: walls on walls, over edges and gaps, under sheets; at rest and at the peak."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.command_line import only_line, run
+
+import petmjx
+from petmjx.analysis.box_loads import walls_of
+from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.options.carriers import Carrier
+from petmjx.options.stacking import Stacking
+from petmjx.plans.plan import Plan
+from petmjx.world.carrier_boards import pallet
+
+SIZE = (400.0, 300.0, 200.0)
+KG = 8.0
+
+
+def stacked(*places: tuple[float, float, float] | tuple[float, float, float, tuple[float, float, float]]) -> Plan:
+    """Boxes of one size, or of their own; those of 2 mm are sheets."""
+    sizes = [place[3] if len(place) > 3 else SIZE for place in places]
+    kinds = ["sheet" if size[2] == 2 else "box" for size in sizes]
+    return Plan.from_boxes(
+        "p",
+        size_mm=sizes,
+        corner_mm=[place[:3] for place in places],
+        mass_kg=[0.4 if kind == "sheet" else KG for kind in kinds],
+        article=["tie" if kind == "sheet" else "carton" for kind in kinds],
+        kind=kinds,
+        strength_n=[np.nan if kind == "sheet" else 1000.0 for kind in kinds],
+    )
+
+
+def met(*places: Any, tolerance_mm: float = 10.0) -> list[float]:
+    return [round(float(share), 9) for share in walls_of(stacked(*places), None, None, tolerance_mm).met]
+
+
+def hanging(*places: Any, extent: tuple[float, float] | None = None) -> list[float]:
+    return [round(float(share), 9) for share in walls_of(stacked(*places), extent, None, 0.0).hanging]
+
+
+TURNED = (300.0, 400.0, 200.0)
+BASE = 1400.0
+"""Perimeter of a box, mm."""
+
+
+def test_walls_that_walls_stand_on() -> None:
+    """Of a column all, also within the tolerance; of a box that is offset the parts of two; of a turned one none."""
+    assert met((0, 0, 0), (0, 0, 200)) == [1.0, 1.0]
+    assert met((0, 0, 0), (8, -9, 200)) == pytest.approx([(4 * BASE / 4 - 2 * 8 - 2 * 9) / BASE, 1.0])
+    assert met((0, 0, 0), (100, 0, 200)) == pytest.approx([2 * 300 / BASE, 1.0])
+    assert met((0, 0, 0), (100, 100, 200)) == [0.0, 1.0]
+    assert met((0, 0, 0), (50, -50, 200, TURNED)) == [0.0, 1.0]
+    assert met((0, 0, 0), (100, 0, 200, (200.0, 150.0, 200.0))) == pytest.approx([200 / BASE, 1.0])
+    # four on one: their outer walls; two that touch there count once
+    small = (200.0, 150.0, 100.0)
+    four = [(x, y, 200.0, small) for x in (0.0, 200.0) for y in (0.0, 150.0)]
+    assert met((0, 0, 0), *four)[0] == pytest.approx(1.0)
+    assert met((0, 0, 0), (0, 0, 200), (0, 0, 200.0, small))[0] == pytest.approx(1.0)
+
+
+def test_sheets_are_passed_through() -> None:
+    """However many there are, and whichever box is named first."""
+    sheet = (800.0, 600.0, 2.0)
+    assert met((0, 0, 0), (0, 0, 200, sheet), (0, 0, 202))[0] == 1.0
+    assert met((0, 0, 204), (0, 0, 0), (0, 0, 200, sheet), (0, 0, 202, sheet))[1] == 1.0
+    assert met((0, 0, 0), (0, 0, 200, sheet), (100, 0, 202))[0] == pytest.approx(600 / BASE)
+    # a box that the sheet bears beside another one does not stand on that
+    assert met((0, 0, 0), (0, 0, 200, sheet), (400, 0, 202))[0] == 1.0
+    assert walls_of(stacked((0, 0, 0, sheet), (0, 0, 2)), None, None, 0.0).on_deck.tolist() == [True, True]
+
+
+def test_walls_over_nothing() -> None:
+    assert hanging((0, 0, 0), (0, 0, 200)) == [0.0, 0.0]
+    # 100 mm of two walls, and all of a third
+    assert hanging((0, 0, 0), (100, 0, 200))[1] == pytest.approx((2 * 100 + 300) / BASE)
+    assert hanging((0, 0, 0), (400, 0, 0), (200, 0, 200))[2] == 0.0
+    # between two boxes that stand apart: 100 mm of two walls
+    assert hanging((0, 0, 0), (500, 0, 0), (250, 0, 200))[2] == pytest.approx(2 * 100 / BASE)
+    assert hanging((-50, 0, 0), extent=(1200.0, 800.0))[0] == pytest.approx((2 * 50 + 300) / BASE)
+    assert hanging((0, 0, 500)) == [0.0]  # nobody knows on what it comes to stand
+
+
+def test_gaps_of_a_deck() -> None:
+    """On the Euro pallet's deck boards of 145 and 100 mm along x: a wall along y crosses gaps, one along x may not."""
+    deck = pallet(Carrier.EPAL_1)
+    assert deck is not None
+    boards = deck.deck_mm
+    y = np.sort(boards[:, :, 1], axis=0)
+    gap = float(y[1, 0] - y[0, 1])
+    plan = stacked((0, 0, 0, (200.0, 145.0, 100.0)), (0, 0, 100), (300, 0, 0, (200.0, 145 + gap + 20, 100.0)))
+    walls = walls_of(plan, (1200.0, 800.0), boards, 0.0)
+    assert walls.over_gaps[:2].tolist() == [0.0, 0.0]
+    assert walls.over_gaps[2] == pytest.approx(2 * gap / (2 * (345 + gap + 20)))
+    assert walls.on_deck.tolist() == [True, False, True]
+
+
+# Strengths of runs.
+
+
+def loads_of(plan: Plan, carrier: str = "footprint", **stacking: Any) -> Any:
+    results = petmjx.score(plan, engine="mujoco", threads=1, carrier=carrier)
+    return petmjx.loads(results, stacking=stacking or None)
+
+
+def test_strength_is_that_of_the_press_times_the_factors() -> None:
+    plan = stacked((0, 0, 0), (100, 0, 200))
+    boxes = loads_of(plan, "epal-1").boxes
+    assert boxes["press_strength_n"].tolist() == [1000, 1000]
+    assert boxes["wall_factor"].tolist() == pytest.approx([1 - 0.5 * (1 - 600 / BASE), 1.0])
+    assert boxes["overhang_factor"].tolist() == pytest.approx([1.0, 1 - (2 * 90 + 300) / BASE])
+    assert boxes["deck_factor"].tolist() == pytest.approx([1 - 0.26, 1.0])
+    factors = boxes[["wall_factor", "overhang_factor", "deck_factor"]].prod(axis=1)
+    assert boxes["strength_n"].tolist() == pytest.approx((1000 * factors).tolist())
+    assert boxes["load_share"][0] == pytest.approx(KG * STANDARD_GRAVITY / boxes["strength_n"][0], rel=0.01)
+    assert boxes["peak_share"].tolist() == pytest.approx((boxes["max_top_force_n"] / boxes["strength_n"]).tolist())
+    none = dict.fromkeys(("interlocked_loss", "overhang_loss", "gap_loss"), 0.0)
+    assert loads_of(plan, "epal-1", **none).boxes["strength_n"].tolist() == [1000, 1000]
+    soft = loads_of(plan, "euro-pallet", **none, soft_deck_loss=0.25).boxes["strength_n"]
+    assert soft.tolist() == [750, 1000]
+
+
+def test_nobody_loses_more_than_the_sources_say() -> None:
+    """Half by interlocking, and all by no step of it: a turn further gives no more."""
+    shares = [loads_of(stacked((0, 0, 0), (offset, 0, 200))).boxes["wall_factor"][0] for offset in (0, 20, 100, 180)]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] == 1.0
+    assert loads_of(stacked((0, 0, 0), (50, -50, 200, TURNED))).boxes["wall_factor"][0] == 0.5
+
+
+@pytest.fixture
+def cases(repository: Path) -> Path:
+    folder = repository.parent / "shared" / "cases"
+    if not folder.is_dir():
+        pytest.skip("the cases do not lie beside this checkout")
+    return folder
+
+
+def test_the_patterns_of_a_pallet(cases: Path) -> None:
+    """A column stays what it is, on tie sheets as well; one that is interlocked is overloaded."""
+    plans = petmjx.load_plans(cases / "strength_patterns.csv")
+    loads = petmjx.loads(petmjx.score(plans, engine="mujoco", threads=2), cases / "strength_articles.csv")
+    assert loads.notes == ()
+    worlds = loads.plans.set_index("plan_id")
+    assert worlds["n_unknown"].tolist() == [0, 0, 0]
+    assert worlds["n_boxes"].to_dict() == {"column": 40, "interlocked": 38, "column-tie-sheets": 40}
+    assert worlds["overloaded"].to_dict() == {"column": False, "interlocked": True, "column-tie-sheets": False}
+    factors = loads.boxes.groupby("plan_id")["wall_factor"].min()
+    assert factors[["column", "column-tie-sheets"]].tolist() == [1.0, 1.0]
+    assert 0.5 <= factors["interlocked"] < 0.7
+    assert "tie" not in set(loads.boxes["article"])
+    column = worlds.loc["column", "max_load_share"]
+    assert worlds.loc["column-tie-sheets", "max_load_share"] == pytest.approx(column, rel=0.3)
+
+
+def test_a_sheet_is_no_box_of_unknown_strength() -> None:
+    loads = loads_of(stacked((0, 0, 0), (0, 0, 200, (400.0, 300.0, 2.0)), (0, 0, 202)))
+    assert loads.boxes["box"].tolist() == [0, 2]
+    (world,) = loads.plans.to_dict("records")
+    assert (world["n_boxes"], world["n_unknown"], world["overloaded"]) == (2, 0, False)
+    assert loads.notes == ()
+
+
+def test_forces_of_a_drive_are_set_against_strength(tmp_path: Path) -> None:
+    """A box on two is accelerated: the one behind bears more, by m · a · half of the height over their distance."""
+    half = (200.0, 300.0, 200.0)
+    plan = stacked((0, 0, 0, half), (200, 0, 0, half), (0, 0, 200))
+    sweep = tmp_path / "sweep.toml"
+    sweep.write_text('[axes]\nprofile = "eumos-40509"\nlevel = [0.4]\ndirection = ["+x"]\n', encoding="utf-8")
+    results = petmjx.sweep(sweep, [plan], engine="mujoco", threads=1, carrier="euro-pallet")
+    boxes = petmjx.loads(results).boxes
+    weight_n = KG * STANDARD_GRAVITY
+    behind = int(boxes["max_top_force_n"][:2].argmax())
+    assert boxes["rest_top_force_n"][behind] == pytest.approx(weight_n / 2, rel=0.05)
+    peak_n = float(boxes["max_top_force_n"][behind])
+    assert peak_n == pytest.approx(weight_n * (0.5 + 0.4 * 100 / 200), rel=0.1)
+    # a strength between the two is enough at rest, and not at the peak
+    strength_n = 0.6 * weight_n / float(boxes["wall_factor"][behind])
+    table = tmp_path / "articles.toml"
+    table.write_text(f"[articles.carton]\nstrength_n = {strength_n}\n", encoding="utf-8")
+    loads = petmjx.loads(results, table)
+    (world,) = loads.plans.to_dict("records")
+    assert (world["overloaded"], world["overloaded_at_peak"], world["n_overloaded_at_peak"]) == (False, True, 1)
+    assert (world["peak_box"], world["peak_article"]) == (behind, "carton")
+    assert world["max_peak_share"] == pytest.approx(peak_n / (0.6 * weight_n), rel=1e-5)
+
+
+def test_what_film_does_to_forces_at_rest_is_said(tmp_path: Path) -> None:
+    """After a drive, and where there is film; the command prints it."""
+    sweep, out = tmp_path / "sweep.toml", tmp_path / "run"
+    sweep.write_text('[axes]\nprofile = "eumos-40509"\nlevel = [0.2]\ndirection = ["+x"]\nwrap_turns = [0, 2]\n')
+    results = petmjx.sweep(sweep, [stacked((0, 0, 0))], engine="mujoco", threads=1, carrier="euro-pallet", out=out)
+    notes = [note for note in petmjx.loads(results).notes if "film" in note]
+    assert notes == [
+        "film presses boxes together, and friction between them moves forces at rest from layer to layer after a drive"
+    ]
+    bare = petmjx.score([stacked((0, 0, 0))], engine="mujoco", threads=1, wrap={"turns": 2})
+    assert not [note for note in petmjx.loads(bare).notes if "film" in note]
+
+
+def test_boxes_without_strength_and_article() -> None:
+    plan = Plan.from_boxes(
+        "p", size_mm=[SIZE] * 2, corner_mm=[[0, 0, 0], [0, 0, 200]], mass_kg=[5, 5], strength_n=[900, np.nan]
+    )
+    assert loads_of(plan).notes == ("1 box without article has no strength",)
+
+
+def test_options_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    petmjx.save_plans(stacked((0, 0, 0), (50, -50, 200, TURNED)), tmp_path / "plans.json")
+    petmjx.score(tmp_path / "plans.json", engine="mujoco", threads=1, out=tmp_path / "run")
+    shares = []
+    for loss in ("0.5", "0.25", "0"):
+        assert run("loads", tmp_path / "run", "--interlocked-loss", loss, "--overhang-loss", "0", "--json") == 0
+        (world,) = json.loads(capsys.readouterr().out)["plans"]
+        shares.append(world["max_load_share"])
+    assert shares == pytest.approx([shares[2] / 0.5, shares[2] / 0.75, shares[2]])
+    assert run("loads", tmp_path / "run", "--gap-loss", "2") == 2
+    assert "gap_loss must be from 0 to 1, got 2" in only_line(capsys.readouterr().err)
+    with pytest.raises(petmjx.InputError, match="interlock_loss: unknown field; did you mean interlocked_loss"):
+        petmjx.loads(tmp_path / "run", stacking={"interlock_loss": 0.1})
+    assert petmjx.loads(tmp_path / "run", stacking=Stacking(gap_loss=0.1)).stacking.gap_loss == 0.1

@@ -1,0 +1,199 @@
+"""What bears what by the plan, where loads act, and where boxes are released."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.edges import plan_edges
+from support.plans import Box, make_plan, make_scene, stack
+
+from petmjx.engines.mujoco.live_world import LiveWorld
+from petmjx.options.physics import PHYSICS
+from petmjx.options.simulation import Simulation
+from petmjx.world.history import CARRIER
+from petmjx.world.rectangle_hulls import hull_edges, hull_table
+from petmjx.world.release_places import MOST_FOLLOWED_M, NOTHING, release_of
+from petmjx.world.scene import Scene, build_scene
+from petmjx.world.supports import bearing_of, bearings_of, find_bearing, find_bearings, joined_bearing
+
+EXACT = Simulation(size_reduction_mm=0.0)
+MM = 1e-3
+
+
+def scene_of(*boxes: Box) -> Scene:
+    return make_scene(boxes, EXACT)
+
+
+def edges_mm(scene: Scene) -> list[float]:
+    bearing = bearing_of(scene)
+    return (bearing.edges_m(bearing.loads(scene.n_boxes)) / MM).tolist()
+
+
+def test_a_tower_s_loads_act_at_their_common_centres() -> None:
+    """Centres at 200, 300 and 350 mm of boxes 400 mm long: 12 kg of 2 × 5 kg on 300 mm and 350 mm."""
+    scene = scene_of(
+        ((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (100, 0, 200), 5.0), ((400, 300, 200), (150, 0, 400), 5.0)
+    )
+    bearing = bearing_of(scene)
+    assert bearing.lower.tolist() == [CARRIER, 0, 1]
+    load = bearing.loads(3)
+    np.testing.assert_allclose(load[:, 0], [15.0, 10.0, 5.0])
+    np.testing.assert_allclose(load[:, 1] / load[:, 0], [0.85 / 3, 0.325, 0.35])
+    # of the tops that bear them: to 400, and from 100, and to 500 mm
+    assert edges_mm(scene) == pytest.approx([400 - 850 / 3, 75.0, 150.0])
+    # the third box is not there yet
+    assert bearing.loads(2)[:, 0].tolist() == [10.0, 5.0, 0.0]
+
+
+def test_a_bridge_is_borne_within_the_hull_of_its_supports() -> None:
+    """Supports to 200 and from 400 mm; the load acts at 300 mm, over the gap, as far from the sides as it can be."""
+    scene = scene_of(
+        ((200, 300, 200), (0, 0, 0), 5.0), ((200, 300, 200), (400, 0, 0), 5.0), ((600, 300, 200), (0, 0, 200), 8.0)
+    )
+    assert edges_mm(scene) == pytest.approx([100.0 - 100.0 * 4 * 0 / 9, 100.0, 150.0], abs=0.01)
+    assert bearing_of(scene).loads(3)[:, 0].tolist() == pytest.approx([9.0, 9.0, 8.0])
+
+
+def test_a_corner_hull_is_not_its_bounding_box() -> None:
+    """Two supports at opposite corners: the other corners of the square between them bear nothing."""
+    small = (100.0, 100.0, 100.0)
+    top: Box = ((400, 400, 100), (0, 0, 100), 1.0)
+    weight: Box = (small, (300, 0, 200), 1000.0)
+    scene = scene_of((small, (0, 0, 0), 1.0), (small, (300, 300, 0), 1.0), top, weight)
+    edge_mm = edges_mm(scene)[2]
+    # the hull's edge from (100, 0) to (400, 300); the load acts near (350, 50)
+    point = (1000 * np.array([350.0, 50.0]) + np.array([200.0, 200.0])) / 1001
+    assert edge_mm == pytest.approx((point[1] - point[0] + 100) / 2**0.5)
+    assert edge_mm < 0
+
+
+def test_what_hangs_in_the_air_has_no_edge() -> None:
+    scene = scene_of(((400, 300, 200), (0, 0, 0), 5.0), ((400, 300, 200), (0, 0, 201), 5.0))
+    assert np.isnan(edges_mm(scene)[1])
+    assert release_of(scene, EXACT).support.tolist() == [CARRIER, NOTHING]
+
+
+@pytest.mark.parametrize("boxes", [stack(5), stack(4, size_mm=(100, 100, 400), kg=(0.5, 5.0, 2.0, 1.0))])
+def test_boxes_are_released_as_they_will_rest(boxes: Sequence[Box]) -> None:
+    """They do not fall: a step later, and at rest, each is where it was released, to 2 % of what it has come down."""
+    scene = make_scene(boxes, EXACT)
+    live = LiveWorld(scene, EXACT)
+    live.step(200)
+    for box in range(scene.n_boxes):
+        live.place_next()
+        released = live.pose[box, 2]
+        live.step(300)
+        down = scene.target[box, 2] - released
+        assert 0 < down < 1 * MM
+        assert live.pose[box, 2] == pytest.approx(released, abs=max(0.15 * down, 2e-6))
+
+
+def test_the_reference_lets_boxes_fall() -> None:
+    scene = make_scene(stack(3), sim := Simulation(physics=PHYSICS["reference"]))
+    release = release_of(scene, sim)
+    assert release.support.tolist() == [NOTHING] * 3
+    np.testing.assert_array_equal(release.pos, scene.start_pos)
+
+
+def test_a_box_does_not_follow_a_support_that_has_gone() -> None:
+    scene = make_scene(stack(2), EXACT)
+    live = LiveWorld(scene, EXACT)
+    live.step(100)
+    live.place_next()
+    live._poses[live._row[0], 2] -= 0.05
+    live.place_next()
+    assert live.pose[1, 2] == pytest.approx(release_of(scene, EXACT).pos[1, 2] - MOST_FOLLOWED_M, abs=1e-9)
+
+
+def test_the_order_of_boxes_does_not_matter() -> None:
+    """In a static check nothing is placed before anything else."""
+    boxes: list[Box] = [
+        ((200, 300, 200), (0, 0, 0), 5.0),
+        ((200, 300, 200), (400, 0, 0), 5.0),
+        ((600, 300, 200), (0, 0, 200), 8.0),
+        ((300, 300, 100), (350, 0, 400), 3.0),
+    ]
+    expected = edges_mm(scene_of(*boxes))
+    for order in ([3, 2, 1, 0], [2, 0, 3, 1]):
+        edges = edges_mm(scene_of(*(boxes[k] for k in order)))
+        assert [edges[order.index(k)] for k in range(4)] == pytest.approx(expected)
+
+
+def test_a_load_acts_at_the_centre_of_mass() -> None:
+    scene = scene_of(((400, 300, 200), (0, 0, 0), 5.0))
+    aside = replace(scene, mass_center=np.array([[0.0, 0.1, 0.0]]))
+    assert edges_mm(scene) == pytest.approx([150.0])
+    assert edges_mm(aside) == pytest.approx([50.0])
+
+
+def test_scenes_together_have_the_numbers_of_each_alone() -> None:
+    """Random heaps of 1 to 12 boxes, to the last bit; boxes that are not placed have no edges."""
+    rng = np.random.default_rng(4)
+    scenes = [scene_of(*random_heap(rng, n)) for n in (1, 12, 5, 8)]
+    placed = [1, 7, 5, 0]
+    alone = [plan_edges([scene], [count])[0] for scene, count in zip(scenes, placed, strict=True)]
+    for joined, single, count in zip(plan_edges(scenes, placed), alone, placed, strict=True):
+        np.testing.assert_array_equal(joined.least, single.least)
+        assert np.isnan(joined.least[count:]).all()
+        assert np.isfinite(joined.least[:count]).any() == (count > 0)
+    loads = joined_bearing([bearing_of(scene) for scene in scenes]).loads(placed)
+    apart = [bearing_of(scene).loads(count) for scene, count in zip(scenes, placed, strict=True)]
+    np.testing.assert_array_equal(loads, np.concatenate(apart))
+
+
+def test_scenes_that_are_alike_are_looked_at_together() -> None:
+    """With one board or many, and where boxes have errors or are elsewhere: the same contacts, to the last bit."""
+    rng = np.random.default_rng(6)
+    for carrier in ("footprint", "epal-1"):
+        sim = Simulation(carrier=carrier)
+        scenes = [build_scene(make_plan("p", random_heap(rng, n)), sim) for n in (6, 6, 6, 9, 6, 9)]
+        targets = [scene.target + rng.normal(0, 2e-4, scene.target.shape) for scene in scenes]
+        for bearing, scene, target in zip(find_bearings(scenes, targets), scenes, targets, strict=True):
+            expected = find_bearing(replace(scene, target=target))
+            for name in ("upper", "lower", "low", "high"):
+                np.testing.assert_array_equal(getattr(bearing, name), getattr(expected, name), strict=True)
+            for name in ("target", "half_size", "mass", "mass_center", "carrier_mass", "first"):
+                np.testing.assert_array_equal(getattr(bearing.boxes, name), getattr(expected.boxes, name), strict=True)
+        again = bearings_of([scenes[0], scenes[3], scenes[0]])
+        assert again[0] is again[2]
+        np.testing.assert_array_equal(again[1].low, bearing_of(scenes[3]).low)
+
+
+def random_heap(rng: np.random.Generator, n: int) -> list[Box]:
+    """Layers of boxes at random places, which rest on several others or none."""
+    corners = [(float(x), float(y), 200.0 * (k // 4)) for k, (x, y) in enumerate(rng.integers(0, 500, (n, 2)))]
+    return [((400, 300, 200), corner, float(mass)) for corner, mass in zip(corners, rng.uniform(1, 20, n), strict=True)]
+
+
+def test_a_hull_s_edges_are_the_lines_with_all_corners_on_one_side() -> None:
+    """Random rectangles: no corner is outside, and each edge is on a pair of corners."""
+    rng = np.random.default_rng(5)
+    for count in (1, 2, 3, 6):
+        low = rng.integers(0, 6, (count, 2)).astype(float)
+        high = low + rng.integers(1, 4, (count, 2))
+        corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]])
+        edges = np.array(hull_edges(low.tolist(), high.tolist()))
+        inside = corners @ edges[:, :2].T - edges[:, 2]
+        np.testing.assert_allclose(np.hypot(edges[:, 0], edges[:, 1]), 1.0)
+        assert (inside >= -1e-12).all()
+        assert ((np.abs(inside) < 1e-12).sum(axis=0) >= 2).all()
+        assert len(edges) >= 4
+
+
+def test_many_hulls_have_the_edges_of_each_alone() -> None:
+    """500 sets of one to six random rectangles: points are as far inside as by their edges one by one."""
+    rng = np.random.default_rng(6)
+    count = rng.integers(1, 7, 500)
+    low = rng.integers(0, 8, (count.sum(), 2)) / 10
+    high = low + rng.integers(1, 5, low.shape) / 10
+    point = rng.uniform(-0.2, 1.4, (500, 2))
+    ends = np.cumsum(count)
+    expected = [
+        min(x * normal_x + y * normal_y - offset for normal_x, normal_y, offset in hull_edges(low[i:k], high[i:k]))
+        for i, k, (x, y) in zip((ends - count).tolist(), ends.tolist(), point.tolist(), strict=True)
+    ]
+    inside = hull_table(low, high, count).inside_m(np.arange(500), point)
+    np.testing.assert_allclose(inside, expected, rtol=0, atol=1e-15)
