@@ -108,7 +108,7 @@ def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
             raise PluginError(f"docs/reference/python.md lacks {', '.join(missing)}")
     uri = page.file.src_uri
     source = uri if uri in OUTSIDE else f"docs/{uri}"
-    if uri in OUTSIDE or uri == "performance.md":
+    if uri in OUTSIDE:
         page.meta["search"] = {"boost": 0.3}  # long logs, which have every word
     address = config.extra["social"][0]["link"]
     markdown = CODE_WITH_PIPE.sub(lambda match: match[0].replace("\\|", "|"), markdown)

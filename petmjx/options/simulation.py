@@ -316,6 +316,6 @@ class Simulation(CheckedRecord):
     def waits_for_rest(self) -> bool:
         """Whether what follows waits for boxes that creep: the next box (schedule adaptive), a profile, and the end.
 
-        Not with pyramidal cones: there every box creeps a little (docs/performance.md).
+        Not with pyramidal cones: there every box creeps a little (benchmarks/notebook/performance.md).
         """
         return self.physics.cone is Cone.ELLIPTIC

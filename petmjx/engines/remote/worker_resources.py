@@ -11,7 +11,7 @@ from petmjx.options.run_options import AUTO
 
 MOST_SHARING = 4
 """Most workers of a GPU. Each has a context, tables and buffers of its own in its memory. In sweeps of small worlds
-four processes kept a GPU hardly busier than two (docs/performance.md)."""
+four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
 
 PARTS = 10_000
 """Ray counts a GPU in so many parts."""

@@ -185,7 +185,8 @@ class Size:
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
-"""By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured: docs/performance.md."""
+"""By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured:
+benchmarks/notebook/performance.md."""
 
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 """For worlds with so few boxes so far: with a carrier that moves they fill six panels."""

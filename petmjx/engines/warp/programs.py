@@ -37,7 +37,7 @@ each array that it fetches a thread waits for the interpreter's lock."""
 DRIVEN_ITERATIONS = 7
 """Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20 and more for the last
 digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,598 have the verdict of ``mujoco``, which takes as many as it
-needs. What the limit costs and gains: docs/performance.md, "Sliding contacts"."""
+needs. What the limit costs and gains: benchmarks/notebook/performance.md, "Sliding contacts"."""
 
 
 def friction_damping(physics: Physics) -> float:

@@ -3,8 +3,8 @@ is farthest from the carrier.
 
 Bodies that touch should stand near one another there, so that the Hessian's envelope is narrow (Cuthill and McKee,
 "Reducing the bandwidth of sparse symmetric matrices", 1969). In packing order the factor takes twice the operations
-(docs/performance.md). An order is part of a world's state, and is renewed at certain steps. So it does not depend on
-which thread block had the world when.
+(benchmarks/notebook/performance.md). An order is part of a world's state, and is renewed at certain steps. So it does
+not depend on which thread block had the world when.
 """
 
 from __future__ import annotations

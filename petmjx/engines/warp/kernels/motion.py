@@ -253,7 +253,7 @@ def end_step(
     """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
 
     The solver's next start continues the line through the accelerations of the last step and this one. From there it
-    takes a quarter fewer iterations than from those of this step (docs/performance.md).
+    takes a quarter fewer iterations than from those of this step (benchmarks/notebook/performance.md).
 
     Args:
         measured: find the force on each box's top, too.

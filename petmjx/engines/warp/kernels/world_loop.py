@@ -2,7 +2,7 @@
 
 A lane is a thread block, or a warp of one. Warps of a block go through the parts of a step together, also those that
 have no world any more. Where the solver of one takes longer than those of the others it pauses, they take their next
-step, and it goes on when they are at their solver again (docs/performance.md, "Small worlds").
+step, and it goes on when they are at their solver again (benchmarks/notebook/performance.md, "Small worlds").
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 // How kernels find a number of an array. In all arrays here the numbers of a row are side by side, and no index counts from
 // the end. Warp's own functions allow for both, and without them a kernel has 13 to 15 % fewer instructions
-// (docs/performance.md). What Warp checks in its debug mode is not checked here.
+// (benchmarks/notebook/performance.md). What Warp checks in its debug mode is not checked here.
 //
 // Warp's functions of the same names are for all kinds of arrays, so C++ prefers these, which are for one kind.
 

@@ -1,7 +1,7 @@
 // The constraint solver of mjx-warp for the world of a thread block: Newton's method, as newton.py explains it.
 //
 // Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it. Loops are not unrolled where they
-// could be: a GPU waits for instructions more than for results (docs/performance.md).
+// could be: a GPU waits for instructions more than for results (benchmarks/notebook/performance.md).
 
 #include "arrays.cuh"
 #include "block.cuh"
