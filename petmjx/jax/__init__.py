@@ -9,6 +9,9 @@ runs behind a callback. Lengths are millimetres and masses kilograms, as in ``pe
 environment of such functions. docs/loop.md has more.
 """
 
+import warnings
+from typing import Any
+
 from petmjx.jax.palletizing import Observation, Palletizing
 from petmjx.jax.placement_results import REASONS, PlacementArrays
 from petmjx.jax.pure_functions import empty, place, try_all
@@ -26,3 +29,10 @@ __all__ = [
     "place",
     "try_all",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name == "Told":  # its name in version 0.2
+        warnings.warn("petmjx.jax.Told is now petmjx.jax.PlacementArrays", FutureWarning, stacklevel=2)
+        return PlacementArrays
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

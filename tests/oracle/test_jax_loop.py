@@ -146,3 +146,8 @@ def test_wrong_shapes_and_numbers_are_one_line() -> None:
     ):
         with pytest.raises(InputError, match=message):
             call()
+
+
+def test_the_old_name_warns() -> None:
+    with pytest.warns(FutureWarning, match=r"petmjx\.jax\.Told is now petmjx\.jax\.PlacementArrays"):
+        assert petmjx.jax.Told is PlacementArrays

@@ -170,3 +170,10 @@ def test_public_names_are_there_and_cheap() -> None:
     with pytest.raises(AttributeError, match="no attribute 'scores'"):
         petmjx.scores  # noqa: B018
     assert loaded_by("import petmjx; petmjx.load_plans, petmjx.load_run, petmjx.compare_runs") == set()
+
+
+def test_old_names_warn() -> None:
+    import petmjx
+
+    with pytest.warns(FutureWarning, match=r"petmjx\.Told is now petmjx\.PlacementResults"):
+        assert petmjx.Told is petmjx.PlacementResults
