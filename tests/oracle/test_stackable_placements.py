@@ -21,6 +21,10 @@ from petmjx.world.scene import Scene
 WAYS = ("hand", "tines", "drop")
 AGREES_M = 2e-5
 """Single precision over some hundred steps, in worlds that are not chaotic; 0.01 mm were found."""
+AGREES_SLIDING_M = 5e-5
+"""A box let go on tines slides by 1.6 mm while it lands and bounces. Engines know the excess of contacts that slide to
+0.1 m/s², a hundredth of gravity (petmjx/world/contact_laws.py), so they know that way to one or two hundredths; 0.027
+mm were found. With an excess to 0.001 m/s² they agree to 0.002 mm, but for the bridge, which lands on two boxes."""
 AGREES_JAX_M = 5e-4
 """Without a skin boxes land at slightly other places of what bears them when they tip; 0.34 mm were found."""
 
@@ -38,8 +42,10 @@ PILES: dict[str, list[Box]] = {
 
 
 SAME_LOOK = Simulation().quiet.poll_steps
-"""A box that slides off the tines comes to rest a look earlier or later: engines know the excess of contacts that slide
-to 0.1 m/s² (petmjx/world/contact_laws.py)."""
+"""A box comes to rest a look earlier or later."""
+SAME_COUNT = Simulation().quiet.steps
+"""One that slides off the tines comes to rest a count of quiet looks earlier or later: the count begins again if it
+creeps at the last of them."""
 
 
 def simulation(way: str) -> Simulation:
@@ -70,9 +76,10 @@ def test_mjx_warp_places_as_mujoco_does(way: str) -> None:
             expected.culprit,
         )
         assert (outcome.n_placed, outcome.flags) == (expected.n_placed, expected.flags)
-        assert abs(outcome.n_steps - expected.n_steps) <= SAME_LOOK
+        assert abs(outcome.n_steps - expected.n_steps) <= (SAME_COUNT if way == "tines" else SAME_LOOK)
         if way != "drop":  # what falls onto an edge goes its own way in the last digits
-            np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=AGREES_M)
+            agrees_m = AGREES_SLIDING_M if way == "tines" else AGREES_M
+            np.testing.assert_allclose(outcome.boxes.pos, expected.boxes.pos, atol=agrees_m)
 
 
 def test_only_a_box_that_finds_no_room_could_not_be_placed() -> None:
