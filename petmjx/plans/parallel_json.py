@@ -39,8 +39,8 @@ _BETWEEN_PLANS: Final = re.compile(rb'\}[ \t\n\r]*+\][ \t\n\r]*+(,)[ \t\n\r]*+"'
 _CODE: Final = "from petmjx.plans.parallel_json import main; main()"
 
 _MARK: Final = b"petmjx pieces\n"
-"""Mark before each answer. The user's sitecustomize may print when an interpreter starts; without the mark its output is
-not unpickled."""
+"""Mark before each answer. The user's sitecustomize may print when an interpreter starts; without the mark that output
+is not unpickled."""
 
 
 class ReadEntry(NamedTuple):
@@ -118,7 +118,7 @@ def _cut(data: bytes | bytearray, count: int) -> list[list[memoryview | bytes]]:
 def _reader_process() -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [sys.executable, "-c", _CODE],
-        env={**own_environment(), "OPENBLAS_NUM_THREADS": "1"},  # threads of OpenBLAS are not needed, and take time to start
+        env={**own_environment(), "OPENBLAS_NUM_THREADS": "1"},  # further threads are not used, and take time to start
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -235,8 +235,8 @@ NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER
 """Columns that every table must have."""
 _SELDOM: Final = ("material", "kind", *COM_FIELDS, *SPARSE)
 OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", *_SELDOM)
-"""Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; without
-this column ``sequence`` is used."""
+"""Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order;
+without this column ``sequence`` is used."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 _NAMES: Final = ("plan_id", *_TEXTS)
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     from petmjx.plans.placement_table import Table
 
 DEFAULT_MAX_BOXES: Final = 512
-"""Default limit of a plan's boxes: twelve times BED-BPP's mean of 43, and twice the largest known plan of other packers.
-The model of a plan of this size declares 132,000 pairs of geoms on C MuJoCo."""
+"""Default limit of a plan's boxes: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
+packers. The model of a plan of this size declares 132,000 pairs of geoms on C MuJoCo."""
 
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further ones are counted."""
