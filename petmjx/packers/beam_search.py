@@ -112,14 +112,14 @@ class _SearchNode(NamedTuple):
 
 
 class _SearchBranch(NamedTuple):
-    """A packing, a candidate for its next box (None: no further box), and the full packing that follows from both."""
+    """A packing, a candidate for its next box (None: it is placed already), and the full packing that follows."""
 
     packing: Packing
     candidate: NextCandidate | None
     filled: RankedPacking
 
     def made(self) -> _SearchNode:
-        """The node after the candidate's box has been placed."""
+        """The node of this branch, with the candidate's box placed."""
         if self.candidate is None:
             return _SearchNode(self.packing, self.filled)
         packing = self.packing.copy()

@@ -39,7 +39,7 @@ LEAST_PLACES: Final = 6
 box."""
 
 SURE: Final = 0.98
-"""The best candidate is taken if its chance to stand is at least this."""
+"""The best candidate whose chance to stand is at least this is taken."""
 
 LEAST_SURE: Final = 0.5
 """If no candidate reaches ``SURE``, the one with the largest chance is taken, if its chance is at least this."""
@@ -95,9 +95,10 @@ class Policy:
         return (places, features(stream, places)) if len(places) else None
 
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
-        """The best candidate that keeps the balance and has the chance ``SURE``; else the one with the largest chance.
+        """The best candidate that keeps the balance and has at least the chance ``SURE``.
 
-        None: no chance reaches ``LEAST_SURE``.
+        If there is none among the first ``MOST_TRIED``, the one with the largest chance. None: no chance reaches
+        ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
         tried = 0

@@ -57,7 +57,7 @@ class Packed:
 
     @property
     def plans(self) -> list[Plan]:
-        """The plans, for ``petmjx.score`` and ``petmjx.save_plans``. An order of which no box has a place has no plan."""
+        """The plans, for ``petmjx.score`` and ``petmjx.save_plans``. An order has no plan if no box has a place."""
         return [packed.plan for packed in self.each if packed.plan is not None]
 
     @property
