@@ -26,8 +26,8 @@ def check_outputs(
 ) -> None:
     """Check that files may be written. Nothing is changed.
 
-    Never replaced are inputs, links (which may lead anywhere) and folders. If the user named only a folder, petmjx
-    chose the names in it, and files there that petmjx did not write are never replaced either. All other files are
+    Inputs, links (which may lead anywhere) and folders are never replaced. If the user named only a folder, petmjx
+    chooses the names in it; then files that petmjx did not write are never replaced either. All other files are
     replaced with ``overwrite``.
 
     Args:

@@ -1,4 +1,4 @@
-"""Options of placing (``Placing``): where a box starts, and what carries it to its place.
+"""Options of placing (``Placing``): where a box starts, and how it gets to its place.
 
 Defaults, units, checks and descriptions are written only here. docs/rules.md, section 4, has the rules to the step;
 docs/placing.md explains them to users.

@@ -1,8 +1,8 @@
 """Free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are level.
 
 A policy that sees one box does not know the next ones, but cartons have much in common. The height map of the pile on a
-coarse grid, with a candidate placed, shows for each typical carton the lowest place, and how little air is under it
-there.
+coarse grid, with a candidate placed, shows the lowest place for each typical carton, and the air under the carton at
+that place.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ CELL_MM: Final = 25.0
 
 
 class HeightMap:
-    """The highest top in each cell of a grid. Boxes are lowered from above, so the newest box has the highest top.
+    """The highest top in each cell of a grid. Boxes are lowered from above, so a new box is the highest in its cells.
 
     Attributes:
         height: (nx, ny) heights, mm.

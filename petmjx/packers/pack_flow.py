@@ -128,7 +128,7 @@ class Flow:
             yield packed
 
     def _more(self) -> list[World]:
-        """The worlds requested since the last call, also those of newly searched orders.
+        """The worlds requested since the last call, also the worlds of newly searched orders.
 
         It waits for searches only if the engine has no other work, or if the search runs in this process.
         """

@@ -115,7 +115,7 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
 """Ways to match, in order; each takes the boxes and items that the ways before have left. All ways are tried first with
-equal size and mass, then without. A name that one side lacks is not compared."""
+equal size and mass, then those with ``named`` without. A name that one side lacks is not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:
