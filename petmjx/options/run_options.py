@@ -55,7 +55,7 @@ def _workers(value: Any) -> Any:
 
 
 def _address(text: str | None) -> str | None:
-    """Validator of Ray's address: ``auto`` or HOST:PORT. Refuses addresses of Ray clients: they cannot stream results."""
+    """Validator of Ray's address: ``auto`` or HOST:PORT. Ray clients are refused, since they cannot stream results."""
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(
             f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {shown_value(text)}"

@@ -176,7 +176,7 @@ def read_articles(path: str | Path) -> Articles:
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
-    """One checked row: the kind of its name (``article``, ``product_group`` or ``material``), the name, the properties."""
+    """One checked row: the kind of its name (article, product_group or material), the name, and the properties."""
     known = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
     unknown = [name for name in known if name not in _FIELDS]
     if unknown:

@@ -63,8 +63,8 @@ class Convention:
 
     Attributes:
         looks: how plans look that follow it, for messages.
-        advice: how the user can correct it. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}`` for the
-            middle of the carrier, mm.
+        advice: how to correct it, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}``
+            for the middle of the carrier, mm.
         read: converts corners and sizes to petmjx's convention. None: corners and sizes do not differ.
         least_odd: least number of floating boxes and overlaps of a plan that it explains, if the lowest box does not
             float.

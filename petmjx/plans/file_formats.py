@@ -106,7 +106,7 @@ def _zip_kind(begin: bytes) -> str:
 
 
 def separator_mark(header: bytes | bytearray) -> str | None:
-    """The error text for a first row that is Excel's mark of the separator, such as "sep=;". None: it is no such mark."""
+    """The error text for a first row that is Excel's mark of the separator, such as "sep=;". None: it is none."""
     if not _SEPARATOR_MARK.fullmatch(header):
         return None
     mark = header.decode("utf-8", "replace").strip().strip('"')[:5]
@@ -114,7 +114,7 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 
 def other_encoding(text: str) -> str:
-    """The end of a message about a text that is not UTF-8: its probable content. Bytes of the text are lone surrogates."""
+    """The end of a message about a text that is not UTF-8: its probable content. Its bytes are lone surrogates."""
     if not all(character.isascii() or is_surrogate(character) for character in text):
         return ""  # the rest is UTF-8: the text is damaged, not in another encoding
     try:

@@ -43,7 +43,7 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
-    """Unpack the sound part of a gzip stream, which may have several members. Also returns the error if there is one."""
+    """Unpack the sound part of a gzip stream, which may have several members. Also returns the error; None: none."""
     most = min(MOST_BYTES, max(FREE_BYTES, MOST_RATIO * len(packed)))
     view = memoryview(packed)
     plain = bytearray()

@@ -1,4 +1,4 @@
-"""Loose boxes: an estimate, from the plan alone, of the first box that tips over. For estimates of time, not verdicts."""
+"""Loose boxes: an estimate, from the plan alone, of the first box that tips over. Used for estimates of time only."""
 
 from __future__ import annotations
 
