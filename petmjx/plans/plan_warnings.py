@@ -170,7 +170,9 @@ def _gaps(
     tolerance_mm: float,
     in_order: bool = True,
 ) -> FloatArray:
-    """(n,) gap between each box and its support, mm: the highest box that begins below it, or the carrier.
+    """(n,) gap between each box and its support, mm.
+
+    The support of a box is the highest box that begins below it, or the carrier's top.
 
     A box into which another box reaches from below counts as overlapping, not as floating. A box that is placed before
     the box under it floats: placed one by one, it falls.
