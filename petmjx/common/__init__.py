@@ -1,1 +1,1 @@
-"""What all of petmjx stands on, and what knows nothing of it: errors, texts, units, files, checks."""
+"""The base of petmjx, which imports no other room: errors, texts, units, files, checks, processes."""

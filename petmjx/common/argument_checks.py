@@ -1,4 +1,4 @@
-"""Checks of arguments from Python: a value of a wrong type is one line with the argument's name."""
+"""Checks of arguments from Python: a value of a wrong type raises an error of one line with the argument's name."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ Kind = TypeVar("Kind")
 
 
 def path_of(value: Any, name: str) -> Path:
-    """A path that names something. ``Path("")`` would be the current folder.
+    """A path that is not empty: ``Path("")`` would be the current folder.
 
     Raises:
-        InputError: it is not.
+        InputError: the value is no path, or is empty.
     """
     usable = isinstance(value, Path) or (isinstance(value, str | PathLike) and bool(str(value)))
     if not usable:
@@ -32,12 +32,12 @@ def path_of(value: Any, name: str) -> Path:
 
 
 def text_of(value: Any, name: str) -> str:
-    """Text. Raises InputError: it is not."""
+    """Text. Raises InputError: the value is no text."""
     return instance_of(value, name, str, "text")
 
 
 def flag_of(value: Any, name: str) -> bool:
-    """True or false. Raises InputError: it is neither."""
+    """True or false. Raises InputError: the value is neither."""
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{name} must be true or false, {shown_value(value)}")
     return bool(value)
@@ -47,7 +47,7 @@ def integer_of(value: Any, name: str, least: int | None = None, most: int | None
     """A whole number within limits.
 
     Raises:
-        InputError: it is not, or it is beyond a limit.
+        InputError: the value is no whole number, or is beyond a limit.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise InputError(f"{name} must be a whole number, {shown_value(value)}")
@@ -59,7 +59,7 @@ def number_of(value: Any, name: str, least: float | None = None, most: float | N
     """A finite number within limits.
 
     Raises:
-        InputError: it is not, or it is beyond a limit.
+        InputError: the value is no finite number, or is beyond a limit.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(f"{name} must be a number, {shown_value(value)}")
@@ -74,10 +74,13 @@ def number_of(value: Any, name: str, least: float | None = None, most: float | N
 
 
 def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
-    """An object of a class, which people know by other words.
+    """An object of a class.
+
+    Args:
+        words: name of the class in the error, in words that people know.
 
     Raises:
-        InputError: it is another one.
+        InputError: the value is of another class.
     """
     if not isinstance(value, kind):
         raise InputError(f"{name} must be {words}, {shown_value(value)}")
@@ -87,8 +90,11 @@ def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
 def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
     """A list of objects of one class, from any iterable.
 
+    Args:
+        words: name of the class in the error, in words that people know.
+
     Raises:
-        InputError: it cannot, is text, or something in it is another object.
+        InputError: the value is text, cannot be iterated, or has a member of another class.
     """
     try:
         members = None if isinstance(values, str | bytes) else list(values)
@@ -96,7 +102,7 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
         members = None
     if members is None:
         raise InputError(f"{name} must be a list of {words}, {shown_value(values)}")
-    if not set(map(type, members)) <= {kind}:  # of the names of all boxes of 10,000 plans, so in C
+    if not set(map(type, members)) <= {kind}:  # in C, since a list may have the names of all boxes of 10,000 plans
         for index, value in enumerate(members):
             instance_of(value, f"{name}[{index}]", kind, words)
     return members
@@ -106,15 +112,15 @@ def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool =
     """An array of finite numbers.
 
     Args:
-        shape: of what one value stands for: (3,) for an array of (n, 3), () for one of (n,).
-        may_lack: whether NaN stands for a value that is not given.
+        shape: of one entry: (3,) for an array of (n, 3), () for an array of (n,).
+        may_lack: whether NaN is allowed, for a value that is not given.
 
     Raises:
-        InputError: it is not, or it has another shape.
+        InputError: the value is no array of finite numbers, or has another shape.
     """
     try:
         array = np.asarray(values)
-    except Exception:  # whatever an object says when it is asked for an array
+    except Exception:  # whatever an object raises when it is turned into an array
         array = np.empty(0, dtype=object)
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name} must be an array of numbers, {shown_value(values)}")

@@ -1,4 +1,4 @@
-"""Files that users name, written so that they appear whole or not at all."""
+"""Atomic writes of files that users name: a file appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.common.text import printable
 
 
 def check_writable(file: Path) -> None:
-    """Check that a file can be written, as far as can be seen before it is tried.
+    """Check that a file can be written, as far as this shows without writing.
 
     Raises:
         InputError: it is a folder, or its parent is not a folder or is not writable.
@@ -34,7 +34,7 @@ def check_writable(file: Path) -> None:
 
 @contextmanager
 def write_errors(path: Path) -> Iterator[None]:
-    """System errors while a file or a folder is written become an InputError that names it."""
+    """Turn system errors of the body, which writes a file or a folder, into an InputError that names the path."""
     try:
         yield
     except OSError as error:
@@ -43,25 +43,25 @@ def write_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(file: Path) -> Iterator[Path]:
-    """A hidden path beside a file, with the same ending; what the body writes there takes the file's place.
+    """Yield a hidden path beside a file, with the same ending. When the body ends, its file replaces the named one.
 
-    For a link it is the target that is replaced. Existing paths that are not files, such as a FIFO or
+    If the named file is a link, its target is replaced. Existing paths that are not files, such as a FIFO or
     ``/dev/stdout``, are written to directly.
 
     Raises:
-        InputError: it cannot be written.
+        InputError: the file cannot be written.
     """
     if "\0" in str(file):
         raise InputError(f"{printable(str(file))}: cannot be written: no file has such a name")
     target = file.resolve() if file.is_symlink() else file
-    direct = file.exists() and not file.is_file()  # of /dev/stdout to a pipe the target is no path
+    direct = file.exists() and not file.is_file()  # if /dev/stdout is a pipe, its target is no path
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
         with write_errors(file):
             yield temporary
             if not direct:
                 os.replace(temporary, target)
-    except InputError as error:  # of what was written, which names the hidden path
+    except InputError as error:  # raised by the body: it names the hidden path
         raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:
         if not direct:
@@ -70,5 +70,5 @@ def atomic_write(file: Path) -> Iterator[Path]:
 
 
 def gzip_stream(stream: IO[bytes]) -> gzip.GzipFile:
-    """A stream that compresses into another one, without a name or a time: its bytes depend only on the content."""
+    """A gzip stream into another stream. It has no file name and no time, so its bytes depend only on the content."""
     return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

@@ -1,6 +1,7 @@
-"""What options are called in messages: as they are typed on the command line, as arguments in Python.
+"""Records that check their own values (``CheckedRecord``), and their error messages of one line.
 
-Records that check their own values, and the one place that makes error lines from pydantic's errors.
+This module alone turns pydantic's errors into lines. It also knows what an option is called in a message: by its flag
+on the command line, by its argument in Python.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
 
 _typed = False
-"""Whether the command line runs. One process has one command line, whose threads share it."""
+"""Whether the command line runs. A process has at most one command line, and all threads share this flag."""
 
 
 @contextmanager
 def typed_options() -> Iterator[None]:
-    """In the body, messages have options as they are typed: the command line runs."""
+    """Name options in messages by their flags while the body runs. For the command line."""
     global _typed
     before, _typed = _typed, True
     try:
@@ -43,8 +44,8 @@ def option(flag: str, value: str = "", *, python: str = "") -> str:
 
     Args:
         flag: as it is typed, such as ``--out``.
-        value: what stands behind it in Python, such as ``True``; it is not typed.
-        python: name of the argument, where it is not that of the flag.
+        value: the argument's value in Python, such as ``True``; the flag is shown without it.
+        python: name of the argument, where it differs from the flag's.
     """
     if _typed:
         return flag
@@ -67,23 +68,24 @@ _TEXTS: Final = {
     **dict.fromkeys(("list_type", "tuple_type"), "must be a list"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
 }
-"""pydantic's kind of error → what comes after the field's path, before the value that was found."""
+"""pydantic's kind of error → text between the field's path and the value."""
 
 _NO_NUMBERS: Final = (str, bytes, bool)
 
 _COMPLAINT: Final = "complaint"
 
 MOST_TOML_BYTES: Final = 16 << 20
-"""A list of 100,000 force windows takes half of it."""
+"""Largest size of a TOML file. A list of 100,000 force windows takes half of it."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""A key in so many tables within tables that tomllib, which looks at all of them for each, would take minutes."""
+"""A dotted key of more than ``_MOST_PARTS`` parts. For each part tomllib looks at all parts, so a long key would take
+minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags of the members of a union, where the shape of a value decides which member it is. pydantic puts tags into the
-path of an error; the angle brackets let `describe` find them and take them out."""
+"""Tags of the members of a union whose member is picked by the shape of the value. pydantic puts tags into the path of
+an error; `describe` finds them by their angle brackets and takes them out."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +93,8 @@ class CliFlag:
     """The name of a field on the command line.
 
     Attributes:
-        metavar: placeholder of its value in the help.
-        default: what the help shows as the default where the field's own default is None.
+        metavar: placeholder of the value in the help.
+        default: text that the help shows as the default where the field's own default is None.
     """
 
     name: str
@@ -104,7 +106,7 @@ class CliFlag:
 class _OneLine(ModelMetaclass):
     """Makes the constructor of a record raise ``InputError`` with one line instead of pydantic's own error.
 
-    Records within records are made by pydantic itself and do not come here, so that the line has the whole path.
+    pydantic makes the inner records of a record without this constructor, so the line has the whole path.
     """
 
     def __call__(cls, *args: Any, **values: Any) -> Any:
@@ -141,7 +143,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
     @model_validator(mode="before")
     @classmethod
     def _has_its_fields(cls, values: Any) -> Any:
-        """Refuse unknown and missing fields. pydantic does that too, but does not say which fields there are."""
+        """Refuse unknown and missing fields. pydantic does that too, but its errors do not name the known fields."""
         if not isinstance(values, Mapping):
             return values
         fields = {info.alias or name: info for name, info in cls.model_fields.items()}
@@ -159,7 +161,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
 
 def _lax(annotation: Any, value: Any) -> str:
-    """What a value must be that pydantic would turn into a number or into true and false: text, or true for 1."""
+    """ "must be …" for a value that pydantic would silently convert, such as text or true into a number; else ""."""
     union = isinstance(annotation, UnionType) or get_origin(annotation) is Union
     kinds = set(get_args(annotation)) if union else {annotation}
     kinds.discard(type(None))
@@ -174,7 +176,7 @@ def _lax(annotation: Any, value: Any) -> str:
 
 
 def within(low: float, high: float) -> AfterValidator:
-    """A check of a physical range, whose error names the range."""
+    """A check that a value is within a physical range. Its error names the range."""
 
     def check(value: Any) -> Any:
         if value is not None and not low <= value <= high:
@@ -185,7 +187,9 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record's fields with some replaced. They are checked together later, so that an error has the whole path."""
+    """A record's fields with some replaced. They are not checked here but together later, so that an error has the
+    whole path.
+    """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
         old = fields.get(name)
@@ -203,16 +207,16 @@ def hint(name: str, known: Iterable[str]) -> str:
 
 
 def similar(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name, one of thousands: "; did you mean s0-000016?", or ""."""
+    """The end of a message about an unknown name where thousands are known: "; did you mean s0-000016?", or ""."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {printable_name(close[0])}?" if close else ""
 
 
 def complaint(text: str, *path: str | int) -> ValidationError:
-    """An error for a validator to raise about a field inside the value that it validates.
+    """An error about an inner field of a value. The value's validator raises it.
 
     Args:
-        text: follows the field's path, as in "must be > 0", or with a colon as in ": unknown field".
+        text: follows the field's path: "must be > 0", or with a colon ": unknown field".
         path: from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
@@ -220,14 +224,16 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
 
 def shape(value: object) -> str:
-    """`TABLE`, `LIST` or `VALUE`. ``Discriminator(shape)`` picks the member of a union by it."""
+    """The shape of a value: `TABLE`, `LIST` or `VALUE`. ``Discriminator(shape)`` picks the member of a union by it."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE
 
 
 def by_entry(key: str) -> Discriminator:
-    """Picks the record of a union by one entry of its table. Each record's tag is that entry's value in <…>."""
+    """A discriminator that picks the record of a union by one entry of the table. The record's tag is that entry's
+    value in <…>.
+    """
 
     def tag(value: object) -> str | None:
         if not isinstance(value, Mapping):
@@ -235,7 +241,7 @@ def by_entry(key: str) -> Discriminator:
         entry = value.get(key)
         return f"<{entry}>" if isinstance(entry, str) else "<>"
 
-    # pydantic names the function in its errors, and `describe` reads the entry's name from there
+    # pydantic's errors name this function, and `describe` takes the entry's name from them
     tag.__name__ = key
     return Discriminator(tag)
 
@@ -247,7 +253,7 @@ def shown_value(value: object) -> str:
     except (ValueError, RecursionError):
         # a whole number with more digits than Python writes, or tables nested too deeply
         return f"got {type(value).__name__} too large to be shown"
-    except Exception:  # of an object of the user's own
+    except Exception:  # raised by an object of the user's own class
         return f"got {type(value).__name__} that cannot be shown"
     return f"got {shortened_text(' '.join(text.split()) if len(text.splitlines()) > 1 else text)}"
 
@@ -263,11 +269,11 @@ def describe(error: ValidationError) -> str:
 
 
 def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
-    """What comes after the field's path."""
+    """The text after the field's path."""
     if kind in (_COMPLAINT, "value_error"):
-        # raised by one of petmjx's validators, whose text is all that follows the path
+        # raised by a validator of petmjx: its text is complete
         return message.removeprefix("Value error, ")
-    if kind == "missing":  # an entry of a list; fields are asked for in Checked
+    if kind == "missing":  # an entry of a list; CheckedRecord itself looks for missing fields
         return "is missing"
     if kind in _TEXTS:
         return f"{_TEXTS[kind].format(**context)}, {shown_value(value)}"
@@ -309,13 +315,13 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file.
 
     Raises:
-        InputError: "x.toml: not valid TOML: …", or that it cannot be read.
+        InputError: the file cannot be read, or "x.toml: not valid TOML: …".
     """
     try:
         data = read_regular(path, MOST_TOML_BYTES)
     except FileNotFoundError:
         raise InputError(f"{printable(str(path))}: no such file") from None
-    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+    except (OSError, ValueError) as error:  # ValueError: no file can have this name
         raise InputError(f"{printable(str(path))}: cannot be read: {reason(error)}") from None
     if _MANY_PARTS.search(data):
         raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
@@ -325,7 +331,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
-    except ValueError as error:  # also a whole number of too many digits
+    except ValueError as error:  # also raised for a whole number of too many digits
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 
 

@@ -1,7 +1,6 @@
-"""Where compiled programs are kept: JAX's and Warp's, under ``$PETMJX_CACHE_DIR`` (default: ``~/.cache/petmjx``).
+"""Folders for compiled programs of JAX and Warp, under ``$PETMJX_CACHE_DIR`` (default: ``~/.cache/petmjx``).
 
-A folder that cannot be written, such as that of a home that is read-only, is no reason to stop: a temporary one of the
-user's own takes its place.
+If the folder cannot be written, as in a read-only home, petmjx goes on with a temporary folder of the user.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""In which environment variable JAX and Warp themselves look for their folder; it comes before petmjx's."""
+"""Environment variable in which JAX or Warp itself looks for its folder. It takes precedence over petmjx's."""
 
 
 def wanted_folder(kind: Kind) -> Path:
-    """The folder for compiled programs that was asked for; it may be one that cannot be written.
+    """The folder for compiled programs that the environment asks for. It is not checked whether it can be written.
 
     Raises:
-        RuntimeError: there is no home folder, and no other one was named.
+        RuntimeError: there is no home folder, and no variable names a folder.
     """
     if named := os.environ.get(VARIABLES[kind]):
         return Path(named)
@@ -39,7 +38,7 @@ def wanted_folder(kind: Kind) -> Path:
 
 
 def why_not_written(kind: Kind) -> str:
-    """Why the folder that was asked for cannot be used; "" if it can."""
+    """Why the wanted folder cannot be used; "" if it can."""
     try:
         folder = wanted_folder(kind)
     except RuntimeError as error:
@@ -49,7 +48,7 @@ def why_not_written(kind: Kind) -> str:
 
 
 def cache_folder(kind: Kind) -> Path:
-    """The folder for compiled programs, which can be written: the one that was asked for, or a temporary one.
+    """A writable folder for compiled programs: the wanted one, or else a temporary one.
 
     Raises:
         EngineUnavailable: neither can be written.
@@ -75,10 +74,10 @@ def why_no_folder(kind: Kind) -> str | None:
 
 @functools.cache
 def _why_unusable(folder: Path) -> str:
-    """Why nothing can be written into a folder, which is made if it is not there; "" if it can."""
+    """Why nothing can be written into a folder; "" if something can. A missing folder is made."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # Warp makes a folder for each of its versions; one that root has made in a user's home cannot be written
+        # Warp makes a folder for each of its versions; if root made one in a user's home, the user cannot write it
         for place in (folder, *(entry for entry in folder.iterdir() if entry.is_dir() and entry.name[:1].isdigit())):
             with tempfile.TemporaryFile(dir=place):
                 pass
@@ -89,14 +88,15 @@ def _why_unusable(folder: Path) -> str:
 
 @functools.cache
 def temporary_folder() -> Path:
-    """A folder among the temporary ones that only this user can write: the same for all processes where nobody else has
-    its name, else one of this process. Raises OSError.
+    """A temporary folder that only this user can write. Raises OSError.
+
+    All processes of the user share it. If its name is taken by somebody else, this process gets a folder of its own.
     """
     folder = Path(tempfile.gettempdir()) / f"petmjx-cache-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     status = folder.lstat()
-    # whoever could put files there could have this user run them
+    # who can write this folder can make this user run their programs
     is_ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
     if is_ours and not _why_unusable(folder):
         return folder

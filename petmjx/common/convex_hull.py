@@ -8,19 +8,21 @@ Point = tuple[float, float]
 
 
 def convex_hull(points: Iterable[Point], least_turn: float = 0.0) -> list[Point]:
-    """The corners of the hull, anticlockwise from the lowest x (Andrew 1979, "Another efficient algorithm for convex
-    hulls in two dimensions", Information Processing Letters 9(5), 216–219).
+    """The corners of the convex hull, anticlockwise from the lowest x.
+
+    Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information Processing Letters 9(5),
+    216–219.
 
     Args:
-        least_turn: a point at which the way around turns by no more, as the area of the parallelogram of its two sides,
-            is no corner.
+        least_turn: a point is a corner if the outline turns there by more than this. The turn is measured as the area
+            of the parallelogram of the two sides that meet at the point.
     """
     ordered = sorted(set(points))
     return _half(ordered, least_turn) + _half(ordered[::-1], least_turn)
 
 
 def _half(ordered: list[Point], least_turn: float) -> list[Point]:
-    """The corners from the first point to the last but one."""
+    """One half of the hull: its corners from the first point on, without the last point."""
     chain: list[Point] = []
     for x, y in ordered:
         while len(chain) > 1:

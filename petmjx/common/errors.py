@@ -12,9 +12,9 @@ class InputError(PetmjxError):
 
 
 class PlanWarning(UserWarning):
-    """Plans that look as if they followed another convention than petmjx's, such as other units; entries that a
-    leaderboard does not rate."""
+    """A plan that seems to follow another convention than petmjx's, such as other units; or an entry that a leaderboard
+    does not rate."""
 
 
 class EngineUnavailable(PetmjxError):
-    """An engine that cannot run on this machine, and why."""
+    """An engine cannot run on this machine. The text says why."""

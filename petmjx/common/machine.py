@@ -1,4 +1,7 @@
-"""What this machine has: CPU threads, CUDA devices, package versions. Nothing here imports jax at module level."""
+"""The hardware and software of this machine: CPU threads, CUDA devices, package versions.
+
+No import of this module imports JAX; functions that need it import it themselves.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from petmjx.common.text import count_text
 from petmjx.version import __version__
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
-"""Packages whose versions are written beside every result, after petmjx's own."""
+"""Packages whose versions are written beside every result, after the version of petmjx."""
 
 _NAME_BYTES = 128
 
@@ -27,22 +30,22 @@ _STARTING_JAX = threading.Lock()
 
 
 def cpu_threads() -> int:
-    """Threads this process may use at once (its CPU affinity, if the system tells it)."""
+    """Number of threads that this process may run at once: its CPU affinity, if the system has one."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def own_environment() -> dict[str, str]:
-    """The environment variables of another interpreter that imports what this one does."""
+    """Environment variables for another interpreter, which then imports the same modules as this one."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-    # no file of the user's folder stands before a module
+    # so that no file of the current folder hides a module
     return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
 
 
 @functools.cache
 def cpu_name() -> str:
-    """The name of the processor, or its architecture if the system does not tell the name."""
+    """The name of the processor, or its architecture if the system does not know the name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -53,7 +56,7 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices, asked from the driver: this takes milliseconds and allocates no device memory."""
+    """Names of the CUDA devices, from the driver: this takes milliseconds and allocates no device memory."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -72,13 +75,13 @@ def cuda_devices() -> tuple[str, ...]:
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:
-    """JAX's devices, started in a way that leaves device memory to Warp.
+    """JAX's devices. JAX is started so that it leaves device memory to Warp.
 
-    XLA takes three quarters of a GPU's memory when JAX first asks for its devices, unless an environment variable
-    forbids it at that moment. The variable is set for that moment only. If the user has set it, it stays as it is.
+    When JAX first looks for its devices, XLA takes three quarters of a GPU's memory unless an environment variable
+    forbids it. The variable is set only while the devices are listed. If the user has set it, it stays as it is.
 
     Args:
-        platform: such as "cuda"; None: JAX's default.
+        platform: a platform of JAX, such as "cuda"; None: JAX's default.
 
     Raises:
         RuntimeError: JAX has no such devices.
@@ -98,13 +101,13 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Package → version, of the packages that results depend on and that are installed."""
+    """Package → version, of petmjx and the installed packages among ``PACKAGES``, on which results depend."""
     return dict(_package_versions())
 
 
 @functools.cache
 def _package_versions() -> dict[str, str]:
-    # petmjx's own from the code: an editable installation has the metadata of the day it was installed
+    # petmjx's version is taken from the code: the metadata of an editable installation may be old
     versions = {"petmjx": __version__}
     for package in PACKAGES:
         try:
@@ -118,7 +121,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
     """The name of the device on which an engine's worlds run.
 
     Args:
-        threads: of an engine on CPU threads; None: all.
+        threads: number of CPU threads of an engine on the CPU; None: all.
     """
     if engine == "mjx-warp" and cuda_devices():
         return cuda_devices()[0]
@@ -129,9 +132,9 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """Why mjx-warp cannot run here, as far as that can be told without importing JAX, which takes seconds.
+    """Why mjx-warp cannot run here, as far as this shows without importing JAX, which takes seconds.
 
-    None: nothing speaks against it so far.
+    None: no reason was found without JAX.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"

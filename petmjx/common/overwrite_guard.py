@@ -1,5 +1,4 @@
-"""What is about to be written: what is there already, whose it is, and whether it may be replaced. All commands ask
-here."""
+"""Checks before files are written: does a file exist, is it petmjx's own, may it be replaced. All commands use them."""
 
 from __future__ import annotations
 
@@ -14,7 +13,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 
 IsOurs = Callable[[Path], bool]
-"""Whether petmjx wrote a regular file."""
+"""Function that says whether petmjx wrote a regular file."""
 
 
 def check_outputs(
@@ -27,17 +26,18 @@ def check_outputs(
 ) -> None:
     """Check that files may be written. Nothing is changed.
 
-    Never replaced are: what is read; links, which may lead anywhere; folders; and in a folder, where names are petmjx's
-    own choice, files that somebody else put there. Other files are replaced with ``overwrite``.
+    Inputs, links (which may lead anywhere) and folders are never replaced. If the user named only a folder, petmjx
+    chooses the names in it; then files that petmjx did not write are never replaced either. All other files are
+    replaced with ``overwrite``.
 
     Args:
-        files: what would be written. Names in ``/dev`` are always free.
-        inputs: files that are read, and folders in which all is read.
-        folder: the folder that was named, if its files were not; it may be a link, and need not be there.
+        files: the files to be written. Names in ``/dev`` may always be written.
+        inputs: files that are read, and folders of which all files are read.
+        folder: the folder that the user named, if the user did not name the files. It may be a link or missing.
         is_ours: whether petmjx wrote a file of ``folder``.
 
     Raises:
-        InputError: the first that may not be written, and why.
+        InputError: the first file that may not be written, and why.
     """
     read = list(inputs)
     if folder is not None:
@@ -59,7 +59,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_way(file: Path, folder: Path) -> None:
-    """Folders between the one that was named and the file are petmjx's own: no links, no files."""
+    """Check the folders between the named folder and the file. They are petmjx's own: no links, no files."""
     between = [parent for parent in file.parents if parent != folder and parent.is_relative_to(folder)]
     for parent in reversed(between):
         with _path_errors(parent):
@@ -87,7 +87,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
             raise InputError(
                 f"{_name(file)}: exists already; name another file, or pass {option('--overwrite', 'True')}"
             )
-        return  # a FIFO or a device that somebody names is written to
+        return  # a FIFO or a device that the user named is written to
     if not stat.S_ISREG(mode):
         raise InputError(f"{_name(file)}: cannot be written: is no regular file")
     if not is_ours(file):
@@ -97,7 +97,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
 
 
 def _is_read(file: Path, source: Path) -> bool:
-    """Whether a path leads to what is read, or into a folder in which all is read."""
+    """Whether a path leads to an input file, or into an input folder."""
     target, read = file.resolve(), source.resolve()
     if read in (target, *target.parents):
         return True
@@ -106,10 +106,10 @@ def _is_read(file: Path, source: Path) -> bool:
 
 @contextmanager
 def _path_errors(path: Path) -> Iterator[None]:
-    """System errors while a path is looked at become an InputError that names it."""
+    """Turn system errors of the body, which inspects a path, into an InputError that names the path."""
     try:
         yield
-    except (OSError, ValueError, RuntimeError) as error:  # a name with NUL; links in a circle
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name; a circle of links
         raise InputError(f"{_name(path)}: cannot be written: {reason(error)}") from error
 
 

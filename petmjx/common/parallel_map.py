@@ -1,4 +1,4 @@
-"""A function over many tasks in several processes: results in the order of the tasks, or as they come."""
+"""Parallel map: a function over many tasks in several processes, with results in order or as they come."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Final, Generic, Self, TypeVar
 from petmjx.common.processes import process_pool, stop
 
 ALONE: Final = 256
-"""Fewer tasks of milliseconds are done in this process: other processes would take longer to start."""
+"""Fewer tasks than this run in this process: at milliseconds a task, other processes would take longer to start."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
-"""Chunks for each process that are under way, which bounds the memory."""
+"""Chunks in flight for each process. This bounds the memory."""
 
 _NICE: Final = 5
-"""By how much the niceness of processes is higher than that of the one that takes their results as they come: it goes
-first, since it keeps an engine at work."""
+"""Niceness that ``UnorderedResults`` adds to its processes. The process that takes their results has priority, since
+it keeps an engine at work."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -33,14 +33,14 @@ def ordered_results(
     alone: int | None = None,
     chunk: int = _CHUNK,
 ) -> Iterator[Result]:
-    """``function`` of each task. What comes out does not depend on ``workers``.
+    """``function`` of each task, in the order of the tasks. The results do not depend on ``workers``.
 
     Args:
         function: a function of a module (or ``functools.partial`` of one), since other processes import it.
-        tasks: read as far ahead as is needed, in this process.
-        workers: how many processes; 1: this one. Scripts that ask for more need ``if __name__ == "__main__":``.
-        alone: fewer tasks than this are done in this process; None: ``ALONE``.
-        chunk: tasks that another process gets at a time.
+        tasks: iterated in this process, only as far ahead as is needed.
+        workers: number of processes; 1: this one. Scripts with more than 1 need ``if __name__ == "__main__":``.
+        alone: fewer tasks than this run in this process; None: ``ALONE``.
+        chunk: number of tasks that another process gets at a time.
     """
     tasks, alone = iter(tasks), ALONE if alone is None else alone
     first = list(islice(tasks, alone)) if workers > 1 else []
@@ -66,11 +66,11 @@ def _task_results(function: Callable[[Task], Result], tasks: list[Task]) -> list
 
 
 class UnorderedResults(Generic[Task, Result]):
-    """``function`` of each task, when it is known. Within a ``with`` block.
+    """``function`` of each task, in the order in which results become ready. For use in a ``with`` block.
 
     Args:
         function, tasks: as of ``ordered_results``.
-        workers: how many processes; 1: this one, when a result is waited for.
+        workers: number of processes; 1: this process, in which a task runs when ``take`` waits for a result.
     """
 
     def __init__(self, function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> None:
@@ -82,19 +82,19 @@ class UnorderedResults(Generic[Task, Result]):
 
     @property
     def ended(self) -> bool:
-        """Whether it is known that all results have been taken."""
+        """Whether all results are known to have been taken."""
         return self._all_begun and not self._numbers
 
     @property
     def alone(self) -> bool:
-        """Whether it is done in this process."""
+        """Whether tasks run in this process."""
         return self._pool is None
 
     def take(self, *, waits: bool) -> list[tuple[int, Result]]:
-        """Results that are there and have not been taken, each with the number of its task.
+        """The results that are ready and have not been taken, each with the number of its task.
 
         Args:
-            waits: for one at least, as long as there is any.
+            waits: whether to wait until at least one result is ready, if any is left.
         """
         if self._pool is None:
             results = [(number, self._function(task)) for number, task in islice(self._tasks, int(waits))]
@@ -122,7 +122,7 @@ class UnorderedResults(Generic[Task, Result]):
         return self
 
     def __exit__(self, kind: object = None, *_: object) -> None:
-        """End the processes, whatever they do."""
+        """End the processes. After an error their tasks are aborted."""
         if self._pool is not None:
             if kind is not None:
                 stop(self._pool)

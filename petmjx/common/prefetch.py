@@ -1,4 +1,4 @@
-"""A generator that a thread of its own runs ahead of whoever takes what it yields."""
+"""Prefetch: a generator runs in its own thread, ahead of the consumer of its items."""
 
 from __future__ import annotations
 
@@ -19,9 +19,15 @@ class _End:
 
 
 def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
-    """What a generator yields, in its order. From the first item on that is asked for, it is run until so many wait and
-    one more is made. Its error is raised when all that came before has been taken. Closing the result closes it, in
-    its thread, and returns when that has ended."""
+    """The items of a generator, in order, made ahead in a thread.
+
+    The thread starts when the first item is requested. It makes items until ``most`` of them wait in the queue, and one
+    more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes ``items``
+    in its thread, and returns when the thread has ended.
+
+    Args:
+        most: number of items that may wait before the thread pauses.
+    """
     queue: SimpleQueue[Any] = SimpleQueue()
     room, closed, ended = threading.Semaphore(most), threading.Event(), threading.Event()
 
@@ -33,7 +39,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # under no other name: its traceback has this frame, and what the items hold
+        except BaseException as error:  # kept in no other local: its traceback holds this frame, and thus the items
             queue.put(_End(error))
         else:
             queue.put(_End(None))
@@ -49,7 +55,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
             _wait_for(ended)
             thread.join()
 
-    atexit.register(end)  # a thread in the midst of JAX aborts the process when Python ends
+    atexit.register(end)  # a thread that is inside JAX aborts the process when Python ends
     try:
         thread.start()
         while not isinstance(item := queue.get(), _End):
@@ -68,8 +74,11 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
 
 
 def _wait_for(ended: threading.Event) -> None:
-    """However often it is interrupted: before, nobody else may have what the thread works with. (``Thread.join`` takes
-    a thread for ended once it was interrupted.)"""
+    """Wait until the thread has ended, however often the wait is interrupted.
+
+    Until then nobody else may use the objects of the thread. ``Thread.join`` is not enough: after an interruption it
+    takes the thread for ended.
+    """
     try:
         ended.wait()
     except BaseException:

@@ -1,4 +1,4 @@
-"""Processes and threads that do a share of the work; signals that wait; how often Python collects garbage."""
+"""Worker processes and threads, deferred signals, and the pace of Python's garbage collection."""
 
 from __future__ import annotations
 
@@ -17,20 +17,21 @@ from petmjx.common.machine import cpu_threads
 
 
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
-    """So many fresh processes: a forked one would hang where a thread of this one held a lock.
+    """A pool of fresh processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, they end, too. Those of the standard library would wait for tasks for ever.
+    If this process is killed, the pool's processes end too. Without ``_begin`` they would wait for tasks for ever.
 
     Args:
-        gpu: whether they see GPUs. Each process that does takes some of their memory, even if it does not use them.
-        nice: by how much their niceness is higher, so that this process goes first; nothing where systems have none.
+        gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even without using it.
+        nice: niceness that is added to the processes, so that this process has priority. Without effect on systems
+            that have no niceness.
     """
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End a pool's processes at once: ``shutdown`` would wait for the tasks that they have begun. Nobody may wait for
-    these any more."""
+    """End a pool's processes at once: ``shutdown`` would wait for the tasks in flight. No caller may still wait for
+    results of these tasks."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
@@ -52,21 +53,22 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 MOST_THREADS: Final = 2
-"""More wait for Python's lock: on the host of an H200, places for 2,048 pallets took 155 ms with one thread, 118 ms
-with two, 141 ms with eight and 158 ms with sixteen."""
+"""Default number of threads. More of them wait for Python's global lock: on the host of an H200, places for 2,048
+pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
 
 _FEW: Final = 2
-"""So many pieces take no longer in this thread than others to begin."""
+"""Up to this many pieces, this thread is as fast as other threads are to start."""
 
 Piece = TypeVar("Piece")
 Made = TypeVar("Made")
 
 
 def on_threads(function: Callable[[Piece], Made], pieces: Sequence[Piece], most: int = MOST_THREADS) -> list[Made]:
-    """What a function makes of each piece, in their order; the longest should come first.
+    """``function`` of each piece, computed on several threads. Results are in the order of the pieces.
 
     Args:
-        most: threads.
+        pieces: the longest should come first.
+        most: largest number of threads.
     """
     if len(pieces) <= _FEW or most == 1:
         return [function(piece) for piece in pieces]
@@ -75,16 +77,18 @@ def on_threads(function: Callable[[Piece], Made], pieces: Sequence[Piece], most:
 
 
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals by which a run is asked to end."""
+"""Signals that ask a run to end."""
 
 
 @contextlib.contextmanager
 def defer_signals(afterwards: bool) -> Iterator[None]:
-    """Hold back signals that Python code handles until the body is through. Without effect outside the main thread,
-    which is the one that handlers interrupt.
+    """Defer the signals ``STOPPING`` until the body has ended, if Python functions handle them.
+
+    Without effect outside the main thread: handlers interrupt only that one.
 
     Args:
-        afterwards: deliver one that came then; else it is forgotten, for a run that is about to end anyway.
+        afterwards: deliver a signal that came meanwhile. Otherwise it is dropped, for a run that is about to end
+            anyway.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -108,10 +112,11 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
 
 
 EVERY: Final = (50_000, 20, 100)
-"""Objects more than before after which Python looks among the youngest, and looks after which it does so among older
-ones. With its own 700, 10 and 10 it looks through all that JAX and Warp consist of again and again while they start."""
+"""Thresholds of Python's garbage collector: new objects before it collects the youngest generation, and collections
+before it collects each older one. With the default of 700, 10 and 10 it scans all objects of JAX and Warp again and
+again while they start."""
 
 
 def collect_rarely() -> None:
-    """In a process of petmjx's own, not in a user's."""
+    """Collect garbage rarely. Only for processes that petmjx started, not for a user's process."""
     gc.set_threshold(*EVERY)

@@ -1,4 +1,4 @@
-"""Files that users name, read within bounds: whatever a path leads to, reading it ends. Also for Arrow."""
+"""Bounded reading of files that users name, also of Parquet: whatever a path leads to, the read ends."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from petmjx.common.text import printable_name
 _BLOCK: Final = 1 << 20
 
 MOST_BYTES: Final = 4 << 30
-"""Of the largest file of plans or tables: 100 times BED-BPP's 10,003 plans, which take some 40 MB."""
+"""Largest size of a file of plans or of a table: 100 times BED-BPP's 10,003 plans, which take some 40 MB."""
 MOST_RATIO: Final = 100
 FREE_BYTES: Final = 64 << 20
-"""Gzip packs plans to a tenth or a thirtieth, and zeros to a thousandth; Parquet packs results to a tenth. What unpacks
-to more than `FREE_BYTES` and to more than `MOST_RATIO` times its own size is no file of plans or of a table."""
+"""Bounds of compression. A file that unpacks to more than `FREE_BYTES` and to more than `MOST_RATIO` times its own size
+is refused: it is no file of plans and no table. Gzip packs plans to a tenth or a thirtieth, and zeros to a thousandth;
+Parquet packs results to a tenth."""
 
 _KINDS: Final = (
     (stat.S_ISDIR, errno.EISDIR, "Is a directory"),
@@ -35,13 +36,13 @@ _KINDS: Final = (
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """A regular file to read from. FIFOs, sockets and devices are refused and not waited for: some of them never end.
+    """A regular file to read from. FIFOs, sockets and devices are refused without waiting: some of them never end.
 
     Raises:
-        OSError: it cannot be read, or is no regular file; ``strerror`` says which.
-        ValueError: a name that no file can have.
+        OSError: the file cannot be read, or is no regular file; ``strerror`` says which.
+        ValueError: no file can have this name.
     """
-    # a device may do something when it is opened, so it is looked at before; what is opened is looked at again
+    # checked before opening, since opening a device may have an effect; checked again, since the path may have changed
     _check(os.stat(path))
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
@@ -53,14 +54,14 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path, most: int) -> bytearray:
-    """The bytes of a regular file. A file that changes meanwhile is read as far as it goes.
+    """The bytes of a regular file. A file that changes meanwhile is read to its end.
 
     Args:
-        most: bytes; a larger file is refused, before it is read where its size is known.
+        most: largest size in bytes. A larger file is refused, before it is read if its size is known.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or is too large; ``strerror`` says which.
-        ValueError: a name that no file can have.
+        OSError: the file cannot be read, is no regular file, or is too large; ``strerror`` says which.
+        ValueError: no file can have this name.
     """
     with open_regular(path) as file:
         if os.fstat(file.fileno()).st_size > most:
@@ -84,45 +85,48 @@ def _too_large(most: int) -> OSError:
 
 
 def size(n_bytes: int) -> str:
-    """ "4 GiB", "16 MiB": a bound, for messages."""
+    """A number of bytes in messages: "4 GiB", "16 MiB"."""
     return f"{n_bytes >> 30} GiB" if n_bytes >= 1 << 30 else f"{n_bytes >> 20} MiB"
 
 
 _WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
-"""Bytes of a value in memory, by its type in the file; of a text, its end and its length."""
+"""Bytes of a value in memory, by its type in the file. A text counts with its offset and its length only."""
 
 _ROWS: Final = 1 << 16
 _FEW_ROWS: Final = 1 << 8
-"""Rows that are read at a time, and where texts may be long though the file is small."""
+"""Rows that are read at a time. ``_FEW_ROWS`` is for files in which texts may be long though the file is small."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""Texts as what they have in common with the one before, and the rest: each may be as long as all before together."""
+"""Encoding of Parquet that stores a text as the length of its common prefix with the text before, and the rest. A text
+may thus be as long as all texts before it together."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
-    """A regular file that Arrow reads by itself. Parquet is read from no stream of Python's.
+    """A regular file that Arrow reads by itself. Parquet is never read through a stream of Python.
 
-    Threads of Arrow's read Parquet, and one may still free what it read when the table is there. If Python read it, the
-    thread asks the interpreter to free it; if that is ending, the process aborts ("terminate called without an active
-    exception") or hangs: https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
+    Arrow reads Parquet in threads of its own. A thread may still free its buffers after the table has been returned. If
+    the buffers are Python's, the thread needs the interpreter to free them. If the interpreter is ending then, the
+    process aborts ("terminate called without an active exception") or hangs:
+    https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
 
     Raises:
-        OSError: it cannot be read, or is no regular file; ``strerror`` says which.
-        ValueError: a name that no file can have.
+        OSError: the file cannot be read, or is no regular file; ``strerror`` says which.
+        ValueError: no file can have this name.
     """
-    # Python looks first: Arrow waits for FIFOs. Arrow's functions for paths read "s3:" as a scheme, "a=1" in a folder's
-    # name as a column, and know no names that are not UTF-8; this one takes the bytes of any name.
+    # Python checks the file first, since Arrow waits for FIFOs. pa.OSFile takes the bytes of any name. Other functions
+    # of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a column, and refuse names that are not UTF-8.
     with open_regular(path):
         return pa.OSFile(os.fsencode(path))
 
 
 class OversizedFile(ValueError):
-    """A Parquet file that would take much more memory than its size lets one expect."""
+    """A Parquet file would take much more memory than a file of its size should."""
 
 
 def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> int:
-    """Bytes that columns of a Parquet file take at least when they are read, by the file's own numbers. Text counts as
-    where it begins and ends: how long it is shows when it is read.
+    """Least number of bytes that columns of a Parquet file take in memory, according to the file's metadata.
+
+    Texts count with their offsets only: their lengths are not known before they are read.
 
     Args:
         columns: names; None: all.
@@ -139,23 +143,24 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
 
 
 def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:
-    """Bytes that a file of this size may take when it is read, as of gzipped files."""
+    """Bytes that a file of this size may take when it is unpacked. The rule is the same for gzip and Parquet."""
     return min(most, max(free, MOST_RATIO * file_bytes))
 
 
 def read_within(
     stream: pa.NativeFile, columns: Sequence[str] | None = None, *, free: int = FREE_BYTES, most: int = MOST_BYTES
 ) -> pa.Table:
-    """Columns of a Parquet file, read within bounds: a few bytes may stand for millions of rows, and a short name for a
-    long text in each of them.
+    """Columns of a Parquet file, read within bounds. In a file a few bytes may stand for millions of rows, and a short
+    code for a long text in each row.
 
     Args:
         columns: names; None: all.
         free, most: as of :func:`allowed_bytes`.
 
     Raises:
-        TooMuch: it would take more memory than such a file may.
-        pyarrow.ArrowException, OSError: it is not a whole Parquet file.
+        OversizedFile: the columns would take more memory than allowed.
+        ValueError: a column has lists or tables in it.
+        pyarrow.ArrowException, OSError: the file is not a whole Parquet file.
     """
     allowed = allowed_bytes(stream.size(), free, most)
     with pq.ParquetFile(stream) as file:
@@ -171,7 +176,7 @@ def read_within(
                 raise ValueError(f"the column {printable_name(name)} has lists or tables in it")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
-        # texts stay codes of a dictionary until it is known how long they are; Arrow has no codes of prefixed ones
+        # texts stay dictionary codes until their lengths are known; Arrow cannot do this for texts stored by prefix
         codes = [name for name in texts if name not in by_prefix]
         coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
         few = not by_prefix.isdisjoint(names)
@@ -204,7 +209,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Bytes of the texts that codes stand for."""
+    """Bytes of the texts of a column, which may be coded by a dictionary."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))
@@ -213,7 +218,7 @@ def _length_of(coded: pa.Array) -> int:
 
 
 def _decoded_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
-    """The columns as the file has them."""
+    """The columns of a batch with the types that they have in the file."""
     fields = [schema.field(name) for name in batch.schema.names]
     arrays = [column.cast(field.type) for column, field in zip(batch.columns, fields, strict=True)]
     return pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields, metadata=schema.metadata))
@@ -223,9 +228,9 @@ def parquet_table(path: Path) -> pa.Table:
     """All of a Parquet file, read within bounds.
 
     Raises:
-        OSError: it cannot be read, or is no regular file.
-        pyarrow.ArrowException: it is not a whole Parquet file.
-        ValueError: a name that no file can have, two columns have one name, or the file would take too much memory.
+        OSError: the file cannot be read, or is no regular file.
+        pyarrow.ArrowException: the file is not a whole Parquet file.
+        ValueError: no file can have this name, two columns have one name, or the file would take too much memory.
     """
     with open_for_arrow(path) as stream:
         with pq.ParquetFile(stream) as file:
@@ -236,6 +241,6 @@ def parquet_table(path: Path) -> pa.Table:
 
 
 def parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
-    """The rows of a Parquet file, a few at a time; as :func:`parquet_table`."""
+    """The rows of a Parquet file, one by one. Bounds and errors are those of :func:`parquet_table`."""
     for batch in parquet_table(path).to_batches(_FEW_ROWS):
         yield from batch.to_pylist()

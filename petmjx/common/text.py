@@ -1,4 +1,4 @@
-"""How texts, counts and times are written for people."""
+"""Texts, counts and times as petmjx writes them for people."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def printable(text: str) -> str:
     """Text that fits into one line: characters that are not visible are escaped ("\\u001b").
 
     These are control characters (ESC and C1 of terminals too), line breaks, marks that change the direction of
-    writing, and broken UTF-8. All text that comes from a file and is printed goes through here.
+    writing, and broken UTF-8. All text from files goes through this function before it is printed.
     """
     if text.isprintable():
         return text
@@ -22,7 +22,9 @@ def printable(text: str) -> str:
 
 
 def _escape_sequence(code: int) -> str:
-    """ "\\xe4" for a byte that is no UTF-8, which Python has as a lone surrogate; else "\\u001b"."""
+    """The escape of a character: "\\xe4" for a lone surrogate, by which Python keeps a byte that is no UTF-8; else
+    "\\u001b".
+    """
     return f"\\x{code - 0xDC00:02x}" if 0xDC80 <= code <= 0xDCFF else f"\\u{code:04x}"
 
 
@@ -37,13 +39,13 @@ def shortened_text(text: str) -> str:
 
 
 def first_names(names: Sequence[str], most: int = 5) -> str:
-    """ "a, b and 3 more": the first of many names from files, as messages show them."""
+    """The first of many names from files, as messages show them: "a, b and 3 more"."""
     more = f" and {len(names) - most:,} more" if len(names) > most else ""
     return ", ".join(map(printable_name, names[:most])) + more
 
 
 def is_text(text: str) -> bool:
-    """Whether a string can be written as UTF-8. Lone surrogates, which stand for bytes that were not UTF-8, cannot."""
+    """Whether a string can be written as UTF-8. Lone surrogates cannot: they stand for bytes that were not UTF-8."""
     if text.isascii():
         return True
     try:
@@ -54,21 +56,25 @@ def is_text(text: str) -> bool:
 
 
 UNNAMED: Final = "no article"
-"""What legends call boxes that have no article."""
+"""Name in legends for boxes that have no article."""
 
 
 def box_in_words(box: int, article: str) -> str:
-    """ "box 22 (candy-00100723)", "box 22" where it has no article; boxes count from 0 in packing order."""
+    """A box in messages: "box 22 (candy-00100723)", or "box 22" without an article. Boxes count from 0 in packing
+    order.
+    """
     return f"box {box} ({printable_name(article)})" if article else f"box {box}"
 
 
 def box_label(box: int, article: str) -> str:
-    """ "22 candy-00100723", "22" where it has no article."""
+    """A short label of a box: "22 candy-00100723", or "22" without an article."""
     return f"{box} {article}" if article else str(box)
 
 
 def number_in(text: str) -> float | None:
-    """The number that a file has as text; None if it is none. Python's own reads more: "1_000", and other digits."""
+    """The number in a text of a file; None if the text is no number. Stricter than ``float``, which also reads "1_000"
+    and digits that are not ASCII.
+    """
     if not text.isascii() or "_" in text:
         return None
     try:
@@ -78,12 +84,12 @@ def number_in(text: str) -> float | None:
 
 
 def one_line(error: BaseException) -> str:
-    """An error's kind and text, in one line."""
+    """An error's class and text, in one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 def count_text(number: int, noun: str, plural: str | None = None) -> str:
-    """ "1 plan", "2,000 plans"; give ``plural`` where it is not the noun with an s."""
+    """A count with its noun: "1 plan", "2,000 plans". ``plural`` is needed where it is not the noun with an s."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 

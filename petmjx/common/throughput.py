@@ -1,4 +1,4 @@
-"""How fast the worlds of a run end, in words for all that shows its progress."""
+"""Throughput of a run in words: finished worlds, rate and time left, for all displays of progress."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Marks are so far apart, s: of a million worlds, too, there are few."""
+"""Least time between two marks, s. It keeps them few even for a million worlds."""
 
 
 class Throughput:
-    """Counts finished worlds, and says how many there are, how many a second, and how long the others will take.
+    """Counts finished worlds; says their number, their rate, and how long the remaining worlds will take.
 
     Args:
         total: number of worlds; None if it is not known.
@@ -26,10 +26,11 @@ class Throughput:
         self._done = 0
         self._begin = clock()
         self._marks = deque([(0, self._begin)])
-        """Numbers of finished worlds and when they were first seen; from the time on that ``left`` looks back to."""
+        """Pairs of a number of finished worlds and the time at which it was first seen, s. The oldest pair is where the
+        time window of ``left`` begins."""
 
     def update(self, done: int) -> None:
-        """``done`` worlds are finished."""
+        """Set the number of finished worlds."""
         if done == self._done:
             return
         self._done = done
@@ -58,10 +59,10 @@ class Throughput:
 
     @property
     def left(self) -> str:
-        """How long the others will take: "1 min 20 s left". Empty if that is not known, and at the end.
+        """How long the remaining worlds will take: "1 min 20 s left". Empty if that is not known, and at the end.
 
-        As long as the last ones took, if as many have ended. The last worlds of a run are few and long: at the rate
-        of all that have ended they would take no time.
+        If n worlds remain, the estimate is the time that the last n finished worlds took. The rate of the whole run
+        would be wrong at the end: the last worlds of a run are few and long.
         """
         if not self._done or self._total is None or self._done >= self._total:
             return ""
@@ -71,5 +72,5 @@ class Throughput:
 
     @property
     def words(self) -> list[str]:
-        """All of it that is known."""
+        """Count, rate and time left, without those that are empty."""
         return [part for part in (self.count, self.rate, self.left) if part]

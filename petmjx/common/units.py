@@ -1,4 +1,4 @@
-"""The one place where units are converted. Inside petmjx everything is SI; plans come in millimetres."""
+"""Conversion of units, only here. Inside petmjx everything is SI; plans come in millimetres."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MM_PER_M = 1000.0
 MICROMETRES_PER_M = 1_000_000.0
 
 STANDARD_GRAVITY = 9.81
-"""m/s², the value of the reference implementation; levels given in g are multiples of it."""
+"""In m/s²: the value of the reference implementation. Levels given in g are multiples of it."""
 
 LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
     "mm": (1.0, "millimetres"),
@@ -29,17 +29,17 @@ MASSES_KG: Final[Mapping[str, tuple[float, str]]] = {
     "lb": (0.45359237, "pounds"),
     "t": (1000.0, "tonnes"),
 }
-"""Units in which plans may be given: how many millimetres or kilograms they are, and their name."""
+"""Units in which plans may be given → their size in millimetres or kilograms, and their name."""
 
 PLAN_UNITS: Final = "mm,kg"
-"""The units of plans, if nobody says otherwise."""
+"""The default units of plans."""
 
 
 def plan_units(text: str) -> tuple[str, str]:
-    """The units of lengths and masses that a text such as "cm", "g" or "cm,g" names; what it leaves out is as usual.
+    """The units of lengths and of masses in a text such as "cm", "g" or "cm,g". A missing one is that of `PLAN_UNITS`.
 
     Raises:
-        ValueError: it names something else, or two of a kind.
+        ValueError: the text has an unknown unit, or two units of a kind.
     """
     names = [name.strip() for name in text.split(",")]
     lengths = [name for name in names if name in LENGTHS_MM]
@@ -59,8 +59,8 @@ def mm_to_m(value_mm: NDArray[np.float64]) -> NDArray[np.float64]:
 def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Round metres half-up to 1 µm, as the reference implementation writes its models.
 
-    The product is first rounded to a thousandth of a micrometre, so that a value such as 0.1234565 m,
-    whose float64 is slightly below the half, still rounds up as its decimal notation says.
+    The value in micrometres is first rounded to a thousandth. The float64 of 0.1234565 m, for instance, is slightly
+    below the half, and still rounds up as the decimal notation says.
     """
     micrometres: NDArray[Any] = np.round(value_m * MICROMETRES_PER_M, 3)
     return np.floor(micrometres + 0.5) / MICROMETRES_PER_M

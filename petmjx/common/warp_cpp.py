@@ -1,4 +1,4 @@
-"""Warp kernels that call C++ of this package."""
+"""Warp kernels that call C++ code of petmjx."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import warp as wp
 def with_cpp(
     function: Callable[..., None], text: str, threads: int = 1, *, fuse_fp: bool = True, **options: Any
 ) -> Any:
-    """A kernel, in a module of its own, whose function calls C++.
+    """A Warp kernel whose function calls C++ code. The kernel has a Warp module of its own.
 
     Args:
-        text: the C++.
-        threads: of a block, for what loads the module before it is launched.
+        text: the C++ code.
+        threads: number of threads of a block, for code that loads the module before it is launched.
         fuse_fp: whether multiplications may be fused with sums, which rounds once instead of twice.
         options: other arguments of ``warp.kernel``.
     """

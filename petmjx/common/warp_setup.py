@@ -1,8 +1,7 @@
-"""Sets up Warp for petmjx: where it keeps compiled kernels, and that it prints nothing.
+"""Set-up of Warp for petmjx: the folder of its compiled kernels (petmjx/common/compile_caches.py), and no output.
 
-Where they are: petmjx/common/compile_caches.py. These are settings of the process. Who needs Warp first makes them;
-they stay, and they also apply to the caller's own Warp programs. If the caller has set one of them before, it is not
-changed.
+The settings are those of the process. The first use of Warp in petmjx makes them. They stay, and also apply to the
+caller's own Warp programs. A setting that the caller has changed before is left alone.
 """
 
 from __future__ import annotations
@@ -17,18 +16,21 @@ from petmjx.common.machine import cuda_devices
 
 
 def set_up_warp() -> None:
-    """Put Warp's kernel cache beside JAX's, and stop Warp from printing. Raises EngineUnavailable: no folder for it.
+    """Put Warp's kernel cache beside JAX's, stop Warp from printing, and keep its tiles off the stack.
 
-    Each setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) If tiles
-    are on the stack, Warp has one pointer to them for all threads of an x86 CPU: launches in several threads would
-    write through one another's.
+    A setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) With tiles on
+    the stack, all threads of an x86 CPU share one pointer to them: launches in several threads would write into each
+    other's tiles.
+
+    Raises:
+        EngineUnavailable: no folder for compiled kernels can be written.
     """
     import warp
 
     if warp.config.kernel_cache_dir is None:
         warp.config.kernel_cache_dir = str(cache_folder("warp"))
     if warp.config.enable_tiles_in_stack_memory:
-        warp.config.enable_tiles_in_stack_memory = None  # by architecture: on x86 they are not
+        warp.config.enable_tiles_in_stack_memory = None  # Warp decides by architecture: on x86 not on the stack
     if warp.config.log_level == warp.LOG_INFO:
         warp.config.log_level = warp.LOG_ERROR
     if not cuda_devices():
@@ -38,7 +40,7 @@ def set_up_warp() -> None:
 
 @contextmanager
 def _nothing_on_stderr() -> Iterator[None]:
-    """Keep off the terminal what native code writes there: that there is no CUDA driver, which is known."""
+    """Discard what native code writes to the terminal: Warp reports a missing CUDA driver, which petmjx knows."""
     sys.stderr.flush()
     kept = os.dup(2)
     try:

@@ -1,1 +1,1 @@
-"""Every option, with its default, unit and meaning: of the world, of its simulation, of a run."""
+"""Every option of a world, of its simulation and of a run, with its default, unit and meaning."""

@@ -1,4 +1,4 @@
-"""What boxes stand on: the carriers that petmjx has, and users' own, made of boards and read from a TOML file."""
+"""Carriers: the built-in ones (``Carrier``), and users' own (``OwnCarrier``), made of boards and read from TOML."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from petmjx.options.materials import WOOD
 
 
 class Carrier(StrEnum):
-    """What the boxes stand on."""
+    """The built-in carriers, on which boxes stand."""
 
     FOOTPRINT = "footprint"
     EURO_PALLET = "euro-pallet"
@@ -45,27 +45,29 @@ TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """Carriers that are BED-BPP's targets."""
 
 MOST_BOARDS: Final = 64
-"""Engines look at each pair of a board and a box, and ``mjx-jax`` compiles code for it."""
+"""Largest number of boards. Engines check every pair of a board and a box, and ``mjx-jax`` compiles code for it."""
 
 TOUCH_MM: Final = 0.5
-"""Boards that are no further apart touch, and no further in each other lie beside each other: half of the last digit of
-whole millimetres, as for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+"""Tolerance of touching boards. Boards touch if their gap is no larger, and do not overlap if they penetrate each other
+by no more. Half of the last digit of whole millimetres, as for boxes
+(``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
 
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
-"""Of the longer side and the height. A half-size dolly has 400 mm, and a pallet in cm, inches or metres less than 200;
-a pallet is 100 to 170 mm high, the base of a roll container about 200."""
+"""Limits of a carrier's longer side, and of its height. The longer side of a half-size dolly is 400 mm; a pallet given
+in cm, inches or metres has less than 200. A pallet is 100 to 170 mm high, the base of a roll container about 200."""
 _THINNEST_MM: Final = 0.001
-"""Largest size of a board for which metres are suspected: then the hint is about the whole carrier."""
+"""Least extent of a board. Boards in metres pass it, so that the check of the whole carrier can suggest the unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
-"""A carrier of cardboard has 2 kg. What is lighter than its load by a factor of 1,000 sinks into its soft contacts."""
+"""Limits of a carrier's mass. A carrier of cardboard has 2 kg. If a carrier is 1,000 times lighter than its load, it
+sinks into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
-"""Foam has 15 kg/m³, wood 400 to 800, steel 7,850, lead 11,340."""
+"""Limits of a board's density. Foam has 15 kg/m³, wood 400 to 800, steel 7,850, lead 11,340."""
 _LEVEL_MM: Final = 10.0
-"""A board that bears no other one and ends within this below the top is meant to be part of it."""
+"""A board that bears no other board and ends less than this below the top is meant to be part of the top."""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
-"""Longer sides of carriers."""
+"""Range of the longer side of usual carriers, by which a wrong unit is guessed."""
 
 Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
 Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
@@ -99,8 +101,8 @@ class Board(CheckedRecord):
 class OwnCarrier(CheckedRecord):
     """A carrier of a user's own. Lengths are in mm, x and y from its front-left corner, z from the floor.
 
-    Carriers that could not stand or look mistaken are refused: boards that overlap or are separate from the others,
-    no board on the floor, a top that is not level, extents and masses that no carrier has.
+    Carriers that could not stand, or that look mistaken, are refused: boards that overlap or are not connected, no
+    board on the floor, a top that is not level, extents and masses that no carrier has.
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")
@@ -115,7 +117,7 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def size_mm(self) -> tuple[float, float, float]:
-        """Extents along x, y and z: the last is the height of the top above the floor."""
+        """Extents along x, y and z, mm. The last is the height of the top above the floor."""
         return self._end(0), self._end(1), self._end(2)
 
     def _end(self, axis: int) -> float:
@@ -123,7 +125,7 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def masses_kg(self) -> tuple[float, ...]:
-        """Of each board."""
+        """The mass of each board, kg."""
         if self.mass_kg is None:
             return tuple(board.mass_kg or 0.0 for board in self.boards)
         volume = sum(board.volume_mm3 for board in self.boards)
@@ -131,12 +133,12 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def frictions(self) -> tuple[float | None, ...]:
-        """Of each board; None: that of the physics' carrier."""
+        """The friction of each board; None: ``carrier_friction`` of the physics."""
         return tuple(self.friction if board.friction is None else board.friction for board in self.boards)
 
     @property
     def materials(self) -> tuple[str, ...]:
-        """Of each board."""
+        """The material of each board."""
         return tuple(board.material or self.material for board in self.boards)
 
     @model_validator(mode="after")
@@ -146,7 +148,7 @@ class OwnCarrier(CheckedRecord):
         return self
 
 
-# What is refused, with a line each.
+# Checks of a carrier: each raises an error of one line.
 
 
 def _board_label(carrier: OwnCarrier, board: int) -> str:
@@ -222,7 +224,7 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
 
 
 def _shared_mm(one: Board, two: Board) -> tuple[float, ...]:
-    """What two boards share along x, y and z, mm; negative: how far they are apart."""
+    """The overlap of two boards along x, y and z, mm; negative: the gap between them."""
     return tuple(
         min(one.corner_mm[k] + one.size_mm[k], two.corner_mm[k] + two.size_mm[k])
         - max(one.corner_mm[k], two.corner_mm[k])
@@ -245,7 +247,10 @@ def _bears(lower: Board, upper: Board) -> bool:
 
 
 def _check_stand(carrier: OwnCarrier) -> None:
-    """The centre of mass lies over the hull of what is on the floor: its corners are seen from there all around."""
+    """Check that the centre of mass is over the convex hull of the boards on the floor.
+
+    It is inside if, seen from the centre of mass, the directions to the corners leave no gap of 180° or more.
+    """
     masses = carrier.masses_kg
     x, y = (
         sum(
@@ -268,15 +273,15 @@ def _check_stand(carrier: OwnCarrier) -> None:
         raise complaint(f": the carrier tips over: {where}")
 
 
-# How it is named and read.
+# Carriers as options name them, and as files have them.
 
 
 def read_carrier(path: Path) -> OwnCarrier:
     """A carrier from its TOML file.
 
     Raises:
-        InputError: one line with the file, and the board and field that are wrong: "mine.toml: boards[3].size_mm[2]
-            must be > 0, got 0".
+        InputError: one line with the file, the board and the field: "mine.toml: boards[3].size_mm[2] must be > 0, got
+            0".
     """
     tables = read_toml(path)
     try:
@@ -286,9 +291,9 @@ def read_carrier(path: Path) -> OwnCarrier:
 
 
 def carrier_given(value: Any, info: ValidationInfo) -> Any:
-    """A carrier as it may be given: its name, or the path of a TOML file; what else there is is checked later.
+    """Validator of an option that names a carrier: a built-in name, or the path of a TOML file.
 
-    Files that a sweep file names are sought from its folder.
+    Tables and records pass, and are checked later. Paths in a sweep file are relative to its folder.
     """
     if isinstance(value, str) and value in set(Carrier):
         return Carrier(value)
@@ -311,7 +316,7 @@ AnyCarrier = Annotated[
 
 
 def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
-    """A carrier's extents along x and y, m; None: the plan's bounding box."""
+    """The extents of a carrier along x and y, m; None: those of the plan's bounding box."""
     if isinstance(carrier, Carrier):
         return CARRIER_EXTENT_M[carrier]
     x, y, _ = carrier.size_mm

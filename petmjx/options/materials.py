@@ -36,15 +36,15 @@ _GUIDELINES: Final = {("wood", "wood"): 0.5, ("film", "film"): 0.3, ("film", "st
 friction: sawn timber against wood; shrink film against shrink film; shrink film against steel."""
 
 FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {**_CTU, **_GUIDELINES}
-"""Coefficient of static friction between two materials, which are in alphabetical order. The CTU Code takes 75 % of it
-for cargo that slides: ``physics.kinetic_friction_share``."""
+"""Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that slides the CTU
+Code takes 75 % of it: ``physics.kinetic_friction_share``."""
 
 RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     ("cardboard", "cardboard"): RESTITUTION,
     ("cardboard", "wood"): RESTITUTION,
 }
-"""Restitution between two materials, in alphabetical order: the middle of what was measured of cartons, 0.1 to 0.3
-(TU/e, T-RO 2023). That of a carton's fall is lost in the carton, whatever hard surface it falls on."""
+"""Pair of materials in alphabetical order → restitution between them: the middle of the measured range of cartons, 0.1
+to 0.3 (TU/e, T-RO 2023). A carton that falls loses its energy in the carton, whatever hard surface it falls on."""
 
 _MOST_NAMED: Final = 5
 
@@ -59,7 +59,7 @@ class FrictionPair(CheckedRecord):
 
     @property
     def key(self) -> tuple[str, str]:
-        """What pairs of the same materials have in common, in whatever order and however their names are written."""
+        """The two materials in alphabetical order, without case and white space: the same for equal pairs."""
         return _pair(*self.between)
 
 
@@ -82,8 +82,11 @@ class LandingPair(CheckedRecord):
 
 
 def landing_between(one: str, other: str, own: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which they stop one another, s; None: as physics says.
-    Of users' own the last one counts."""
+    """The restitution of a pair of materials, and the time in which a landing stops, s; None: the value of ``Physics``.
+
+    Args:
+        own: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+    """
     pair = _pair(one, other)
     said = next((each for each in reversed(own) if each.key == pair), None)
     restitution = said.restitution if said is not None else None
@@ -92,8 +95,13 @@ def landing_between(one: str, other: str, own: Sequence[LandingPair]) -> tuple[f
 
 
 def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float | None:
-    """The coefficient of a pair of materials, whose names differ neither by case nor by white space around them; None:
-    it is not known. Of users' own the last one counts."""
+    """The coefficient of friction of a pair of materials; None: it is not known.
+
+    Names are compared without case and white space around them.
+
+    Args:
+        own: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+    """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in own if friction_pair.key == pair]
     return frictions[-1] if frictions else FRICTION_OF_PAIRS.get(pair)
@@ -105,13 +113,16 @@ def _pair(one: str, other: str) -> tuple[str, str]:
 
 
 def check_pairs(boxes: Sequence[str], boards: Iterable[str], own: Sequence[FrictionPair]) -> None:
-    """Whether friction between materials of boxes, and between them and those of boards, is known.
+    """Check that the friction is known for each pair of materials that may touch: box on box, and box on board.
 
     Args:
-        boxes: of each box that has one. A box does not touch itself.
+        boxes: the material of each box that has one. A box does not touch itself, so a material of one box alone makes
+            no pair with itself.
+        boards: the materials of boards.
+        own: pairs of the user.
 
     Raises:
-        InputError: of which pairs it is not.
+        InputError: it names the pairs whose friction is not known.
     """
     count = Counter(boxes)
     pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}

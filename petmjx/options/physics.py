@@ -1,4 +1,4 @@
-"""``Physics``: contacts, carrier, floor, gravity and timestep; and its presets."""
+"""Physics of a world (``Physics``) and its presets: contacts, carrier, floor, gravity and timestep."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from petmjx.common.checked_records import CheckedRecord, shown_value, within
 
 SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0
-"""What lies beyond has the wrong unit or a digit too many."""
+"""Largest coefficient of friction. A larger value has the wrong unit or a digit too many."""
 
 HIGHEST_RESTITUTION: Final = 0.9
-"""Cardboard bounces with 0.1 to 0.3, and in single tosses with up to 0.6."""
+"""Largest restitution. Cardboard bounces with 0.1 to 0.3, and in single tosses with up to 0.6."""
 
 LANDING_S: Final = 0.003
-"""In which ``pallet`` stops what lands: boxes that fall 10 to 300 mm then come less than 1 to 9 mm deep, and one and a
-half steps of 2 ms resolve a landing. No measurement of the stiffness of landings is known."""
+"""Time in which ``pallet`` stops a box that lands. Boxes that fall 10 to 300 mm then penetrate less than 1 to 9 mm, and
+one and a half steps of 2 ms resolve a landing. No measurement of the stiffness of landings is known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
-"""Times in which what lands is stopped."""
+"""Limits of the time in which a box that lands is stopped."""
 
 RESTITUTION: Final = 0.2
-"""The middle of what cardboard has, 0.1 to 0.3 (four cartons on a conveyor, TU/e, T-RO 2023: ranges of .05 to .40, 0 to
-.35, .25 to .40 and .40 to .60)."""
+"""Restitution of cardboard: the middle of 0.1 to 0.3 (four cartons on a conveyor, TU/e, T-RO 2023: ranges of .05 to
+.40, 0 to .35, .25 to .40 and .40 to .60)."""
 
 
 class Cone(StrEnum):
@@ -57,14 +57,14 @@ def _impedances(values: Triple) -> Triple:
 
 
 def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
-    # negative ones are a stiffness and a damping, and stand for themselves in MuJoCo
+    # in MuJoCo negative values are a stiffness and a damping, so they are allowed
     if max(map(abs, values)) > 1e6:
         raise ValueError(f"must be from -1e+06 to 1e+06, got {values}")
     return values
 
 
 Friction = Annotated[Triple, AfterValidator(_no_negatives)]
-"""MuJoCo's sliding, torsional and rolling coefficients of a geom. Between two geoms the larger ones count."""
+"""MuJoCo's sliding, torsional and rolling friction of a geom. Between two geoms the larger coefficients count."""
 
 CUSTOM: Final = "custom"
 
@@ -72,13 +72,14 @@ CUSTOM: Final = "custom"
 class Physics(CheckedRecord):
     """Contacts, carrier, floor, gravity and timestep.
 
-    The numbers are those of the reference implementation (PET-Physics), except those in which the presets differ: the
-    cone, the carrier's friction, the seven of contacts (solref, solreffriction, solimp, impratio, slip_correction,
-    landing_s, skin_m), and whether boxes fall into their places. Friction of 0.5 between boxes: CTU Code, Annex 7,
-    Appendix 2 (cardboard on cardboard).
+    The values are those of the reference implementation (PET-Physics), except for the values in which the presets
+    differ: the cone, the carrier's friction, the seven of contacts (solref, solreffriction, solimp, impratio,
+    slip_correction, landing_s, skin_m), and whether boxes fall into their places. Friction of 0.5 between boxes: CTU
+    Code, Annex 7, Appendix 2 (cardboard on cardboard).
 
-    Made from a preset's name ("pallet"), from a table that names a preset and changes some of its values
-    (``{"name": "reference", "timestep_s": 0.001}``), or as ``Physics(timestep_s=0.001)``, which changes ``pallet``.
+    There are three ways to make one: from a preset's name ("pallet"); from a table that names a preset and changes some
+    of its values (``{"name": "reference", "timestep_s": 0.001}``); or as ``Physics(timestep_s=0.001)``, which changes
+    ``pallet``.
     """
 
     cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
@@ -139,19 +140,21 @@ class Physics(CheckedRecord):
 
     @property
     def carrier_skin_m(self) -> float:
-        """By how much the carrier is larger for the collider, m: more than boxes, so that the faces of those that stand
-        flush with its edge end within its face, and the collider finds their corners (docs/validation.md)."""
+        """Amount by which the collider enlarges the carrier, m.
+
+        It is larger than the skin of boxes. A box that stands flush with the carrier's edge then has its face inside
+        the carrier's face, and the collider finds its corners (docs/validation.md).
+        """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether boxes that land follow a law of their own (petmjx/world/contact_laws.py). Only with elliptic
-        cones."""
+        """Whether landings have a contact law of their own (petmjx/world/contact_laws.py). Only with elliptic cones."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:
-        """Whether friction has a time constant of its own. Only the friction of elliptic cones can have one."""
+        """Whether friction has its own time constant. Only elliptic cones allow that."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
     @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
@@ -164,7 +167,7 @@ class Physics(CheckedRecord):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
-        if values == CUSTOM:  # without a table it says nothing
+        if values == CUSTOM:  # "custom" alone, without a table, has no values
             raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
             values = {"name": values}
@@ -192,6 +195,7 @@ PHYSICS["reference"] = Physics(
     skin_m=0.0,
     falls_into_place=True,
 )
-"""The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets rest (docs/validation.md):
-elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, friction that gives way 250 times less than
-with MuJoCo's own values; and the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix 2)."""
+"""The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets come to rest
+(docs/validation.md): elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that gives
+way 250 times less than with MuJoCo's defaults. It has the friction of cardboard on a wooden pallet (CTU Code, Annex 7,
+Appendix 2)."""

@@ -1,7 +1,7 @@
-"""How a box is placed (``PlacementState``): where it begins, and what carries it to its place.
+"""Options of placing (``Placing``): where a box starts, and how it gets to its place.
 
-As ``petmjx.options.simulation``: defaults, units, checks and descriptions are written only here. The rules, to the
-step: docs/rules.md, section 4. Users read about it in docs/placing.md.
+Defaults, units, checks and descriptions are written only here. docs/rules.md, section 4, has the rules to the step;
+docs/placing.md explains them to users.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 
 
 class Way(StrEnum):
-    """How a box comes to its place."""
+    """The ways in which a box gets to its place."""
 
     AUTO = "auto"
     EXACT = "exact"
@@ -28,8 +28,8 @@ class Way(StrEnum):
 class Placing(CheckedRecord):
     """How a box is placed. Made from a way's name ("hand"), or from a table (``{"name": "hand", "force_n": 50}``).
 
-    The defaults are assumptions: no figures were found of how near robots take boxes to their places before the last
-    movement, how fast that is, and how hard they may press then.
+    The defaults are assumptions. No published figures were found for the last movement of a robot: where it starts, how
+    fast it is, and how hard the robot may press.
     """
 
     name: Annotated[Way, CliFlag("--placing")] = Field(
@@ -66,19 +66,19 @@ class Placing(CheckedRecord):
 
     @property
     def appears(self) -> bool:
-        """Whether boxes appear at their places, where these have no errors."""
+        """Whether boxes appear at their places if these have no errors."""
         return self.name in (Way.AUTO, Way.EXACT)
 
     @property
     def for_errors(self) -> Placing:
-        """How boxes are placed whose places or sizes have errors."""
+        """The placing of boxes whose places or sizes have errors."""
         return self.model_copy(update={"name": Way.HAND}) if self.name is Way.AUTO else self
 
     @property
     def carries(self) -> bool:
-        """Whether boxes are carried to their places."""
+        """Whether a hand or tines carry boxes to their places."""
         return self.name in (Way.HAND, Way.TINES)
 
 
 EXACT: Final = Placing(name=Way.EXACT)
-"""Boxes appear at their places."""
+"""Placing in which boxes appear at their places."""

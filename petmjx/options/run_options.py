@@ -1,7 +1,6 @@
-"""How and where a run runs (``RunOptions``), whether a score says how sure it is (``Confidence``), and which record an
-option given by name belongs to.
+"""Options of a run (``RunOptions``) and of confidence (``Confidence``), and the sorting of options by record.
 
-As ``petmjx.options.simulation``: defaults, checks and descriptions are written only here.
+Defaults, checks and descriptions are written only here.
 """
 
 from __future__ import annotations
@@ -26,17 +25,17 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Words for the plans that are recorded."""
+"""Values of ``RunOptions.record``: record all plans, or the failed ones."""
 
 WORLDS: Final = "worlds"
-"""``ALL`` or this: which tables a run keeps."""
+"""Value of ``RunOptions.keep``, beside ``ALL``: keep only the tables of worlds."""
 
 FRAME_INTERVAL_S: Final = 0.05
-"""Between two frames: 20 a second, a film that a box can be followed in."""
+"""Time between two frames. At 20 frames a second a viewer can follow a box."""
 
 
 def _share(text: str | None) -> str | None:
-    """I/N with 1 ≤ I ≤ N."""
+    """Validator of a shard: I/N with 1 ≤ I ≤ N, without leading zeros."""
     if text is None:
         return None
     match = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text)
@@ -46,7 +45,7 @@ def _share(text: str | None) -> str | None:
 
 
 def _workers(value: Any) -> Any:
-    """A whole number ≥ 1 or ``auto``; the command line gives both as text."""
+    """Validator of workers: a whole number ≥ 1 or ``auto``. The command line passes both as text."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
     if number is None or (isinstance(number, str) and number == AUTO):
         return number
@@ -56,7 +55,7 @@ def _workers(value: Any) -> Any:
 
 
 def _address(text: str | None) -> str | None:
-    """``auto`` or HOST:PORT. Not the address of a Ray client, which has no streams of results."""
+    """Validator of Ray's address: ``auto`` or HOST:PORT. Ray clients are refused, since they cannot stream results."""
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(
             f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {shown_value(text)}"
@@ -65,7 +64,7 @@ def _address(text: str | None) -> str | None:
 
 
 def _units(text: str) -> str:
-    """The units of lengths and masses, both named."""
+    """Validator of units: the unit of lengths and the unit of masses, "mm,kg"."""
     try:
         return ",".join(plan_units(text))
     except ValueError as error:
@@ -73,7 +72,7 @@ def _units(text: str) -> str:
 
 
 def _is_path(value: Any) -> Any:
-    """A path that names something, which the empty one does not."""
+    """Validator of a path: not empty, and without NUL."""
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
         raise ValueError(f"must be a path, {shown_value(value)}")
     if "\0" in str(value):
@@ -82,14 +81,14 @@ def _is_path(value: Any) -> Any:
 
 
 File = Annotated[Path, BeforeValidator(_is_path)]
-"""A path that an option names."""
+"""The path of an option."""
 
 Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
-"""The point of a box whose coordinates a plan has; far-corner: the one with the largest x, y and z."""
+"""The point of a box to which a plan's coordinates refer. ``far-corner`` has the largest x, y and z."""
 
 
 class Confidence(CheckedRecord):
-    """Whether a score says how sure it is, and by which errors."""
+    """Whether a score has a confidence, and from which errors of places and boxes."""
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
@@ -116,8 +115,11 @@ class Confidence(CheckedRecord):
 
 
 class RunOptions(CheckedRecord):
-    """How and where a run runs. Only ``engine`` changes the outcome of a world, and ``world_timeout_s`` may end a world
-    without one (``invalid`` by ``timeout``)."""
+    """How and where a run runs.
+
+    Two of these options affect outcomes: ``engine`` may change the outcome of a world, and ``world_timeout_s`` may end
+    a world without an outcome (``invalid`` by ``timeout``).
+    """
 
     engine: Annotated[Any, CliFlag("--engine")] = Field(
         AUTO,
@@ -246,11 +248,13 @@ class RunOptions(CheckedRecord):
 
     @property
     def asked_workers(self) -> int | str | None:
-        """``workers``, which is ``auto`` if only a cluster is named; None: the run is in this process."""
+        """The workers of the run: ``workers``, or ``auto`` if only a cluster is named. None: no workers, the run is in
+        this process.
+        """
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. That depends on its id alone, so that all its worlds stay together."""
+        """Whether a plan is in this run's shard. Only its id decides, so that all worlds of a plan are in one shard."""
         if self.shard is None:
             return True
         share, shares = (int(number) for number in self.shard.split("/"))
@@ -259,10 +263,10 @@ class RunOptions(CheckedRecord):
 
 
 def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tuple[dict[str, Any], ...]:
-    """Options by name, divided into fields of ``Simulation``, of ``RunOptions``, and of the records ``more``.
+    """Sort options by record: one dict each for ``Simulation``, ``RunOptions`` and the records ``more``.
 
     Raises:
-        InputError: no such option; the line suggests the most similar name.
+        InputError: an option is unknown. The line suggests the most similar name.
     """
     records: tuple[type[CheckedRecord], ...] = (Simulation, RunOptions, *more)
     ours: tuple[dict[str, Any], ...] = tuple({} for _ in records)
@@ -275,7 +279,7 @@ def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tu
 
 
 def _advice(name: str, records: tuple[type[CheckedRecord], ...]) -> str:
-    """What to write instead of an unknown option; fields of the tables inside ``Simulation`` are easily given alone."""
+    """Advice for an unknown option: the table inside ``Simulation`` that has such a field, or a similar name."""
     for table, field in Simulation.model_fields.items():
         inner = field.annotation
         if not (isinstance(inner, type) and issubclass(inner, CheckedRecord)):

@@ -1,7 +1,8 @@
-"""Every option that results depend on (``Simulation``). How and where a run runs: petmjx/options/run_options.py.
+"""Options of a simulation (``Simulation``): every option on which results depend.
 
-Defaults, units, checks and descriptions are written only here. ``petmjx.score``, ``petmjx.sweep``, the command line
-and the ``[simulation]`` table of sweep files are made from these records. ``run.json`` has their values.
+petmjx/options/run_options.py has the options that say how and where a run runs. Defaults, units, checks and
+descriptions are written only here: ``petmjx.score``, ``petmjx.sweep``, the command line and the ``[simulation]`` table
+of sweep files are made from these records. ``run.json`` has their values.
 """
 
 from __future__ import annotations
@@ -18,19 +19,20 @@ from petmjx.options.physics import PHYSICS, Cone, Physics
 from petmjx.options.placing import Placing, Way
 from petmjx.options.wrap import Wrap
 
-# Limits of what is physical, or of any use. What lies beyond has the wrong unit or a digit too many, and would end as
-# an infinity, in an endless run, or in tables for steps that no run has.
+# Limits of physical or useful values. A value beyond them has the wrong unit or a digit too many. It would lead to an
+# infinity, to an endless run, or to tables for steps that no run has.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Of any other time. With the shortest timestep and 512 boxes the steps of a run still fit 32 bits."""
+"""Limit of all other times. With the shortest timestep and 512 boxes the steps of a run still fit into 32 bits."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
-"""Before time counts: so many steps without gravity, then as many with gravity × k / ``SOFT_START_STEPS``."""
+"""Length of each half of a soft start, which is before time counts: this many steps without gravity, then as many in
+which gravity rises, in step k to gravity × k / ``SOFT_START_STEPS``."""
 
 
 class Check(StrEnum):
-    """How boxes come to stand on the carrier."""
+    """Whether boxes are placed one by one, or all stand from the start."""
 
     ONE_BY_ONE = "one-by-one"
     STATIC = "static"
@@ -39,7 +41,7 @@ class Check(StrEnum):
 class Schedule(StrEnum):
     """When the next box is placed.
 
-    What each one does is in the description of ``Simulation.schedule`` and, to the step, in docs/rules.md, section 5.
+    The description of ``Simulation.schedule`` explains them; docs/rules.md, section 5, has the rules to the step.
     """
 
     FIXED = "fixed"
@@ -47,14 +49,14 @@ class Schedule(StrEnum):
 
 
 class Solver(StrEnum):
-    """Constraint solver. Which attempt takes which: petmjx/engines/attempts.py."""
+    """Constraint solver. petmjx/engines/attempts.py chooses the solver of each attempt."""
 
     NEWTON = "newton"
     CG = "cg"
 
 
 class Attempts(StrEnum):
-    """What the last attempt at a world is (petmjx/engines/attempts.py)."""
+    """The kind of boxes in the last attempt at a world (petmjx/engines/attempts.py)."""
 
     RIGID = "rigid"
     SOFT = "soft"
@@ -88,14 +90,14 @@ class Thresholds(CheckedRecord):
 class Quiet(CheckedRecord):
     """When a pallet is quiet enough for the next box, and when a world rests.
 
-    The rules, to the step: docs/rules.md, section 5. In short: a pallet is quiet when all boxes were slower than
-    ``quiet_m_s`` for ``steps`` steps. A box is as fast as its fastest point.
+    A pallet is quiet when all boxes were slower than ``quiet_m_s`` for ``steps`` steps. A box is as fast as its fastest
+    point. docs/rules.md, section 5, has the rules to the step.
 
-    With elliptic cones each box must also be slow or have slowed down then, and one that moves must not have become
-    faster, as a box does that begins to topple. A box for which this does not hold creeps. Once a box
-    has dropped or tilted too far, the result of the creep is known, so it is not waited for.
+    With elliptic cones each box must also be slow or have slowed down, and a moving box must not have become faster: a
+    box that begins to topple does. A box that breaks this rule creeps. Once a box has dropped or tilted too far, the
+    result of the creep is known, so the schedule does not wait for it.
 
-    A box that goes to and fro without getting anywhere trembles, and is not waited for.
+    A box that goes to and fro without getting anywhere trembles. The schedule does not wait for it either.
 
     A world rests if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` of its rest window.
     """
@@ -131,7 +133,7 @@ class Quiet(CheckedRecord):
 
     @property
     def tremble_looks(self) -> int:
-        """``tremble_steps`` in checks."""
+        """``tremble_steps`` as a number of checks, rounded up."""
         return -(-self.tremble_steps // self.poll_steps)
 
 
@@ -305,8 +307,11 @@ class Simulation(CheckedRecord):
 
     @property
     def may_carry(self) -> bool:
-        """Whether a hand may place boxes. Only if the user has not chosen a way, and not with physics in which boxes
-        fall into their places or schedules that do not wait for a hand."""
+        """Whether a hand or tines may place boxes.
+
+        If the user has chosen a way, it decides. With ``auto`` a hand may place boxes unless boxes fall into their
+        places or the schedule does not wait for a hand.
+        """
         if self.placing.name is not Way.AUTO:
             return self.placing.carries
         waits = self.check is Check.ONE_BY_ONE and self.schedule is Schedule.ADAPTIVE
@@ -314,8 +319,8 @@ class Simulation(CheckedRecord):
 
     @property
     def waits_for_rest(self) -> bool:
-        """Whether what follows waits for boxes that creep: the next box (schedule adaptive), a profile, and the end.
+        """Whether the next box (schedule adaptive), a profile and the end of the world wait for boxes that creep.
 
-        Not with pyramidal cones: there every box creeps a little (benchmarks/notebook/performance.md).
+        Not with pyramidal cones: with them every box creeps a little (benchmarks/notebook/performance.md).
         """
         return self.physics.cone is Cone.ELLIPTIC

@@ -1,7 +1,7 @@
-"""How much of their strength boxes keep as they are stacked (``Stacking``): options of ``petmjx loads``.
+"""Options of ``petmjx loads`` (``Stacking``): how much of their strength boxes lose by the way they are stacked.
 
-As ``petmjx.options.simulation``: defaults, units, checks and descriptions are written only here. Users read about it,
-and about the sources of the numbers, in docs/loads.md.
+Defaults, units, checks and descriptions are written only here. docs/loads.md explains them to users, and has the
+sources of the numbers.
 """
 
 from __future__ import annotations
@@ -14,11 +14,13 @@ from petmjx.common.checked_records import CheckedRecord, within
 
 
 class Stacking(CheckedRecord):
-    """Shares of a box's strength that are lost as it is stacked. McKee's formula, and a press, are about a box under
-    plates; on a pallet its walls bear what stands on them. 0 switches a loss off.
+    """Shares of a box's strength that are lost by the way it is stacked. 0 switches a loss off.
 
-    The defaults of ``interlocked_loss`` and ``gap_loss`` are those of packaging sources. Of walls over nothing none
-    gives a number: they bear nothing.
+    McKee's formula and a press give the strength of a box between plates. On a pallet the walls of the box bear the
+    boxes above.
+
+    The defaults of ``interlocked_loss`` and ``gap_loss`` are those of packaging sources. No source has a number for
+    walls that stand over nothing: they bear nothing.
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(

@@ -1,7 +1,6 @@
-"""Stretch wrap around a finished pallet (``Wrap``): how much film, and how it pulls.
+"""Options of stretch wrap around a finished pallet (``Wrap``): how much film, and how hard it pulls.
 
-As ``petmjx.options.simulation``: defaults, units, checks and descriptions are written only here. Users read about it in
-docs/wrap.md.
+Defaults, units, checks and descriptions are written only here. docs/wrap.md explains them to users.
 """
 
 from __future__ import annotations
@@ -16,8 +15,8 @@ from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 class Wrap(CheckedRecord):
     """Film that is wound around a pallet before it is shaken.
 
-    The force of a layer of film is the force of a turn times the number of turns (linear: Sensors 2025, 25(22), 6883).
-    The defaults of forces and friction are assumptions; measure yours.
+    The force of the film is the force of one turn times the number of turns (linear: Sensors 2025, 25(22), 6883). The
+    defaults of forces and friction are assumptions; measure your own.
     """
 
     turns: Annotated[float, within(0, 1000), CliFlag("--wrap-turns", "N")] = Field(

@@ -1,3 +1,3 @@
-"""Packers: rules that place boxes, alone and with physics, and the generator of sample plans."""
+"""Packers, which place the boxes of an order by rules alone or with physics, and the generator of sample plans."""
 
 from __future__ import annotations

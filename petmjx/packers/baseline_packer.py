@@ -1,8 +1,8 @@
-"""A baseline packer: extreme points in three dimensions, lowest place first, with a support rule.
+"""The baseline packer: extreme points in three dimensions, lowest place first, with a support rule.
 
 Candidate corners are the extreme points of Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for
-three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384. A box is lowered at a candidate's x and y
-until it rests on the carrier or on the boxes below, so every box can be placed from above, in packing order.
+three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384. A box is lowered at the x and y of a
+candidate until it rests on the carrier or on boxes. So every box can be placed from above, in packing order.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ class PackRules:
 
     Attributes:
         min_support: least share of a box's base that rests on the carrier or on tops (0 to 1).
-        centre_supported: the centre of the base must be inside the convex hull of what it rests on; without this a box
-            may be placed so that it tips at once.
+        centre_supported: the centre of the base must be inside the convex hull of the contact areas under it. Without
+            this rule a box may tip as soon as it is placed.
+        max_height_mm: greatest height of a top.
         y_first: break ties of height by the smallest y, then x (else x, then y).
-        sort_noise: spread (natural log) of the sorting key, drawn once per article.
-        weight_exponent: how much weight counts beside base area in the sorting key.
+        sort_noise: standard deviation of the noise in the sorting key (natural log), which is drawn once per article.
+        weight_exponent: exponent of the weight in the sorting key, relative to the base area.
     """
 
     min_support: float = 0.75
@@ -42,7 +43,7 @@ class PackRules:
 
 @dataclass(frozen=True)
 class PlacedBox:
-    """One box where it stands: ``orientation`` 1 swaps length and width; ``corner_mm`` is front-left-bottom."""
+    """A box at its place. ``orientation`` 1 swaps length and width; ``corner_mm`` is the front-left-bottom corner."""
 
     item: Item
     orientation: int
@@ -52,7 +53,7 @@ class PlacedBox:
 def pack_best(
     items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
 ) -> list[PlacedBox]:
-    """The best of up to ``attempts`` packings: the one that places most boxes. They differ in the sorting noise."""
+    """The packing with most boxes among up to ``attempts`` packings, which differ in the sorting noise."""
     best: list[PlacedBox] = []
     for _ in range(attempts):
         placed = pack(items, extent_mm, rules, rng)
@@ -74,7 +75,7 @@ def pack(
     """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out.
 
     Args:
-        as_they_come: in the sequence of ``items``, instead of large and heavy ones first.
+        as_they_come: keep the sequence of ``items``, instead of sorting large and heavy ones first.
     """
     pile = _Pile(len(items), extent_mm, rules)
     placed = []
@@ -88,7 +89,7 @@ def pack(
 
 
 def _sorted_items(items: Sequence[Item], rules: PackRules, rng: np.random.Generator) -> list[Item]:
-    """Large bases and heavy boxes first. The noise is drawn per article, so equal boxes stay together."""
+    """The items, large bases and heavy boxes first. The noise is drawn per article, so equal boxes stay together."""
     key: dict[str, float] = {}
     for item in items:
         if item.item_id not in key:
@@ -114,7 +115,7 @@ class _Pile:
         self._points: dict[tuple[float, float], None] = {(0.0, 0.0): None}
 
     def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
-        """The best place for an item: orientation and front-left-bottom corner, or None."""
+        """The best place for an item: orientation and front-left-bottom corner; None: it has no place."""
         points = np.array(list(self._points))
         both = (0, 1) if item.length_mm != item.width_mm else (0,)
         corners = np.concatenate([points] * len(both))
@@ -133,11 +134,11 @@ class _Pile:
         return None
 
     def add(self, base_mm: tuple[float, float], height_mm: float, corner_mm: tuple[float, float, float]) -> None:
-        """Put a box down and record the extreme points it makes."""
+        """Place a box and record its extreme points."""
         x, y, z = corner_mm
         x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
-        # Three corners of the box, each also moved towards the carrier's edges along the axes in which it can
-        # move. They need not move down: boxes are lowered anyway.
+        # Three corners of the box, and the same corners after they have slid towards the carrier's edges along x or y.
+        # They need not move down, since boxes are lowered anyway.
         new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
         new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
         for point in new:
@@ -147,7 +148,7 @@ class _Pile:
         self.n += 1
 
     def _slide(self, axis: int, start: float, across: float, level: float) -> float:
-        """Where a point that slides along −``axis`` from ``start`` meets a box, or 0 at the carrier's edge."""
+        """Coordinate at which a point that slides along −``axis`` from ``start`` meets a box; 0: the carrier's edge."""
         low, high = self._low[: self.n], self._high[: self.n]
         other = 1 - axis
         in_way = (low[:, other] <= across) & (across < high[:, other]) & (low[:, 2] <= level) & (level < high[:, 2])
@@ -155,7 +156,11 @@ class _Pile:
         return float(ends.max()) if len(ends) else 0.0
 
     def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Boxes lowered at (c, 2) corners with (c, 2) bases: height z at which they rest (c,), supported share (c,)."""
+        """(c,) heights z at which boxes rest when they are lowered, and (c,) supported shares of their bases.
+
+        Args:
+            corners, bases: (c, 2) corners and sides of the boxes, mm.
+        """
         area, tops = self._overlap(corners, bases), self._high[: self.n, 2]
         z = np.where(area > 0, tops, 0.0).max(axis=1, initial=0.0)
         carried = np.where(np.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)
@@ -163,7 +168,7 @@ class _Pile:
         return z, share
 
     def _overlap(self, corners: FloatArray, bases: FloatArray) -> FloatArray:
-        """(c, n) area in mm² that each base shares with each placed box, seen from above."""
+        """(c, n) overlap of each base with each placed box, seen from above, mm²."""
         low, high = self._low[: self.n], self._high[: self.n]
         ends = corners + bases
         x = np.minimum(ends[:, :1], high[:, 0]) - np.maximum(corners[:, :1], low[:, 0])
@@ -172,7 +177,7 @@ class _Pile:
         return area
 
     def _centre_supported(self, corner: FloatArray, base: FloatArray, z: float) -> bool:
-        """Whether the centre of a base is inside the convex hull of the tops it rests on."""
+        """Whether the centre of a base is inside the convex hull of its contact areas."""
         if z <= 0:
             return True
         under = (self._overlap(corner[None], base[None])[0] > 0) & (np.abs(self._high[: self.n, 2] - z) <= TOUCH_MM)
@@ -182,10 +187,10 @@ class _Pile:
 
 
 def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
-    """Whether a (2,) point lies in the convex hull of rectangles, (n, 2) low and (n, 2) high corners.
+    """Whether a (2,) point lies in the convex hull of rectangles, given by (n, 2) low and (n, 2) high corners.
 
-    It is outside if all corners are on one side of some line through it, that is if the directions to the corners
-    leave a gap of more than 180°.
+    The point is outside if all corners are on one side of a line through it. Then the directions to the corners leave a
+    gap of more than 180°.
     """
     corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
     if not len(corners):

@@ -1,12 +1,12 @@
-"""Dense packings of an order: a beam search over the candidates of ``balanced``, by what comes of them in the end.
+"""Beam search for dense packings of an order, over the candidates of ``balanced``.
 
-Every step goes on from ``width`` packings, each with its ``branch`` best candidates. What a candidate is worth is seen
-by filling the packing up, best fit after best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for
-heuristic repetition with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` are
-kept. A packing that is filled up is given up as soon as it is higher than those. In large orders a step places several
-boxes, of which the first is chosen so.
+Every step extends ``width`` packings by the ``branch`` best candidates of each. A candidate is rated by the full
+packing that follows from it, filled up by best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for
+heuristic repetition with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width``
+packings are kept. Filling up is aborted as soon as the packing is higher than all of these. In large orders a step
+places several boxes: the first is the candidate, the others follow by best fit.
 
-Nothing is drawn at random, and nothing depends on the time that it takes.
+The search is deterministic, and does not depend on computing time.
 """
 
 from __future__ import annotations
@@ -23,36 +23,38 @@ from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Ta
 from petmjx.plans.order_generator import Item
 
 MOST_STEPS: Final = 80
-"""Steps of a search. With it an order of 162 boxes, all different, takes 12 s, without it 34 s."""
+"""Largest number of steps of a search. With this limit an order of 162 different boxes takes 12 s, without it 34 s."""
 
 _VOLUME_DECIMALS: Final = 9
-"""Volumes are the same where they are as near as a cubic millimetre: the same boxes in another order."""
+"""Volumes in m³ are rounded to this many decimals, that is to a cubic millimetre. Sums over the same boxes in another
+order are then equal."""
 
 
 class PackingValue(NamedTuple):
-    """What a packing is worth, the larger the better: first that boxes are on it, then that it is low."""
+    """The value of a full packing; larger is better. First the volume of its boxes counts, then a low height."""
 
     volume_m3: float
     below_mm: float
-    """How far its highest top is below z = 0: a negative number."""
+    """Minus the height of the highest top."""
     deep_kg_mm: float
-    """How deep its masses are: of packings equally high, the one with lower masses stands better."""
+    """Minus the moment of the masses (mass × height). Of packings of equal height, one with lower masses stands
+    better."""
 
     @classmethod
     def of(cls, filled: FullPacking) -> PackingValue:
-        """Of a packing that is filled up."""
+        """The value of a full packing."""
         return cls(round(filled.volume_m3, _VOLUME_DECIMALS), -filled.top_mm, -filled.moment_kg_mm)
 
 
 class RankedPacking(NamedTuple):
-    """A packing that is filled up."""
+    """A full packing and its value."""
 
     worth: PackingValue
     placed: tuple[PlacedBox, ...]
 
     @property
     def height_mm(self) -> float:
-        """Its highest top."""
+        """The highest top, mm."""
         return -self.worth.below_mm
 
 
@@ -64,14 +66,14 @@ def search(
     width: int,
     branch: int,
 ) -> RankedPacking:
-    """The best packing of an order that was found.
+    """The best packing of an order that the search finds.
 
     Args:
-        items: of the order.
-        extent_mm: of the target.
-        clearance_mm: free space that boxes keep to their neighbours along x and y.
-        width: packings that the search goes on from.
-        branch: candidates of each that are tried.
+        items: items of the order.
+        extent_mm: extent of the target, mm.
+        clearance_mm: free space between a box and its neighbours along x and y.
+        width: number of packings that each step keeps.
+        branch: number of candidates that are tried for each of these packings.
     """
     best: RankedPacking | None = None
     for taste in TASTES:
@@ -85,15 +87,14 @@ def search(
 
 
 Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
-"""What fills packings up, as ``Packing.filled``."""
+"""A function that fills up a packing, with the arguments of ``Packing.filled``."""
 
 
 def fills_for(start: Packing) -> Fills:
-    """What fills up packings of an order: in machine code where Warp is installed, which compiles it. The packings are
-    the same.
+    """The function that fills up packings of an order. It is compiled if Warp is installed; the packings are the same.
 
     Args:
-        start: the one without boxes.
+        start: the empty packing of the order.
     """
     if why_no_warp_on_cpu() is None:
         with suppress(Exception):  # Warp cannot be loaded, or does not compile here
@@ -104,21 +105,21 @@ def fills_for(start: Packing) -> Fills:
 
 
 class _SearchNode(NamedTuple):
-    """A packing that the search may go on from, and what it is when it is filled up."""
+    """A packing that the next step may extend, and the full packing that follows from it."""
 
     packing: Packing
     filled: RankedPacking
 
 
 class _SearchBranch(NamedTuple):
-    """A packing with one box more, if there is a candidate, and what it is when it is filled up."""
+    """A packing, a candidate for its next box (None: it is placed already), and the full packing that follows."""
 
     packing: Packing
     candidate: NextCandidate | None
     filled: RankedPacking
 
     def made(self) -> _SearchNode:
-        """With that box placed."""
+        """The node of this branch, with the candidate's box placed."""
         if self.candidate is None:
             return _SearchNode(self.packing, self.filled)
         packing = self.packing.copy()
@@ -140,13 +141,13 @@ def _search(
 
 
 def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fills: Fills) -> list[_SearchNode]:
-    """The best ways that lead on by ``stride`` boxes, the best first; none where nothing more can be placed."""
+    """The best packings with ``stride`` more boxes, the best first; empty if no more box can be placed."""
     best: list[_SearchBranch] = []
     known: set[frozenset[PlacedBox]] = set()
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # copied only for the best
+            packing = way.packing  # copied later, only if it is among the best
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:
@@ -154,10 +155,10 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            if boxes in known:  # in another order
+            if boxes in known:  # the same boxes at the same places, in another order
                 continue
             known.add(boxes)
-            if number == 0:  # the best candidate is the one with which its packing was filled up
+            if number == 0:  # filling up begins with the best candidate, so its full packing is known
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))
@@ -169,8 +170,8 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """The height that another packing must not exceed to be one of the best, mm."""
-    if len(best) < width or len(best[-1].filled.placed) < n_items:  # more boxes may be worth any height
+    """The height that another packing must not exceed to be among the best, mm."""
+    if len(best) < width or len(best[-1].filled.placed) < n_items:  # with more boxes, a packing may have any height
         return inf
     return best[-1].filled.height_mm
 
@@ -178,6 +179,6 @@ def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
 def _full_packing(
     fills: Fills, packing: Packing, first: NextCandidate | None = None, highest_mm: float = inf
 ) -> RankedPacking | None:
-    """The packing, filled up; None if it becomes higher than that."""
+    """The packing, filled up; None if it becomes higher than ``highest_mm``."""
     filled = fills(packing, first, highest_mm)
     return None if filled is None else RankedPacking(PackingValue.of(filled), filled.placed)

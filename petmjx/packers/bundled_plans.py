@@ -1,11 +1,10 @@
-"""The bundled plans: the hand-made ones, then plans of the generator, chosen by their number.
+"""The bundled plans: hand-made plans (``HANDMADE``), then plans of the generator, selected by their number.
 
-Make the file again with ``python -m petmjx.packers.bundled_plans``.
+``python -m petmjx.packers.bundled_plans`` makes their file.
 
-Small plans whose answer is known in closed form, with the reason. Check ``one-by-one``, carrier ``footprint``.
-
-The carrier is the plan's bounding box. The simulation makes each dimension 0.1 mm smaller and keeps the corner. Margins
-here are centimetres, so that changes no answer.
+The verdicts of the hand-made plans are known in closed form, for check ``one-by-one`` and carrier ``footprint``, which
+is the plan's bounding box. The simulation makes each dimension 0.1 mm smaller and keeps the corner. This changes no
+verdict, since the margins of these plans are centimetres.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from petmjx.plans.order_generator import Item
 BUNDLED_SEED = 0
 
 BUNDLED_INDICES = (3, 7, 13, 16, 38, 46, 92, 152, 189, 430, 443, 1349, 1784, 2112)
-"""Seven stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three have 41 to 45 boxes, three about 30
-and eight 14 to 20, so that a demo is quick."""
+"""Numbers of the generator's plans. Seven stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three have 41
+to 45 boxes, three about 30 and eight 14 to 20, so that a demo is quick."""
 
 
 def bundled_plans() -> Iterator[tuple[str, list[dict[str, Any]]]]:
@@ -33,10 +32,6 @@ def bundled_plans() -> Iterator[tuple[str, list[dict[str, Any]]]]:
         yield plan.plan_id, list(plan.placements)
     for index in BUNDLED_INDICES:
         yield generate_one(index, BUNDLED_SEED)
-
-
-if __name__ == "__main__":
-    write_plans(bundled_path(), bundled_plans())
 
 
 Size = tuple[int, int, int]
@@ -48,14 +43,14 @@ CARTON_KG = 6.0
 
 @dataclass(frozen=True)
 class HandmadePlan:
-    """A plan and its answer.
+    """A hand-made plan and its verdict.
 
     Attributes:
         plan_id: starts with "hand-".
-        why: one sentence.
-        placements: as in a BED-BPP file.
-        culprit: index of the box that fails first (packing order, from 0); −1 where the plan is stable.
-        rest_top_force_n: box index → force on top of the box at rest, N, where known.
+        why: the reason of the verdict, in one sentence.
+        placements: placements in BED-BPP's format.
+        culprit: index of the box that fails first (packing order, from 0); −1: the plan is stable.
+        rest_top_force_n: pairs of a box index and the force on top of that box at rest, N, where known.
     """
 
     plan_id: str
@@ -66,7 +61,7 @@ class HandmadePlan:
 
     @property
     def expected(self) -> Literal["stable", "unstable"]:
-        """The verdict."""
+        """The expected verdict."""
         return "unstable" if self.culprit >= 0 else "stable"
 
 
@@ -163,3 +158,7 @@ HANDMADE: tuple[HandmadePlan, ...] = (
         rest_top_force_n=((0, CARTON_KG * GRAVITY),),
     ),
 )
+
+
+if __name__ == "__main__":
+    write_plans(bundled_path(), bundled_plans())

@@ -1,8 +1,8 @@
-"""Where each kind of box could go next: every corner point of a pile with every shape, as tables.
+"""Candidate places for the next box (``Candidates``): a table of every corner point of a pile with every shape.
 
-The points are the extreme points of Crainic, Perboli, Tadei (2008), as in :mod:`petmjx.packers.baseline_packer`. A
-table is brought up to date when a box is placed, instead of being computed anew: that box is compared with all
-candidates, and the few new points with all boxes.
+The points are the extreme points of Crainic, Perboli, Tadei (2008), as in :mod:`petmjx.packers.baseline_packer`. When a
+box is placed, the table is updated instead of computed anew: the new box is compared with all candidates, and the few
+new points with all boxes.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ from petmjx.packers.pile_balance import TOUCH_MM
 
 _SLIDING = np.array([1, 0, 0, 1])
 _OTHER = 1 - _SLIDING
-"""Of each of four slides, the axis along which it goes, and the other one."""
+"""For each of four slides: the axis along which the point slides, and the other axis."""
 
 
 class Candidates:
-    """p points × s shapes; a shape is a kind of box in one orientation.
+    """The table of candidates: p points × s shapes. A shape is a kind of box in one orientation.
 
     Attributes:
         points: (p, 2) corners, mm.
-        base: (s, 2) sides along x and y, mm; ``area``: (s,) their product.
-        height: (s,) mm.
-        z: (p, s) where the shape's bottom would rest, mm.
-        carried: (p, s) area of its base that would rest there, mm².
-        open: (p, s) inside the carrier, and not refused since a box was last placed under it.
+        base: (s, 2) sides of the shapes along x and y, mm.
+        area: (s,) areas of the bases, mm².
+        height: (s,) heights of the shapes, mm.
+        z: (p, s) height at which the shape's bottom would rest, mm.
+        carried: (p, s) area of the base that would be supported there, mm².
+        open: (p, s) whether the shape is inside the carrier and has not been refused since a box was last placed under
+            it.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -50,15 +52,15 @@ class Candidates:
         self._add_points([(0.0, 0.0)])
 
     def copy(self) -> Self:
-        """The same table, which goes its own way."""
+        """An independent copy of the table."""
         twin = copy.copy(self)
         twin.open, twin._known = self.open.copy(), set(self._known)
-        # the other tables are replaced when they change
+        # all other arrays are replaced, not changed in place
         twin._low, twin._high = _copied_rows(self._low, self._n), _copied_rows(self._high, self._n)
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write everything into :mod:`petmjx.packers.packing_tables`."""
+        """Write the table into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
         points, shapes = self.z.shape
         tables["counts"][Count.BOXES], tables["counts"][Count.POINTS] = self._n, points
         tables["base"][:shapes], tables["area"][:shapes], tables["height"][:shapes] = self.base, self.area, self.height
@@ -69,17 +71,17 @@ class Candidates:
 
     @property
     def placed(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) low and high corners of the boxes placed so far, mm."""
+        """(n, 3) low and (n, 3) high corners of the boxes placed so far, mm."""
         return self._low[: self._n], self._high[: self._n]
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Forget shapes without remaining boxes."""
+        """Remove shapes that have no remaining box."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
         self.z, self.carried = self.z[:, kept], self.carried[:, kept]
         self.open, self._inside = self.open[:, kept], self._inside[:, kept]
 
     def place(self, point: int, shape: int) -> None:
-        """A box stands at a candidate now."""
+        """Place a box at a candidate, and update the table."""
         (x, y), z = self.points[point].tolist(), float(self.z[point, shape])
         (width, depth), height = self.base[shape].tolist(), float(self.height[shape])
         ends = (x + width, y + depth, z + height)
@@ -90,7 +92,7 @@ class Candidates:
         self._add_points([(x, y) for x, y in points[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
-        """Lift the candidates that the newest box lies under, as far as it is their highest one."""
+        """Update the candidates above the newest box, if it is the highest box under them."""
         area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
         hit, top = area > 0, ends[2]
         higher = hit & (top > self.z + TOUCH_MM)
@@ -100,7 +102,7 @@ class Candidates:
         self.open |= (higher | level) & self._inside
 
     def _add_points(self, corners: Sequence[tuple[float, float]]) -> None:
-        """Add those that are new and at which some shape is inside the carrier."""
+        """Add the points that are new and at which a shape is inside the carrier."""
         fresh = [point for point in dict.fromkeys(corners) if point not in self._known]
         self._known.update(fresh)
         points = np.array(fresh, dtype=np.float64).reshape(-1, 2)
@@ -120,21 +122,23 @@ class Candidates:
 
 
 def _copied_rows(rows: FloatArray, n: int) -> FloatArray:
-    """The first n rows, in an array with room for as many."""
+    """A copy of the first n rows, in an array of the same size."""
     twin = np.empty_like(rows)
     twin[:n] = rows[:n]
     return twin
 
 
 def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(7, m, 2) points of the newest box of each of m piles, mm: three corners of it, and the same corners slid towards
-    x = 0 and y = 0 until they meet a box, beside the box and on it.
+    """(7, m, 2) corner points of the newest box of each of m piles, mm.
+
+    They are three corners of the box, and the same corners after they have slid towards x = 0 or y = 0 until they meet
+    a box. Points slide beside the box at the level of its bottom, and on the box at the level of its top.
 
     Args:
         low, high: (m, n, 3) corners of the boxes of each pile, mm; the newest box is the last.
     """
     (x, y, z), (x_end, y_end, top) = low[:, -1].T, high[:, -1].T
-    # slides along −y from the ends of x beside the box and from x on it, along −x from the ends of y likewise
+    # beside the box: from its end in x along −y, and from its end in y along −x; on the box: from (x, y) along both
     start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
     south, west, west_on_top, south_on_top = _slid(low, high, start, across, np.array([z, z, top, top]))
     beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]
@@ -142,13 +146,15 @@ def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArray, level: FloatArray) -> FloatArray:
-    """(4, m) where four points of each of m piles meet a box as they slide along −y, −x, −x and −y, or 0 at the
-    carrier's edge.
+    """(4, m) coordinates at which four points of each of m piles meet a box; 0: the carrier's edge.
+
+    The points slide along −y, −x, −x and −y.
 
     Args:
         low, high: (m, n, 3) corners of boxes.
-        start, across: (4, m) where points are along the axis in which they slide, and along the other one.
-        level: (4, m) their heights.
+        start: (4, m) coordinates of the points along the axis on which they slide.
+        across: (4, m) coordinates of the points along the other axis.
+        level: (4, m) heights of the points.
     """
     low, high = low.transpose(2, 0, 1), high.transpose(2, 0, 1)
     across, level = across[..., None], level[..., None]
@@ -159,10 +165,11 @@ def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArr
 
 
 def let_down(area: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How high the bottoms of boxes come to rest on n boxes, mm, and the area that carries them there, mm².
+    """Heights at which boxes come to rest on n placed boxes, mm, and their supported areas, mm².
 
     Args:
-        area: (…, n) that each shares with each of them, seen from above; ``tops``: (n,) mm.
+        area: (…, n) overlap of each box with each placed box, seen from above, mm².
+        tops: (n,) tops of the placed boxes, mm.
     """
     z = np.where(area > 0, tops, 0.0).max(axis=-1, initial=0.0)
     carried: FloatArray = np.where(np.abs(tops - z[..., None]) <= TOUCH_MM, area, 0.0).sum(axis=-1)
@@ -170,7 +177,13 @@ def let_down(area: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def overlap(points: FloatArray, base: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """(p, s, n) area in mm² that shapes at points share with n boxes, seen from above; (n, 2) low and high corners."""
+    """(p, s, n) overlap of s shapes at p points with n boxes, seen from above, mm².
+
+    Args:
+        points: (p, 2) corners, mm.
+        base: (s, 2) sides of the shapes, mm.
+        low, high: (n, 2) corners of the boxes, mm.
+    """
     sides = []
     for axis in (0, 1):
         start = points[:, None, axis]

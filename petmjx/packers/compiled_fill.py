@@ -1,7 +1,7 @@
-"""Packings filled up in machine code: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
+"""Compiled filling of packings: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
 
-Warp compiles it, once for a machine. It puts the same boxes into the same places, to the last bit. Where it cannot be
-sure of that, Python fills the packing up.
+Warp compiles the code, once for a machine. It puts the same boxes into the same places as Python, to the last bit. If
+that is not certain, Python fills up the packing.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from petmjx.packers.pile_balance import (
 )
 
 GRAIN_MM: Final = 2.0**-10
-"""If sides and free space are multiples of this, sums of areas are exact, and no sequence of them is another sum."""
+"""If sides and free space are multiples of this, sums of areas are exact in any order of summation."""
 
 POINTS, POINTS_PER_BOX, PLANES_PER_BOX = 64, 4, 16
-"""Room for corner points and for edges of hulls. Piles of 80 boxes have 2 points and 5 edges a box."""
+"""Capacities for corner points and for edges of hulls. Piles of 80 boxes have 2 points and 5 edges a box."""
 
 _KINDS: Final = {np.float64: wp.float64, np.int32: wp.int32, np.bool_: wp.bool}
 
@@ -61,7 +61,7 @@ def _fill(tables: Tables) -> None: ...
 
 @functools.cache
 def _kernel() -> Any:
-    """What fills packings up. No multiplication is fused with a sum, since NumPy fuses none either."""
+    """The kernel that fills up packings. No multiplication is fused with a sum, since NumPy does not fuse them."""
 
     def fill(tables: Tables) -> None:
         _fill(tables)
@@ -74,7 +74,7 @@ def _kernel() -> Any:
 
 
 class FillKernel:
-    """Fills up packings of one order with one taste and one clearance. Not for several threads at a time.
+    """Fills up packings of one order with one taste and one clearance. Not thread-safe.
 
     Args:
         start: a packing of the order.
@@ -116,7 +116,7 @@ class FillKernel:
     def __call__(
         self, packing: Packing, first: NextCandidate | None = None, highest_mm: float = inf
     ) -> FullPacking | None:
-        """As :meth:`petmjx.packers.packing_state.Packing.filled`."""
+        """The same as :meth:`petmjx.packers.packing_state.Packing.filled`."""
         if not self._exact:
             return packing.filled(first, highest_mm)
         packing.write(self._of)
@@ -143,7 +143,7 @@ class FillKernel:
         self._launch.launch()
 
     def _tips(self) -> bool:
-        """Whether the box that is asked about would tip over on what it stands on."""
+        """Whether the box in the kernel's question would tip over on its supports."""
         low, high = np.split(self._of["rectangles"][: self._of["counts"][Count.UNDER]], 2, axis=1)
         length, width = self._of["own_base"][self._of["counts"][Count.SHAPE]].tolist()
         return tips(hull_planes(low, high, margin_m((length, width))), self._of["own_load"])

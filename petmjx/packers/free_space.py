@@ -1,8 +1,8 @@
-"""What room a pile would leave for boxes that may come: how low typical cartons could stand, and on how many places.
+"""Free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are level.
 
-No policy that looks at one box knows what comes next, but cartons have much in common. The heights of the pile over a
-coarse grid, with a candidate on it, tell for each typical carton where it would stand lowest and with how little air
-below.
+A policy that sees one box does not know the next ones, but cartons have much in common. The height map of the pile on a
+coarse grid, with a candidate placed, shows the lowest place for each typical carton, and the air under the carton at
+that place.
 """
 
 from __future__ import annotations
@@ -23,20 +23,23 @@ LARGE: Final = ((11, 4), (4, 11)), ((12, 8), (8, 12))
 600 × 400 mm."""
 
 AIR: Final = 0.5
-"""What a millimetre of air below is worth in mm of height, as a mean over the base."""
+"""Cost of a millimetre of air under the carton (the mean over its base), in mm of height."""
 
 LEVEL_MM: Final = 15.0
-"""A place with less air is level."""
+"""A place with less air than this is level."""
 
 NAMES: Final = ("room_small", "room_large", "level_small", "level_large")
 
 
 def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[str, FloatArray]:
-    """What (c,) candidates would leave, each with a box between (c, 3) corners on the pile, mm.
+    """The free space that c candidates would leave.
+
+    Args:
+        low, high: (c, 3) corners of each candidate's box on the pile, mm.
 
     Returns:
-        By ``NAMES``, (c,) each: the mean over cartons of the lowest place's height and air, in m; the mean over cartons
-        of the share of places that are level.
+        Name, of ``NAMES`` → (c,) values. ``room_…``: height and air of the lowest place, mean over cartons, m.
+        ``level_…``: share of places that are level, mean over cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)
@@ -60,19 +63,19 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """Maxima over windows that are wider by ``more`` cells, of which they may have at most their own width."""
+    """Maxima over windows that are wider by ``more`` cells, from maxima over windows at least ``more`` cells wide."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Steps that make a window so deep, from a cell: none longer than what is there already."""
+"""Depth of a window → steps that reach it from one cell. No step is longer than the depth before it."""
 
 _NOWHERE_MM: Final = 2000.0
 
 
 def _places(highest: Heights, sums: Heights, wide: int, deep: int) -> tuple[FloatArray, FloatArray]:
-    """(c,) height and air of the lowest place of a base, mm; (c,) share of places that are level."""
+    """(c,) cost of the lowest place of a base, from height and air, mm; and (c,) share of places that are level."""
     for more in _DEEPER[deep]:
         highest = np.maximum(highest[:, :, : max(highest.shape[2] - more, 0)], highest[:, :, more:])
     if not highest.size:

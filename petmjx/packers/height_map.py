@@ -1,4 +1,4 @@
-"""The heights of a pile over a grid, with sums over rectangles of it in constant time."""
+"""Height maps (``HeightMap``): the heights of a pile on a grid, with sums over rectangles in constant time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ CELL_MM: Final = 25.0
 
 
 class HeightMap:
-    """Highest tops over cells. Boxes are let down from above, so the last one's top is the highest.
+    """The highest top in each cell of a grid. Boxes are lowered from above, so a new box is the highest in its cells.
 
     Attributes:
-        height: (nx, ny) mm; ``cells``: how many.
+        height: (nx, ny) heights, mm.
+        cells: number of cells.
 
     Args:
-        extent_mm: of the target; ``cell_mm``: side of a cell.
+        extent_mm: extent of the target, mm.
+        cell_mm: side of a cell, mm.
     """
 
     def __init__(self, extent_mm: tuple[float, float], cell_mm: float = CELL_MM) -> None:
@@ -30,20 +32,20 @@ class HeightMap:
         self._sums = self._squares = np.zeros(self._lines + 1)
 
     def put(self, low: FloatArray, high: FloatArray) -> None:
-        """One more box, (3,) corners, mm."""
+        """Add a box, given by its (3,) corners, mm."""
         (x0, y0), (x1, y1) = self.lines(low[None])[0].tolist(), self.lines(high[None])[0].tolist()
         self.height[x0:x1, y0:y1] = high[2]
         self._sums, self._squares = _summed_area(self.height), _summed_area(self.height**2)
 
     def copy(self) -> HeightMap:
-        """The same surface, which goes its own way."""
+        """An independent copy of the map."""
         twin = HeightMap.__new__(HeightMap)
         twin.__dict__.update(self.__dict__)
         twin.height = self.height.copy()
         return twin
 
     def lines(self, corner_mm: FloatArray) -> NDArray[np.intp]:
-        """(m, 2) the lines of the grid next to corners, whatever their further columns."""
+        """(m, 2) the grid lines nearest to corners. Only the first two columns of ``corner_mm`` are used."""
         lines: NDArray[np.intp] = np.minimum(np.rint(corner_mm[:, :2] / self._cell_mm).astype(np.intp), self._lines)
         return lines
 
@@ -58,9 +60,12 @@ class HeightMap:
         return float(self._squares[-1, -1]) / self.cells
 
     def over(self, low: NDArray[np.intp], high: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Of (m, 2) rectangles between lines: how many cells, and the sums of heights and of their squares.
+        """(m,) number of cells, sum of heights and sum of squared heights in rectangles.
 
         Parts outside the target do not count.
+
+        Args:
+            low, high: (m, 2) grid lines of the rectangles' corners.
         """
         (x0, y0), (x1, y1) = np.maximum(low, 0).T, np.minimum(high, self._lines).T
         count = ((x1 - x0) * (y1 - y0)).astype(np.float64)
@@ -71,7 +76,7 @@ class HeightMap:
 
 
 def _summed_area(values: FloatArray) -> FloatArray:
-    """(nx + 1, ny + 1) sums over all rectangles that begin at the corner (Crow 1984, "Summed-area tables")."""
+    """(nx + 1, ny + 1) sums over all rectangles that begin at the first cell (Crow 1984, "Summed-area tables")."""
     sums = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
     values.cumsum(axis=0).cumsum(axis=1, out=sums[1:, 1:])
     return sums

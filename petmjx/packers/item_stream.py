@@ -1,4 +1,4 @@
-"""A packing whose boxes come one after the other. A packer sees the next one, or the next few, and no more."""
+"""Online packing (``ItemStream``): boxes arrive one by one, and a packer sees only the next one or the next few."""
 
 from __future__ import annotations
 
@@ -19,14 +19,16 @@ MOST_LOOK_AHEAD: Final = 200
 
 
 class Places(NamedTuple):
-    """c candidates for the boxes that are seen.
+    """c candidates for the visible boxes.
 
     Attributes:
-        point, shape: (c,) row and column of the packing's table; ``kind``: (c,) of the box.
-        corner_mm: (c, 3); ``size_mm``: (c, 3) with the free space along x and y.
-        mass_kg: (c,).
-        support: (c,) share of the base that is borne.
-        own_mm2: (c,) area of the box's own base.
+        point, shape: (c,) row and column of the candidate in the packing's table.
+        kind: (c,) kind of the box.
+        corner_mm: (c, 3) low corner, mm.
+        size_mm: (c, 3) size with the free space along x and y, mm.
+        mass_kg: (c,) mass of the box, kg.
+        support: (c,) supported share of the base.
+        own_mm2: (c,) area of the box's base without free space, mm².
     """
 
     point: NDArray[np.intp]
@@ -42,24 +44,25 @@ class Places(NamedTuple):
         return len(self.point)
 
     def take(self, rows: NDArray[np.intp]) -> Places:
-        """Some of them."""
+        """The candidates in some rows."""
         some: list[Any] = [values[rows] for values in self]
         return Places(*some)
 
 
 class ItemStream(Packing):
-    """Boxes on a target, and those that are still to come.
+    """A packing and the boxes that are still to arrive.
 
     Attributes:
         clearance: (3,) free space of a box along x, y and z, mm.
-        surface: heights of the pile.
-        skipped: how many boxes were left out so far.
+        surface: height map of the pile.
+        skipped: number of boxes left out so far.
 
     Args:
-        items: of one order, in the sequence in which they come.
-        extent_mm: of the target, along x and y.
-        clearance_mm: free space that each box keeps to its neighbours along x and y.
-        look_ahead: how many of the boxes that come next are seen; any of them may be placed next.
+        items: items of one order, in order of arrival.
+        extent_mm: extent of the target along x and y, mm.
+        clearance_mm: free space between a box and its neighbours along x and y.
+        look_ahead: number of next boxes that the packer sees. Any of them may be placed next.
+        taste: weights of the rule of ``balanced``; None: its first set.
     """
 
     def __init__(
@@ -82,40 +85,40 @@ class ItemStream(Packing):
         self.clearance = np.array([clearance_mm, clearance_mm, 0.0])
 
     def copy(self) -> Self:
-        """The same stream, which goes its own way."""
+        """An independent copy of the stream."""
         twin = super().copy()
         twin._coming, twin._masses, twin.surface = list(self._coming), self._masses.copy(), self.surface.copy()
         return twin
 
     @property
     def seen(self) -> list[int]:
-        """The kinds of the boxes that are seen, in their sequence."""
+        """The kinds of the visible boxes, in order of arrival."""
         return self._coming[: self.look_ahead]
 
     @property
     def boxes(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) low and high corners of the boxes placed, with the free space along x and y, mm."""
+        """(n, 3) low and (n, 3) high corners of the placed boxes with the free space along x and y, mm."""
         return self._table.placed
 
     @property
     def bare_boxes(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 3) low and high corners of the boxes placed, as they are, mm."""
+        """(n, 3) low and (n, 3) high corners of the placed boxes without free space, mm."""
         low, high = self._table.placed
         return low, high - self.clearance
 
     @property
     def masses(self) -> FloatArray:
-        """(n,) of the boxes placed, kg."""
+        """(n,) masses of the placed boxes, kg."""
         return self._masses[: len(self.placed)]
 
     def worth(self, places: Places) -> FloatArray:
-        """(c,) what the boxes of candidates are worth wherever they go, to the rule, mm."""
+        """(c,) value of each candidate's box in the rule of ``balanced``, independent of its place, mm."""
         worths: FloatArray = self._worth[places.shape]
         return worths
 
     @property
     def pile(self) -> Balance:
-        """The balance of the boxes placed."""
+        """The balance of the placed boxes."""
         return self._pile
 
     def put(self, chosen: NextCandidate) -> None:
@@ -127,10 +130,10 @@ class ItemStream(Packing):
         self._masses[len(low) - 1] = self.placed[-1].item.weight_kg
 
     def skip(self) -> None:
-        """Leave out the box that comes first."""
+        """Leave out the next box."""
         kind = self._coming.pop(0)
         self.skipped += 1
-        # equal boxes are the same to a packing; which of them is placed does not matter
+        # equal boxes are interchangeable in a packing, so any of them may be removed
         self._stock[kind].pop(0)
         if not self._stock[kind]:
             self._keep_shapes(self._kind_of != kind)
@@ -139,11 +142,11 @@ class ItemStream(Packing):
 S = TypeVar("S", bound=ItemStream)
 
 Chooses = Callable[[S], NextCandidate | None]
-"""What a packer does in one step: one of the candidates, or None: no box that is seen has a place."""
+"""One step of a packer: returns a candidate; None: no visible box has a place."""
 
 
 def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:
-    """Place the boxes of a stream until none is left. When none that is seen has a place, the first one is left out."""
+    """Place the boxes of a stream until none is left. If no visible box has a place, the first one is left out."""
     while stream.seen:
         chosen = chooses(stream)
         if chosen is None:
@@ -154,6 +157,6 @@ def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:
 
 
 def by_taste(stream: ItemStream) -> NextCandidate | None:
-    """What ``balanced`` would do if it saw no more than the stream shows."""
+    """One step of the rule of ``balanced``, restricted to the visible boxes."""
     candidates = stream.next(1, kinds=stream.seen)
     return candidates[0] if candidates else None

@@ -1,8 +1,8 @@
-"""Candidates beside the boxes and edges on all four sides.
+"""Candidates of the packer ``learned``: extreme points seen from all four corners of the target.
 
-Extreme points (Crainic, Perboli, Tadei 2008) are where a box touches its neighbours with the corner at the origin. A
-pile that grows from one corner only leaves its free space in slivers along the other edges. Here the points are also
-those of the pile seen from the target's three other corners, as in a mirror.
+At an extreme point (Crainic, Perboli, Tadei 2008) a box touches its neighbours on the sides that face the origin. So a
+pile grows from one corner, and leaves its free space in slivers along the opposite edges. Here the pile is also
+mirrored, so that points are found from the three other corners as well.
 """
 
 from __future__ import annotations
@@ -23,47 +23,52 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Least share of a base that rests on something. The balance is the rule that counts; a box that is borne so little
-must also be likely to stand, says the stability head."""
+"""Least supported share of a base. It may be low, since two other rules decide: the balance, and the chance to stand by
+the stability head."""
 
 COARSE_MM: Final = 50.0
 
 OVERHANG_MM: Final = 40.0
-"""What a base costs that hangs over as a whole."""
+"""Cost of a base that is not supported at all, mm of height."""
 
 MIRRORS: Final = ((False, False), (True, False), (False, True), (True, True))
-"""Whether x and y are mirrored, for each corner of the target."""
+"""For each corner of the target: whether x and y are mirrored."""
 
 _DECIMALS: Final = 9
-"""Corners and costs in mm are rounded to so many decimals: sums in another sequence end in other digits."""
+"""Corners and costs in mm are rounded to this many decimals, since the last digits of a sum depend on the order of
+summation."""
 
 
 class MirroredCandidates(Candidates):
-    """Corner points seen from all four corners of the target, as a table that a ``Packing`` can use.
+    """Corner points seen from all four corners of the target, as a table for ``Packing``.
 
-    Nothing is kept by shapes: ``found`` computes what is asked for.
+    The table has no entries by shape: ``found`` computes candidates on request.
 
     Attributes:
-        corners: (c, 2) of what ``found`` found last; ``rests``: (c,) heights of their bottoms, mm.
+        corners: (c, 2) corners of the candidates of the last call of ``found``, mm.
+        rests: (c,) heights of their bottoms, mm.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
         super().__init__(base, height, extent_mm, most_boxes)
         self.corners, self.rests = np.zeros((0, 2)), np.zeros(0)
-        # the pile in each of the mirrors; the points in all of them, and in which
+        # corners of the boxes in each mirror image; points in all mirror images, and the mirror image of each point
         self._lows, self._highs = np.zeros((2, len(MIRRORS), most_boxes, 3))
         self._points = np.zeros((len(MIRRORS), 2))
         self._in = np.array(MIRRORS)
 
     def copy(self) -> Self:
-        """The same table, which goes its own way."""
+        """An independent copy of the table."""
         twin = super().copy()
         twin._lows, twin._highs = self._lows.copy(), self._highs.copy()
         return twin
 
     def found(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
-        """The candidates of some shapes: (c,) the shape of each, (c, 2) corners, (c,) heights of the bottom, all in mm,
-        and (c,) shares of the base that would rest there."""
+        """The c candidates of some shapes.
+
+        Returns:
+            (c,) shapes; (c, 2) corners, mm; (c,) heights of the bottom, mm; (c,) supported shares of the base.
+        """
         extent, (low, high) = np.array(self.extent_mm), self.placed
         parts = []
         for shape in shapes.tolist():
@@ -80,11 +85,11 @@ class MirroredCandidates(Candidates):
         return shape, self.corners, self.rests, support
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
-        """Forget shapes without remaining boxes."""
+        """Remove shapes that have no remaining box."""
         self.base, self.height, self.area = self.base[kept], self.height[kept], self.area[kept]
 
     def place(self, point: int, shape: int) -> None:
-        """A box stands at a candidate that was found last."""
+        """Place a box at a candidate of the last call of ``found``."""
         (x, y), z = self.corners[point].tolist(), float(self.rests[point])
         (length, width), height = self.base[shape].tolist(), float(self.height[shape])
         low, high, n = np.array([x, y, z]), np.array([x + length, y + width, z + height]), self._n
@@ -97,7 +102,7 @@ class MirroredCandidates(Candidates):
         self._add_corners()
 
     def _add_corners(self) -> None:
-        """Corner points of the newest box in all mirrors."""
+        """Add the corner points of the newest box in all mirror images."""
         points = corner_points(self._lows[:, : self._n], self._highs[:, : self._n])
         inside = (points < np.array(self.extent_mm)).all(axis=2)
         self._points = np.concatenate([self._points, points[inside]])
@@ -105,10 +110,10 @@ class MirroredCandidates(Candidates):
 
 
 class FourSidedStream(ItemStream):
-    """A stream whose boxes may go beside others on all four sides.
+    """A stream with candidates beside boxes on all four sides.
 
     Attributes:
-        coarse: heights of the pile over cells of ``COARSE_MM``.
+        coarse: height map of the pile with cells of ``COARSE_MM``.
     """
 
     _Table = MirroredCandidates
@@ -122,17 +127,18 @@ class FourSidedStream(ItemStream):
         self._refused: set[int] = set()
 
     def copy(self) -> Self:
-        """The same stream, which goes its own way."""
+        """An independent copy of the stream."""
         twin = super().copy()
         twin.coarse, twin._refused = self.coarse.copy(), set(self._refused)
         return twin
 
     def places(self, least_support: float = LEAST_SUPPORT) -> Places:
-        """All candidates for the boxes that are seen, as far as height and support allow them; balance is looked at by
-        ``keeps_balance``.
+        """All candidates for the visible boxes with sufficient support and allowed height.
+
+        The balance is not checked here, but by ``keeps_balance``.
 
         Args:
-            least_support: least share of a base that rests on something.
+            least_support: least supported share of a base.
         """
         table, kinds = self._table, set(self.seen)
         seen = np.array([column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp)
@@ -153,7 +159,7 @@ class FourSidedStream(ItemStream):
         )
 
     def keeps_balance(self, places: Places, row: int) -> NextCandidate | None:
-        """A candidate that may be placed; None: a box would lose its balance."""
+        """The candidate in a row, if the pile keeps its balance with it; None: a box would lose its balance."""
         point, shape = int(places.point[row]), int(places.shape[row])
         x, y, z = places.corner_mm[row].tolist()
         length, width = self._base[shape].tolist()
@@ -164,7 +170,7 @@ class FourSidedStream(ItemStream):
         return NextCandidate(point, shape, (x, y, z), rest)
 
     def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) which candidates have not been found to lose the balance."""
+        """(c,) whether a candidate has not been refused for its balance."""
         return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
 
     def put(self, chosen: NextCandidate) -> None:
@@ -175,13 +181,13 @@ class FourSidedStream(ItemStream):
         self._refused.clear()
 
     def skip(self) -> None:
-        """Leave out the box that comes first."""
+        """Leave out the next box."""
         super().skip()
         self._refused.clear()
 
 
 def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
-    """(c,) how high places are, with an overhang and the way to the nearest edges as what they cost more."""
+    """(c,) cost of places, mm: the height, plus costs of an overhang and of the distance to the nearest edges."""
     start, size = places.corner_mm[:, :2], places.size_mm[:, :2]
     aside = np.minimum(start, np.array(stream.extent_mm) - start - size).sum(axis=1)
     cost: FloatArray = places.corner_mm[:, 2] + OVERHANG_MM * (1 - places.support) + 0.01 * aside
@@ -189,8 +195,10 @@ def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
 
 
 def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
-    """The rule with these candidates: the lowest place that keeps the balance; of several boxes the one that
-    ``balanced`` would take."""
+    """One step of a rule with these candidates: the place of least cost that keeps the balance.
+
+    Among several visible boxes, their value in the rule of ``balanced`` counts too.
+    """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)
     for row in np.argsort(cost, kind="stable").tolist():

@@ -1,6 +1,6 @@
-"""What a policy sees of a candidate: the place, its neighbours, and what the pile would be with the box on it.
+"""Features of candidates for the packer ``learned``: the place, its neighbours, and the pile with the box on it.
 
-All features are about 1. None says anything of boxes that are not seen.
+All features have a magnitude of about 1. No feature depends on boxes that the packer does not see.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features that may be worth more or less on a high pile: also times the pile's mean height in m."""
+"""Features whose weight may depend on the height of the pile. They appear a second time, multiplied by the pile's mean
+height in m."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),
@@ -32,13 +33,13 @@ NAMES: Final = (
     *(f"{name}_late" for name in LATE),
     *("comes_first", "volume_of_seen", "height_of_seen", "mass_of_seen"),
 )
-"""docs/packers.md says what they are about."""
+"""Names of the features, in order. docs/packers.md explains them."""
 
 NEAR_MM: Final = 8.0
-"""Sides and tops so near count as touching and level."""
+"""Sides no further apart count as touching; tops with no larger difference count as level."""
 
 SLIVER_MM: Final = 100.0
-"""Gaps narrower than most cartons."""
+"""Gaps smaller than this are narrower than most cartons."""
 
 MOST_GAP_MM: Final = 400.0
 
@@ -46,7 +47,7 @@ _RING: Final = 3
 """Width of the ring around a base in which heights are compared, in cells."""
 
 _LEVEL_MM: Final = 500.0
-"""Heights are divided by it."""
+"""Scale of features that are heights or lengths."""
 
 
 def features(stream: FourSidedStream, places: Places) -> FloatArray:
@@ -96,7 +97,7 @@ def features(stream: FourSidedStream, places: Places) -> FloatArray:
 def _off_centre(
     low: FloatArray, high: FloatArray, volume: FloatArray, middle: FloatArray, extent: FloatArray
 ) -> FloatArray:
-    """(c,) how far the middle of all volume would be beside the target's."""
+    """(c,) distance of the centre of all volume from the target's middle, relative to the target's extent."""
     sides = high - low
     weight = sides[:, 0] * sides[:, 1] * sides[:, 2]
     moment = weight @ ((low + high)[:, :2] / 2 - extent / 2) + volume[:, None] * middle
@@ -117,14 +118,19 @@ def _neighbour_features(
     high: FloatArray,
     extent: FloatArray,
 ) -> None:
-    """What is beside and below: (c, 3) corners of candidates, (n, 3) of boxes."""
+    """Add the features of boxes beside and below the candidates.
+
+    Args:
+        start, end: (c, 3) corners of the candidates.
+        low, high: (n, 3) corners of the placed boxes.
+    """
     size = end - start
-    # (3, c, n): distances from the sides at the start, from those at the end, and what is shared along each axis
+    # (3, c, n): distances from the candidate's start to boxes before it, from its end to boxes after it, and overlaps
     starts, ends, lows, highs = start.T[:, :, None], end.T[:, :, None], low.T[:, None, :], high.T[:, None, :]
     before, after = starts - highs, lows - ends
     shared = -np.maximum(np.maximum(before, after), np.maximum(lows - highs, starts - ends))
     along, upwards = shared[:2], shared[2]
-    is_beside = along[::-1] > TOUCH_MM  # along x there is what shares y
+    is_beside = along[::-1] > TOUCH_MM  # a box is beside it along x if they overlap along y
     is_facing = is_beside & (upwards > NEAR_MM)
     level = highs[2] - ends[2]
     is_level, is_deeper = np.abs(level) <= NEAR_MM, level > NEAR_MM
@@ -158,7 +164,7 @@ def _neighbour_features(
 
 
 def _heights(columns: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: HeightMap) -> None:
-    """What the pile's surface is under and around a box, and with it."""
+    """Add the features of the height map: under the box, around it, and after it has been placed."""
     low, high = surface.lines(start), surface.lines(end)
     count, under, under_square = surface.over(low, high)
     n_outer, outer, outer_square = surface.over(low - _RING, high + _RING)

@@ -1,7 +1,7 @@
-"""The packer ``learned``: learned weights say which candidate is best, a small network which of them stand.
+"""The packer ``learned``: learned weights rank the candidates, and a small network predicts which of them stand.
 
-It was trained on drawn orders alone (examples/train_packer), with physics in the loop. At use there is no simulation,
-and nothing is drawn at random: an order has one plan.
+It was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no simulation
+and is deterministic: an order has one plan.
 """
 
 from __future__ import annotations
@@ -31,31 +31,33 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours: with it plans stand as a robot places them (docs/packers.md)."""
+"""Free space between neighbours. With it plans stand when a robot places the boxes (docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
-"""The lowest candidates are looked at: so many in all, and at least so many of each kind of box that is seen."""
+"""Only the lowest candidates are rated: ``MOST_PLACES`` in all, and at least ``LEAST_PLACES`` of each visible kind of
+box."""
 
 SURE: Final = 0.98
-"""A candidate that is as likely to stand is taken if it is the best one."""
+"""The best candidate whose chance to stand is at least this is taken."""
 
 LEAST_SURE: Final = 0.5
-"""If none is sure, the surest is taken, but none that is more likely to fall."""
+"""If no candidate reaches ``SURE``, the one with the largest chance is taken, if its chance is at least this."""
 
 MOST_TRIED: Final = 16
-"""Candidates whose chance is computed until one is sure."""
+"""Largest number of candidates whose chance is computed, if none reaches ``SURE``."""
 
 SCORE_DECIMALS: Final = 6
-"""Scores that differ by less are the same, so that processors that round in another way choose the same places."""
+"""Scores are rounded to this many decimals, so that processors that round differently choose the same places."""
 
 
 class ChosenCandidate(NamedTuple):
-    """A candidate that is taken.
+    """The candidate that is taken.
 
     Attributes:
-        row: of the places.
-        chance: that it stands when a robot places it inexactly.
+        row: its row in the places.
+        next: the candidate itself.
+        chance: predicted chance that the box stands when a robot places it inexactly.
     """
 
     row: int
@@ -64,7 +66,7 @@ class ChosenCandidate(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """A step: the candidates that were looked at, their features, and the one that is taken."""
+    """One step: the rated candidates, their features, and the candidate that is taken."""
 
     places: Places
     rows: FloatArray
@@ -73,27 +75,31 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Policy:
-    """What was learned.
+    """The two learned networks.
 
     Attributes:
-        taste: a network, or only its linear part; gives candidates their scores, from ``features``.
-        head: gives placements their chances to stand, from ``stability_features``.
+        taste: scores candidates from their ``features``; a network, or only its linear part.
+        head: predicts the chance that a placement stands from its ``stability_features``.
     """
 
     taste: Network
     head: Network
 
     def with_linear(self, weights: FloatArray) -> Policy:
-        """The same with other linear weights of its taste."""
+        """The same policy with other linear weights in ``taste``."""
         return replace(self, taste=replace(self.taste, linear=weights))
 
     def seen(self, stream: FourSidedStream) -> tuple[Places, FloatArray] | None:
-        """The candidates that are looked at, with their features; None: there are none."""
+        """The candidates to rate, with their features; None: there are none."""
         places = lowest(stream, stream.places())
         return (places, features(stream, places)) if len(places) else None
 
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
-        """The best candidate that keeps the balance and is sure to stand; if none is sure, the surest."""
+        """The best candidate that keeps the balance and has at least the chance ``SURE``.
+
+        If there is none among the first ``MOST_TRIED``, the one with the largest chance. None: no chance reaches
+        ``LEAST_SURE``.
+        """
         surest: ChosenCandidate | None = None
         tried = 0
         for row in np.argsort(-scores, kind="stable").tolist():
@@ -111,18 +117,18 @@ class Policy:
         return surest if surest is not None and surest.chance >= LEAST_SURE else None
 
     def decide(self, stream: FourSidedStream) -> Decision | None:
-        """What the packer does in one step; None: no box that is seen has a place."""
+        """One step of the packer; None: no visible box has a place."""
         while (view := self.seen(stream)) is not None:
             places, rows = view
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
             if chosen is not None:
                 return Decision(places, rows, chosen)
-            if stream.still_open(places).any():  # they keep the balance, but are not sure
+            if stream.still_open(places).any():  # some keep the balance, but their chance is too small
                 return None
         return None
 
     def choose(self, stream: FourSidedStream) -> NextCandidate | None:
-        """The candidate that is taken in one step."""
+        """The candidate that is taken in one step; None: no visible box has a place."""
         decision = self.decide(stream)
         return None if decision is None else decision.chosen.next
 
@@ -135,14 +141,14 @@ class Policy:
 
     @classmethod
     def load(cls, file: Path | IO[bytes]) -> Policy:
-        """Weights of a file."""
+        """A policy with the weights of a file."""
         with np.load(file, allow_pickle=False) as arrays:
             named = dict(arrays)
         return cls(Network.of_arrays("taste", named), Network.of_arrays("head", named))
 
 
 def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
-    """A candidate as a placement, without the free space around boxes."""
+    """The placement of a candidate, without the free space around boxes."""
     low, high = stream.bare_boxes
     corner, size = places.corner_mm[row], places.size_mm[row] - stream.clearance
     return placement_state(stream.pile, low, high, stream.masses, corner, size, float(places.mass_kg[row]), rest)
@@ -160,7 +166,7 @@ def lowest(stream: FourSidedStream, places: Places) -> Places:
 
 @functools.cache
 def published_policy() -> Policy:
-    """The weights that petmjx comes with."""
+    """The policy with the weights that are part of petmjx."""
     with files(__package__).joinpath("learned.npz").open("rb") as file:
         return Policy.load(file)
 
@@ -168,12 +174,11 @@ def published_policy() -> Policy:
 def pack_learned(
     items: Sequence[Item], extent_mm: tuple[float, float], look_ahead: int = 1, policy: Policy | None = None
 ) -> list[PlacedBox]:
-    """Place the items on a target of ``extent_mm``, in the sequence in which they come; those without a place are left
-    out.
+    """Place the items on a target of ``extent_mm``, in order of arrival. Items without a place are left out.
 
     Args:
-        look_ahead: how many of the next boxes are seen; any of them may be placed next.
-        policy: another one than the published one.
+        look_ahead: number of next boxes that the packer sees. Any of them may be placed next.
+        policy: a policy; None: the published one.
     """
     return pack_stream(
         FourSidedStream(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published_policy()).choose

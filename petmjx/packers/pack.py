@@ -1,4 +1,4 @@
-"""``petmjx.pack``: orders packed so that their plans stand."""
+"""``petmjx.pack``: packs orders so that their plans stand."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from petmjx.plans.plan_writer import save_plans
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
-"""Of ``RunOptions``, those that say how packings are simulated."""
+"""Fields of ``RunOptions`` that a packer accepts, for the simulation of packings."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "order"),
@@ -47,26 +47,29 @@ SHOWN: Final = (
 
 @dataclass(frozen=True, eq=False)
 class Packed:
-    """Orders that were packed.
+    """The result of ``petmjx.pack``.
 
     Attributes:
-        each: what came of each order, in the order given.
+        each: the result of each order, in the order of the input.
     """
 
     each: tuple[PackedOrder, ...]
 
     @property
     def plans(self) -> list[Plan]:
-        """The plans, of orders of which a box has a place: ``petmjx.score`` and ``petmjx.save_plans`` take them."""
+        """The plans, for ``petmjx.score`` and ``petmjx.save_plans``. An order has no plan if no box has a place."""
         return [packed.plan for packed in self.each if packed.plan is not None]
 
     @property
     def orders(self) -> pd.DataFrame:
-        """A row an order: ``plan_id``; ``order_boxes``, of which ``boxes`` are placed and ``left_out`` are not (``why``
-        says for what reason); ``utilisation`` (volume over area of the target × height), ``height_mm``,
-        ``clearance_mm``; ``verdict``, placed exactly; of ``n_worlds`` with errors ``n_standing`` stand, a ``share``
-        with its Wilson 95 % interval ``low``, ``high``; ``tried``: packings simulated; ``good``: whether it stands as
-        often as asked for."""
+        """A table with one row for each order.
+
+        Columns: ``plan_id``; ``order_boxes``, the boxes of the order; ``boxes``, the placed ones; ``left_out``, the
+        others; ``why``, the reason; ``utilisation`` (volume over area of the target × height); ``height_mm``;
+        ``clearance_mm``; ``verdict`` when placed exactly; ``n_worlds``, the worlds with errors; ``n_standing``, those
+        in which the plan stands; ``share``, their share, with its Wilson 95 % interval ``low``, ``high``; ``tried``,
+        the simulated packings; ``good``, whether the plan stands as often as requested.
+        """
         return pd.DataFrame([packed.row() for packed in self.each])
 
     def __repr__(self) -> str:
@@ -75,12 +78,14 @@ class Packed:
         return f"Packed({count_text(len(orders), 'order')}, utilisation {orders['utilisation'].mean():.3f}{sure})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the mean, and a row for each order."""
+        """The display in a notebook: the means, and a row for each order."""
         return block_as_html([repr(self)], [table_as_html(self.orders, SHOWN, "orders")])
 
     def save(self, path: PathArgument) -> None:
-        """Write the plans to a file: BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``; gzipped
-        if it ends in ``.gz``. A file that is there is replaced.
+        """Write the plans to a file. An existing file is replaced.
+
+        The format is BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``. If it ends in ``.gz``,
+        the file is gzipped.
 
         Raises:
             InputError: there is no plan, or the file cannot be written.
@@ -103,27 +108,29 @@ def pack(
     on_bad_order: Callable[[InputError], None] | None = None,
     **options: Any,
 ) -> Packed:
-    """Pack orders with the packer ``physical``: densely, and so that the plans stand in simulation, placed exactly and
-    with the errors of a robot. Or with ``learned``, which takes boxes as they come; its plans are simulated as well.
+    """Pack orders with the packer ``physical`` or ``learned``.
+
+    ``physical`` packs densely, and so that the plans stand in simulation, placed exactly and with the errors of a
+    robot. ``learned`` takes boxes in order of arrival; its plans are simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
-    Nothing is drawn at random but the errors, which depend on plan ids alone: an order has one plan on an engine.
+    An order has one plan on an engine: only the errors are random, and they depend on the plan's id alone.
 
     Args:
-        orders: file of BED-BPP orders; None: ``n`` drawn ones, as in ``petmjx samples``.
-        n, seed: how many drawn orders, and of which seed.
+        orders: file of BED-BPP orders; None: ``n`` generated orders, as in ``petmjx samples``.
+        n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
-        look_ahead: of ``learned``: how many of the boxes that come next it sees; None: 1.
-        workers: processes that search; they change no plan. Scripts that ask for more than one need
+        look_ahead: number of next boxes that ``learned`` sees; None: 1.
+        workers: number of processes for the search. It changes no plan. Scripts with more than one need
             ``if __name__ == "__main__":``.
-        on_bad_order: called with the error of an unusable order, which is then skipped.
+        on_bad_order: called with the error of an unusable order, which is then skipped; None: the error is raised.
         options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
             ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``.
 
     Raises:
-        InputError: unusable orders or options.
-        EngineUnavailable: the engine asked for cannot run here.
+        InputError: orders or options are unusable.
+        EngineUnavailable: the requested engine cannot run here.
     """
     packed_orders = pack_each(
         orders_of(orders, n, seed, on_bad_order), packer=packer, look_ahead=look_ahead, workers=workers, **options
@@ -139,10 +146,10 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """What ``pack`` makes of each order, as soon as it is known.
+    """The results of ``pack``, each as soon as it is known.
 
     Args:
-        orders: id and order.
+        orders: pairs of an id and an order.
         options: as in ``pack``. They are checked before the first order is taken.
     """
     packer_options, how = _split_options(options)
@@ -161,7 +168,7 @@ def orders_of(
     seed: int,
     on_bad_order: Callable[[InputError], None] | None = None,
 ) -> Iterator[tuple[str, Order]]:
-    """Orders of a file, or drawn ones."""
+    """The orders of a file, or generated orders."""
     integer_of(seed, "seed", 0)
     if orders is not None:
         if n is not None:
@@ -172,7 +179,7 @@ def orders_of(
 
 
 def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:
-    """The packer's options, and those of its simulations."""
+    """The options of the packer, and the options of its simulations."""
     sim, run, sure, of_packer = sorted_options(options, Confidence, PhysicalOptions)
     if other := next((name for name in run if name not in OF_RUN), None):
         raise InputError(f"{other}: a packer has no such option; of run options it has {', '.join(OF_RUN)}")

@@ -1,4 +1,4 @@
-"""The packings of an order among which physics decides."""
+"""Finalists of an order: the packings that are simulated, so that physics decides among them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Finalist:
     Attributes:
         placed: boxes in packing order.
         clearance_mm: free space between neighbours.
-        volume_m3: of the boxes.
+        volume_m3: volume of the boxes.
         height_mm: highest top.
         utilisation: volume over area of the target × height (BED-BPP's kpi_2).
     """
@@ -32,9 +32,10 @@ class Finalist:
 
 
 def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
-    """The best packing found with each clearance, the best first: most volume, then most utilisation.
+    """The best packing for each clearance, sorted by volume, then by utilisation, largest first.
 
-    If all of them leave boxes out, also the best one without clearance. None where no box has a place.
+    If all of these packings leave boxes out, the best one without clearance is added. The list is empty if no box has a
+    place.
     """
     packings = {clearance: _search_result(order, clearance, options) for clearance in options.clearances_mm}
     if 0.0 not in packings and all(len(packing.placed) < len(order.items) for packing in packings.values()):
@@ -44,7 +45,7 @@ def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
 
 
 def learned_finalists(order: Order, look_ahead: int) -> list[Finalist]:
-    """The packing of the packer ``learned``; none where no box has a place."""
+    """A list with the packing of the packer ``learned``; empty if no box has a place."""
     placed = pack_learned(order.items, TARGET_EXTENT_MM[order.target], look_ahead)
     if not placed:
         return []

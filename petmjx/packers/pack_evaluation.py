@@ -1,4 +1,4 @@
-"""Packings judged by physics: placed exactly, and in worlds with errors."""
+"""Evaluation of packings by simulation: placed exactly, and in worlds with errors."""
 
 from __future__ import annotations
 
@@ -14,21 +14,23 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 
 SOURCE = "pack"
-"""In place of a file's name."""
+"""Source of the plans in messages, instead of a file's name."""
 
 FIRST_WORLDS: Final = 4
-"""Worlds with errors that are simulated first. Of packings that fall too often most are found out by these."""
+"""Number of worlds with errors that are simulated first. They suffice to refuse most packings that fall too often."""
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A packing and what physics says of it.
+    """A packing and the results of its simulations.
 
     Attributes:
-        plan: its plan.
-        verdict: placed exactly.
-        n_worlds: worlds with errors that have a verdict; ``n_standing``: those that stand.
-        n_simulated: worlds that were simulated, the nominal one and invalid ones, too.
+        finalist: the packing.
+        plan: the packing as a plan.
+        verdict: the verdict of the nominal world, in which all boxes are placed exactly.
+        n_worlds: number of worlds with errors that have a verdict.
+        n_standing: number of these worlds in which the plan stands.
+        n_simulated: number of simulated worlds, including the nominal one and invalid ones.
     """
 
     finalist: Finalist
@@ -40,28 +42,29 @@ class Evaluation:
 
     @property
     def stands(self) -> bool:
-        """Whether it stands, placed exactly."""
+        """Whether the plan stands when placed exactly."""
         return self.verdict is Verdict.STABLE
 
     @property
     def share(self) -> float:
-        """Share of the worlds with errors that stands; without such worlds 1 if it stands when placed exactly,
-        else 0.
+        """Share of the worlds with errors in which the plan stands. Without such worlds: 1 if it stands when placed
+        exactly, else 0.
         """
         return self.n_standing / self.n_worlds if self.n_worlds else float(self.stands)
 
     def is_good(self, options: PhysicalOptions) -> bool:
-        """Whether it stands as often as asked for."""
+        """Whether the plan stands as often as requested."""
         return self.stands and self.share >= options.least_share
 
 
 class Trial:
-    """A packing while it is simulated: nominal world first, then those with errors.
+    """A packing during its simulation: first the nominal world, then worlds with errors.
 
     Attributes:
-        plan: its plan.
-        asked: worlds that were asked for.
-        n_worlds, n_standing: as of ``Evaluation``, so far.
+        finalist: the packing.
+        plan: the packing as a plan.
+        asked: number of requested worlds.
+        n_worlds, n_standing: as in ``Evaluation``, so far.
     """
 
     def __init__(self, plan_id: str, finalist: Finalist) -> None:
@@ -70,12 +73,12 @@ class Trial:
         self._nominal: Verdict | None = None
 
     def ask(self, n_worlds: int) -> range:
-        """The variants that are missing of the nominal world and so many with errors."""
+        """Request the nominal world and ``n_worlds`` worlds with errors. Returns the variants not requested before."""
         first, self.asked = self.asked, 1 + n_worlds
         return range(first, self.asked)
 
     def take(self, variant: int, verdict: Verdict) -> None:
-        """What came of a world."""
+        """Record the verdict of a world."""
         if variant == 0:
             self._nominal = verdict
         elif verdict is not Verdict.INVALID:
@@ -83,39 +86,39 @@ class Trial:
             self.n_standing += verdict is Verdict.STABLE
 
     def is_hopeless(self, options: PhysicalOptions) -> bool:
-        """Whether it does not stand as often as asked for, whatever comes of the worlds that are missing."""
+        """Whether the packing cannot be good any more, whatever the remaining verdicts are."""
         fallen = self.n_worlds - self.n_standing
         most = (options.worlds - fallen) / options.worlds if options.worlds else 1.0
         return not self.judged.stands or most < options.least_share
 
     def is_whole(self, options: PhysicalOptions) -> bool:
-        """Whether all its worlds were asked for."""
+        """Whether all its worlds have been requested."""
         return self.asked > options.worlds
 
     @property
     def judged(self) -> Evaluation:
-        """What physics says of it, so far."""
+        """The evaluation so far."""
         assert self._nominal is not None
         return Evaluation(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing, self.asked)
 
 
 Asks = list[tuple[Trial, range]]
-"""Worlds that shall be simulated: packings, with variants of each."""
+"""Requested worlds: pairs of a packing and its variants."""
 
 
 def order_evaluation(
     plan_id: str, found: Sequence[Finalist], options: PhysicalOptions, spare: Callable[[], bool] = lambda: False
 ) -> Generator[Asks, None, list[Evaluation]]:
-    """Ask for the worlds that an order needs, and go on when they have verdicts; return the packings that were judged.
+    """Evaluate the packings of an order: yields requests for worlds, and returns the evaluations.
 
-    Packings come one after the other, until one is good. Of each some worlds come first. Those that cannot be good any
-    more are given up, unless none is good: then the packing that stands most often is taken, which takes all worlds of
-    all of them.
+    The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after the other
+    until one is good. Each begins with a few worlds, and gets the others only if it can still be good. If no packing is
+    good, all worlds of all packings are requested, since the packing that stands most often is then taken.
 
     Args:
-        found: the best packings first.
-        spare: whether an engine has nothing better to do. Then worlds are asked for before it is known whether they
-            are needed.
+        found: packings of the order, the best first.
+        spare: whether the engine has spare capacity. Then worlds are requested before it is known whether they are
+            needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"
@@ -137,24 +140,28 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """Those among which is chosen, however many more were simulated: up to the first good one, since the others are
-    less dense; all of them if the share is maximised."""
+    """The evaluations among which ``choose`` chooses. They do not depend on how many more packings were simulated.
+
+    They end with the first good packing, since later ones are less dense. If the share is maximised, all count.
+    """
     good = next((number for number, packing in enumerate(judged) if packing.is_good(options)), None)
     return judged if good is None or options.maximise == "share" else judged[: good + 1]
 
 
 def plan_of(plan_id: str, finalist: Finalist) -> Plan:
-    """A packing as a plan, as if it had been read from a file of ``petmjx samples``."""
+    """A packing as a plan, the same as if it had been read from a file of ``petmjx samples``."""
     placements = as_placements(finalist.placed)
     return parse_plan(plan_id, SOURCE, placements, len(placements), {})
 
 
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
-    """The one that is taken: of those that stand as often as asked for the one with most volume, then with most of what
-    is maximised. If none does, the one that stands most often.
+    """The packing that is taken.
+
+    Among good packings it is the one with the largest volume, then with the largest value of ``options.maximise``. If
+    none is good, it is the one that stands most often.
 
     Args:
-        judged: at least one.
+        judged: evaluations, at least one.
     """
     good = [packing for packing in judged if packing.is_good(options)]
     if not good:

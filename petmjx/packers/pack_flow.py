@@ -1,4 +1,4 @@
-"""Orders on their way through search and simulation: each goes on when what it waits for is there."""
+"""Flow of orders through search and simulation (``Flow``). An order continues as soon as its own results are known."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from petmjx.plans.order_generator import Order
 
 
 class Orders(NamedTuple):
-    """How many orders are simulated at a time.
+    """Limits on the orders and worlds that are simulated at a time.
 
     Attributes:
-        few: an engine that is idle waits until so many are searched.
-        most: with more an engine is not faster.
-        worlds: an engine that has fewer has room for some that may not be needed.
-        rows: how many worlds the tables of ``mjx-warp`` have room for, at least. When they are full, all of these end
-            before others begin.
+        few: an idle engine waits until this many orders have been searched.
+        most: largest number of orders in simulation; with more an engine is not faster.
+        worlds: an engine with fewer worlds than this has spare capacity for worlds that may not be needed.
+        rows: least number of worlds for which the tables of ``mjx-warp`` have rows. When the tables are full, all their
+            worlds end before new ones begin.
     """
 
     few: int
@@ -39,19 +39,19 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Tables have room for a multiple of so many boxes. With less, an order with more boxes than those before would wait
-until their worlds have ended, and the orders behind it as well."""
+"""Capacities of tables, in boxes, are multiples of this. With a smaller step, an order with more boxes than the ones
+before would wait until their worlds have ended, and so would all orders after it."""
 
 FEW_ALONE: Final = 16
-"""``Orders.few``, at most, where the process that simulates also searches."""
+"""Upper limit of ``Orders.few`` if the process that simulates also searches."""
 
 Searched = tuple[str, Order, list[Finalist]]
-"""Id, order, packings among which physics decides."""
+"""Id, order, and the packings to simulate."""
 
 
 @runtime_checkable
 class TableEngine(Protocol):
-    """An engine that has worlds in tables: ``mjx-warp`` and ``mjx-warp-cpu``."""
+    """An engine with tables of worlds: ``mjx-warp`` and ``mjx-warp-cpu``."""
 
     least_rows: int
     granule: int
@@ -59,11 +59,13 @@ class TableEngine(Protocol):
 
 @dataclass(eq=False)
 class _OpenOrder:
-    """An order whose packings are simulated.
+    """An order whose packings are being simulated.
 
     Attributes:
-        asking: says which worlds it needs.
-        unanswered: worlds that it waits for.
+        number: position in the input.
+        found: its packings.
+        asking: the generator of ``order_evaluation``, which requests worlds.
+        unanswered: number of requested worlds without a result.
     """
 
     number: int
@@ -83,12 +85,12 @@ class _PackingWorld(World):
 
 
 class Flow:
-    """Orders from their search to their packing.
+    """Takes orders from the search through simulation to their packing.
 
     Args:
-        searched: what was found of each order.
-        worlds: makes their worlds.
-        at_a_time: orders.
+        searched: the results of the searches.
+        worlds: makes the worlds of plans.
+        at_a_time: limits on orders and worlds.
     """
 
     def __init__(
@@ -101,12 +103,12 @@ class Flow:
         self._searched, self._options, self._worlds = searched, options, worlds
         self._at_a_time = at_a_time
         self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
-        self._open = self._unanswered = self._given = 0  # orders on their way, their worlds, orders that are packed
+        self._open = self._unanswered = self._given = 0  # open orders, their worlds without a result, yielded orders
         self._following: list[World] = []
         self._packed: dict[int, PackedOrder] = {}
 
     def packed(self, engine: Engine) -> Iterator[PackedOrder]:
-        """Each order, packed, in the order given."""
+        """Each packed order, in the order of the input."""
         if isinstance(engine, TableEngine):
             engine.least_rows, engine.granule = self._at_a_time.rows, GRANULE
         for result in score_worlds((), self._worlds.sim, engine, more=self._more):
@@ -126,8 +128,10 @@ class Flow:
             yield packed
 
     def _more(self) -> list[World]:
-        """The worlds that are asked for now, also of orders that begin now. They are waited for if there is no other
-        work."""
+        """The worlds requested since the last call, also the worlds of newly searched orders.
+
+        It waits for searches only if the engine has no other work, or if the search runs in this process.
+        """
         while self._open < self._at_a_time.most:
             idle = self._unanswered == len(self._following)
             searched_orders = self._searched.take(waits=self._open < self._few and (idle or self._searched.alone))
@@ -141,11 +145,13 @@ class Flow:
         return worlds
 
     def _has_spare(self) -> bool:
-        """Whether the engine has room for worlds that may not be needed: at the end, when few orders are left."""
+        """Whether the engine has spare capacity for worlds that may not be needed. True at the end, with few orders
+        left.
+        """
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _OpenOrder) -> None:
-        """Ask for an order's next worlds. If it needs no more, it is packed."""
+        """Request an order's next worlds. If it needs none, it is packed."""
         try:
             requests = next(order.asking)
         except StopIteration as end:

@@ -15,11 +15,11 @@ MOST_CLEARANCE_MM: Final = 200.0
 MOST_CLEARANCES: Final = 16
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""As of ``petmjx.options.run_options.Confidence``."""
+"""Limits of the number of worlds, the same as of ``petmjx.options.run_options.Confidence``."""
 
 
 def _split(values: Any) -> Any:
-    """Numbers; the command line gives them as a text with commas."""
+    """Split a text of numbers with commas, as the command line passes it. All other values are returned unchanged."""
     if not isinstance(values, str):
         return values
     try:
@@ -43,7 +43,7 @@ def _worlds(value: int) -> int:
 
 
 class PhysicalOptions(CheckedRecord):
-    """How far the packer ``physical`` searches, and which of the packings that it finds it takes."""
+    """Options of the packer ``physical``: the width of its search, and its choice among the packings found."""
 
     width: Annotated[int, within(1, 256), CliFlag("--width", "N")] = Field(
         2, description="packings that the search keeps at each step"

@@ -1,4 +1,4 @@
-"""The worlds of packings that are judged: those of ``petmjx.score`` with ``confidence``."""
+"""Worlds of packings (``WorldsOfPlans``), the same as those of ``petmjx.score`` with ``confidence``."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from petmjx.world.scene import build_scene
 
 
 class WorldsOfPlans:
-    """Makes worlds: variant 0 of a plan is nominal, the others have errors.
+    """Makes the worlds of plans. Variant 0 of a plan is the nominal world; all other variants have errors.
 
     Attributes:
-        sim: the options of every world.
-        run: how they are simulated.
+        sim: options of every world.
+        run: options of the run.
 
     Args:
-        n_worlds: with errors, of each plan.
+        n_worlds: number of worlds with errors of each plan.
         how: options of ``petmjx.score``.
 
     Raises:
-        InputError: unusable options.
+        InputError: options are unusable.
     """
 
     def __init__(self, n_worlds: int, how: Mapping[str, Any]) -> None:
@@ -43,20 +43,20 @@ class WorldsOfPlans:
 
     @property
     def work(self) -> Work:
-        """The work of a plan. An engine may be chosen by it, but here the caller has chosen one."""
+        """The work of one plan. It would decide the engine, but here the caller has named one."""
         return Work(self.sim, [1])
 
     def of(self, plan: Plan, variants: Iterable[int]) -> Iterator[World]:
-        """Some worlds of a plan.
+        """The worlds of some variants of a plan.
 
         Raises:
-            InputError: the size reduction would leave a box without extent.
+            InputError: a box has no extent left after the size reduction.
         """
         without_vanishing_boxes(PlanSet([plan]), self.sim.size_reduction_mm, strict=True)
         if self._sweep is None:
             yield from (World(plan, number, Job(build_scene(plan, self.sim))) for number in variants)
             return
-        if self._variants is None:  # the same for every plan
+        if self._variants is None:  # made once, since the variants of all plans are the same
             self._variants = SweepPlan(self._sweep, [plan])
         placements = [*self._variants.placements()]
         groups = (PlacementGroup(plan, number, *placements[number]) for number in variants)

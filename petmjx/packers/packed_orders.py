@@ -1,4 +1,4 @@
-"""What a packer made of an order."""
+"""Results of packing (``PackedOrder``): the chosen packing of an order, and its statistics."""
 
 from __future__ import annotations
 
@@ -23,16 +23,17 @@ FALLS = "packings with more boxes do not stand often enough"
 
 @dataclass(frozen=True, eq=False)
 class PackedOrder:
-    """An order's packing, with what physics says of it.
+    """The chosen packing of an order, with the results of its simulations.
 
     Attributes:
-        order_id: the order's, and the plan's.
-        n_items: boxes of the order.
-        taken: the packing; None where no box has a place.
-        tried: how many packings were simulated before one was good.
-        n_simulated: worlds that were simulated. It may depend on other orders.
-        good: whether it stands as often as asked for.
-        left_out: what it leaves out; None: nothing. ``why``: the reason, or "".
+        order_id: id of the order and of the plan.
+        n_items: number of boxes of the order.
+        taken: the chosen packing; None: no box has a place.
+        tried: number of packings that were evaluated until one was good.
+        n_simulated: number of simulated worlds. It may depend on other orders.
+        good: whether the plan stands as often as requested.
+        left_out: items that the packing leaves out; None: it leaves out nothing.
+        why: the reason why items are left out; "": none are.
     """
 
     order_id: str
@@ -53,7 +54,12 @@ class PackedOrder:
         judged: Sequence[Evaluation],
         options: PhysicalOptions,
     ) -> PackedOrder:
-        """The packing that is taken of those that were found and judged."""
+        """Choose a packing of an order.
+
+        Args:
+            found: all packings of the order.
+            judged: the evaluations of those that were simulated.
+        """
         tried = decisive_evaluations(judged, options)
         packing = choose(tried, options) if tried else None
         left_out = left_out_of(order_id, order, packing.finalist.placed if packing else ())
@@ -70,11 +76,11 @@ class PackedOrder:
 
     @property
     def placements(self) -> list[Placement]:
-        """The packing as BED-BPP writes it."""
+        """The packing in BED-BPP's format."""
         return as_placements(self.taken.finalist.placed) if self.taken else []
 
     def row(self) -> dict[str, Any]:
-        """Column → value, as in ``Packed.orders``."""
+        """Column of ``Packed.orders`` → value."""
         packing = self.taken
         n_worlds, n_standing = (packing.n_worlds, packing.n_standing) if packing else (0, 0)
         low, high = wilson_interval(n_standing, n_worlds)

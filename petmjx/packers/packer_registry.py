@@ -1,4 +1,4 @@
-"""The packers by name. Each takes the items of one order and gives placements in packing order."""
+"""Registry of packers by name (``PACKERS``). A packer takes the items of an order and returns them in packing order."""
 
 from __future__ import annotations
 
@@ -24,16 +24,18 @@ BALANCED: Final = "balanced"
 
 
 class Packer(Protocol):
-    """Packs one order: items with a place, from below upwards, each let down from above. The others are left out."""
+    """A function that packs one order. Boxes are lowered from above, from below upwards. Items without a place are left
+    out.
+    """
 
     def __call__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
     ) -> list[PlacedBox]:
-        """Place items on a target of ``extent_mm`` (x, y), as objects of ``items``.
+        """Place items on a target of ``extent_mm`` (x, y). The placed boxes hold the same objects as ``items``.
 
         Args:
-            rules: of the packer ``baseline``; None: its own.
-            rng: the random numbers of this order. A packer may leave them alone.
+            rules: rules of the packer ``baseline``; None: its defaults.
+            rng: random numbers of this order. A packer need not use them.
         """
 
 
@@ -66,17 +68,17 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
 WHY: Final[Mapping[str, str]] = MappingProxyType(
     {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
 )
-"""Packers that leave boxes out for reasons of their own."""
+"""Name of a packer → its own reason for leaving boxes out, where it has one."""
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:
-    """The packer of that name.
+    """The packer with a name.
 
     Args:
-        look_ahead: of the packer ``learned``: how many of the next boxes it sees; None: 1.
+        look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
 
     Raises:
-        InputError: there is none, or it has no look-ahead.
+        InputError: no packer has this name, or it has no look-ahead.
     """
     if not isinstance(name, str):
         raise InputError(f"packer must be text, {shown_value(name)}")

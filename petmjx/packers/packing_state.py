@@ -1,6 +1,6 @@
-"""A packing as it grows: the pile, the items that are left, and which box could go where next.
+"""State of a growing packing (``Packing``): the pile, the remaining items, and the candidates for the next box.
 
-A packing can be copied, so that a search follows several ways on from it.
+A packing can be copied, so that a search can extend it in several ways.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.5
-"""Least share of a base that rests on something. The balance is the rule that counts; this one keeps overhangs few."""
+"""Least supported share of a base. The balance is the main rule; this one keeps the number of overhangs small."""
 
 
 @dataclass(frozen=True)
 class Taste:
-    """What the features of a candidate are worth, in mm of height of its place.
+    """Weights of the features of a candidate, in mm of height of its place.
 
     Attributes:
-        per_base_side: per mm of the square root of the base area.
-        per_log_weight: per unit of the natural logarithm of the weight.
-        per_height: per mm of the box's own height.
-        per_overhang: what a base loses that hangs over as a whole.
-        per_distance: what a place loses per mm of x + y: of places equally good, the one nearest to the corner.
+        per_base_side: value per mm of the square root of the base area.
+        per_log_weight: value per unit of the natural logarithm of the weight.
+        per_height: value per mm of the box's height.
+        per_overhang: cost of a base that is not supported at all; in proportion for a part of it.
+        per_distance: cost per mm of x + y. Among equally good places, the one nearest to the corner is taken.
     """
 
     per_base_side: float = 1.4
@@ -45,8 +45,7 @@ class Taste:
 
 
 class NextCandidate(NamedTuple):
-    """A box that could come next: the row and column of a candidate, its corner in mm, and what it would do to the
-    balance."""
+    """A candidate for the next box: row and column in the table, corner in mm, and effect on the balance."""
 
     point: int
     shape: int
@@ -55,7 +54,7 @@ class NextCandidate(NamedTuple):
 
 
 class FullPacking(NamedTuple):
-    """A packing on which nothing more has a place. ``placed`` and the other fields are those of ``Packing``."""
+    """A packing on which no more box has a place. Its fields are those of ``Packing``."""
 
     placed: tuple[PlacedBox, ...]
     top_mm: float
@@ -64,20 +63,22 @@ class FullPacking(NamedTuple):
 
 
 class Packing:
-    """Boxes on a target, and items that are left.
+    """Boxes on a target, and the remaining items.
 
     Attributes:
-        n_items: boxes of the order.
-        extent_mm: of the target, with the free space of the last box.
-        placed: boxes in packing order, as objects of the items.
+        n_items: number of boxes of the order.
+        extent_mm: extent of the target, plus the free space of the last box.
+        placed: boxes in packing order, with the same objects as the items.
         top_mm: highest top.
-        volume_m3: of the boxes.
-        moment_kg_mm: Σ mass × height of the middle: of packings equally high, the one with less stands better.
+        volume_m3: volume of the placed boxes.
+        moment_kg_mm: Σ mass × height of the box's middle. Of packings of equal height, one with a smaller moment stands
+            better.
 
     Args:
-        items: of one order.
-        extent_mm: of the target, along x and y.
-        clearance_mm: free space that each box keeps to its neighbours along x and y.
+        items: items of one order.
+        extent_mm: extent of the target along x and y, mm.
+        taste: weights of the features of candidates.
+        clearance_mm: free space between a box and its neighbours along x and y.
     """
 
     _Table: ClassVar[type[Candidates]] = Candidates
@@ -103,7 +104,8 @@ class Packing:
         self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
         self._worth = _worth(sizes, self._weight, taste)
         self._taste = taste
-        # each takes up its free space too, on a target that has room for the last one's; it is borne by the box alone
+        # In the table a base includes the free space, and the target is larger by the free space of the last box.
+        # In the balance a base is the box's own, since free space does not support anything.
         self._base = sizes[:, :2]
         length, width = extent_mm
         self.extent_mm = (length + clearance_mm, width + clearance_mm)
@@ -111,7 +113,7 @@ class Packing:
         self._pile = Balance(len(items))
 
     def copy(self) -> Self:
-        """The same packing, which goes its own way."""
+        """An independent copy of the packing."""
         twin = copy.copy(self)
         twin.placed, twin._stock = list(self.placed), [list(same) for same in self._stock]
         twin._table, twin._pile = self._table.copy(), self._pile.copy()
@@ -119,12 +121,12 @@ class Packing:
 
     @property
     def n_shapes(self) -> int:
-        """Kinds of boxes that are left, in each orientation."""
+        """The number of shapes, that is of remaining kinds of boxes in each orientation."""
         return len(self._kind_of)
 
     @property
     def grain_mm(self) -> float:
-        """The largest power of two, at most 1 mm, of which all sides and the free space are multiples."""
+        """The largest power of two, at most 1 mm, that divides all sides and the free space."""
         sizes = np.concatenate([self._base.ravel(), self._table.base.ravel(), self._table.height])
         grain = 1.0
         while grain > 0 and (sizes % grain).any():
@@ -135,7 +137,7 @@ class Packing:
         """The best candidates that keep the pile in balance, at most ``count``, the best first.
 
         Args:
-            kinds: only boxes of these kinds, numbered as they first come in the items; None: of all.
+            kinds: only boxes of these kinds, numbered by their first appearance in the items; None: all kinds.
         """
         table, weight = self._table, self._weight
         support = table.carried / table.area
@@ -161,12 +163,12 @@ class Packing:
         return candidates
 
     def box(self, chosen: NextCandidate) -> PlacedBox:
-        """A candidate that ``next`` found last, as it would be placed."""
+        """The placed box of a candidate of the last call of ``next``."""
         item = self._stock[int(self._kind_of[chosen.shape])][-1]
         return PlacedBox(item, int(self._turned[chosen.shape]), chosen.corner_mm)
 
     def put(self, chosen: NextCandidate) -> None:
-        """Place one of the candidates that ``next`` found last."""
+        """Place a candidate of the last call of ``next``."""
         point, shape, corner, rest = chosen
         kind, height = int(self._kind_of[shape]), float(self._table.height[shape])
         self._pile.add(corner, (*self._base[shape].tolist(), height), rest)
@@ -181,11 +183,11 @@ class Packing:
             self._keep_shapes(self._kind_of != kind)
 
     def fill(self, highest_mm: float = inf, most: float = inf) -> bool:
-        """Place one best candidate after the other until none is left.
+        """Place the best candidate, again and again, until none is left. Returns False if it was aborted.
 
         Args:
-            highest_mm: given up, with False, as soon as a top is higher.
-            most: boxes that are placed.
+            highest_mm: abort as soon as a top is higher.
+            most: largest number of boxes to place.
         """
         end = len(self.placed) + most
         while self.top_mm <= highest_mm:
@@ -196,10 +198,11 @@ class Packing:
         return False
 
     def filled(self, first: NextCandidate | None = None, highest_mm: float = inf) -> FullPacking | None:
-        """What this packing is when it is filled up; it stays as it is. None: a top would be higher than that.
+        """The full packing that follows from this one, which is not changed. None: a top would be too high.
 
         Args:
-            first: the candidate, of those that ``next`` found last, that is placed first; None: the best one.
+            first: candidate of the last call of ``next`` that is placed first; None: the best one.
+            highest_mm: greatest height of a top.
         """
         twin = self.copy()
         if first is not None:
@@ -209,7 +212,7 @@ class Packing:
         return FullPacking(tuple(twin.placed), twin.top_mm, twin.volume_m3, twin.moment_kg_mm)
 
     def filled_with(self, shapes: Sequence[int], corners_mm: Sequence[Sequence[float]]) -> FullPacking:
-        """This packing, filled up by the boxes of these shapes at these corners, in this sequence."""
+        """The full packing with further boxes of these shapes at these corners, in this sequence."""
         placed, top, volume, moment = list(self.placed), self.top_mm, self.volume_m3, self.moment_kg_mm
         kinds, turned, heights = self._kind_of.tolist(), self._turned.tolist(), self._table.height.tolist()
         left = [len(same) for same in self._stock]
@@ -224,7 +227,7 @@ class Packing:
         return FullPacking(tuple(placed), top, volume, moment)
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write everything into :mod:`petmjx.packers.packing_tables`."""
+        """Write the packing into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
         shapes = self.n_shapes
         tables["own_base"][:shapes] = self._base
         tables["weight"][:shapes] = self._weight
@@ -250,7 +253,12 @@ def _size(item: Item, orientation: int) -> tuple[float, float, float]:
 
 
 def _worth(sizes: FloatArray, weight: FloatArray, taste: Taste) -> FloatArray:
-    """(s,) what shapes are worth wherever they go, in mm; (s, 3) sizes, (s,) weights."""
+    """(s,) values of shapes, independent of their places, mm.
+
+    Args:
+        sizes: (s, 3) sizes of the shapes, mm.
+        weight: (s,) weights, kg.
+    """
     side = np.sqrt(sizes[:, 0] * sizes[:, 1])
     worth: FloatArray = (
         taste.per_base_side * side + taste.per_log_weight * np.log(weight) + taste.per_height * sizes[:, 2]

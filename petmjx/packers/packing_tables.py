@@ -1,4 +1,4 @@
-"""What Python and fill.cpp share: the tables of a packing, and names for numbers."""
+"""Interface of Python and fill.cpp: the tables of a packing (``AXES``), and enumerations for their numbers."""
 
 from __future__ import annotations
 
@@ -10,40 +10,47 @@ import numpy as np
 
 
 class End(IntEnum):
-    """How filling up ended. ``UNSURE``: Python has to do it all; ``ASKS``: Python has to say whether the box that comes
-    next tips over."""
+    """How filling up ended.
+
+    ``FILLED``: complete. ``HIGHER``: aborted, since a top is too high. ``UNSURE``: Python must fill up the packing.
+    ``ASKS``: Python must decide whether the next box tips over.
+    """
 
     FILLED, HIGHER, UNSURE, ASKS = range(4)
 
 
 class Begin(IntEnum):
-    """How it begins: by the best candidate, by one that is known to keep the balance, or where it ended to ask."""
+    """How filling up begins: with the best candidate, with a candidate that is known to keep the balance, or with the
+    answer to the last question.
+    """
 
     WITH_BEST, WITH_FIRST, WITH_ANSWER = range(3)
 
 
 class Answer(IntEnum):
-    """What is known of a balance. ``UNKNOWN``: Python has to say whether the box itself tips over; ``NEAR``: one below
-    is too near to its limit."""
+    """What is known about a balance.
+
+    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: a box below is too near to its limit.
+    """
 
     TIPS, KEEPS, UNKNOWN, NEAR = range(4)
 
 
 class Count(IntEnum):
-    """Places in the table ``counts``: what there is; what was put; how it begins; how it ended."""
+    """Places in the table ``counts``: sizes of the tables, boxes placed, the first candidate, beginning and end."""
 
     BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER = range(11)
 
 
 class Number(IntEnum):
-    """Places in the table ``numbers``: the height at which a packing is given up, its top, its taste; constants."""
+    """Places in the table ``numbers``: the greatest height allowed, the packing's top, its taste, and constants."""
 
     HIGHEST, TOP, PER_OVERHANG, PER_DISTANCE, EXTENT_X, EXTENT_Y, MOST_HEIGHT, LEAST_SUPPORT = range(8)
     TOUCH, MARGIN, MARGIN_SHARE, SLACK, LEAST_TURN, DECIMALS = range(8, 14)
 
 
 def names_in_cpp() -> str:
-    """All of these for C++."""
+    """The enumerations as C++ code."""
     kinds = (End, Begin, Answer, Count, Number)
     enums = (f"enum {kind.__name__} {{ {', '.join(kind.__members__)} }};" for kind in kinds)
     return "namespace petmjx {\n" + "\n".join(enums) + "\n}\n"
@@ -90,7 +97,8 @@ AXES: Final[Mapping[str, tuple[Any, str]]] = {
     "corners": (_F, "corner 2"),
     "chain": (_F, "corner 2"),
 }
-"""The tables of a packing: element type and axes, with room for what will be placed.
+"""Table of a packing → its element type and axes. Tables have capacity for all boxes that will be placed.
 
-``base`` is with the free space, ``own_base`` without; ``stock`` are the boxes left by kind. Lengths are in mm, in
-balances (``low_m`` to ``owner``) in m. From ``made_shape`` on: what was put, and scratch."""
+``base`` includes the free space, ``own_base`` does not. ``stock`` is the number of remaining boxes by kind. Lengths are
+in mm, but in m in the tables of the balance (``low_m`` to ``owner``). ``made_shape`` and ``made_corner`` are the placed
+boxes; all tables after them are scratch memory."""

@@ -1,9 +1,9 @@
-"""The packer ``physical``: dense packings, found by rules, of which physics takes one.
+"""The packer ``physical``: rules find dense packings, and physics chooses among them.
 
-Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with more or less free space
-between neighbours. Simulation says which of them stand, exactly placed and as a robot places them. Orders are searched
-in processes of their own. One engine simulates the packings of all orders, and gets those of an order as soon as they
-are known: worlds side by side are what engines are fast at, and no order waits for another.
+Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
+between neighbours. Simulation shows which of them stand, placed exactly and placed by a robot. Searches run in worker
+processes. One engine simulates the packings of all orders, and gets the packings of an order as soon as they are known:
+engines are fast with many worlds at a time, and no order waits for another.
 """
 
 from __future__ import annotations
@@ -31,17 +31,18 @@ def pack_physical(
     workers: int,
     look_ahead: int | None = None,
 ) -> Iterator[PackedOrder]:
-    """Pack orders, in the order given.
+    """Pack orders. Results are in the order of the input.
 
     Args:
-        orders: id and order.
+        orders: pairs of an id and an order.
         how: options of ``petmjx.score`` for the simulation.
-        workers: processes that search; they change no plan.
-        look_ahead: instead of searching, pack by ``learned``, which sees so many boxes; physics judges that packing.
+        workers: number of processes for the search. It changes no plan.
+        look_ahead: number of next boxes that the packer ``learned`` sees; its packing is simulated instead of those of
+            the search. None: search.
 
     Raises:
-        InputError: unusable options.
-        EngineUnavailable: the engine asked for cannot run here.
+        InputError: options are unusable.
+        EngineUnavailable: the requested engine cannot run here.
     """
     engine = how.get("engine", AUTO)
     if engine == AUTO:
@@ -56,8 +57,10 @@ def pack_physical(
 
 
 def fastest() -> str:
-    """The engine that is fastest on this machine for many worlds. ``auto`` would take another one for few orders than
-    for many, and an order's plan must not depend on the others."""
+    """The engine that is fastest on this machine for many worlds.
+
+    ``auto`` would choose by the number of orders, but an order's plan must not depend on other orders.
+    """
     if why_no_warp() is None:
         return "mjx-warp"
     return "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"

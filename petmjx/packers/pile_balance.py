@@ -1,15 +1,15 @@
-"""Whether a pile keeps its balance: loads go down from box to box, and each must press inside what it stands on.
+"""Static balance of a pile (``Balance``): loads pass from box to box, and each must act inside the box's supports.
 
-The criterion is that of mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm
-with static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581): below every box, the
-resultant of its weight and of all loads on it must act within the convex hull of its contacts; here at least a margin
-inside. How a box shares its load out among the boxes below it is not determined by statics. As on a bed of equal
-springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit"), the pressure under its base is taken as a plane,
-p = a + b·x + c·y, with the force and the moments of the load; on two narrow supports that is the lever rule.
+The criterion is mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm with
+static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581): the resultant of a box's weight
+and of all loads on it must act within the convex hull of its contacts. Here it must be inside by at least a margin.
+Statics do not determine how a box distributes its load among the boxes below. The pressure under its base is taken as a
+plane, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit").
+The plane has the force and the moments of the load. On two narrow supports this is the lever rule.
 
-So a load is a vector (F, F·x, F·y), and what a box passes on to each box below is linear in its load. ``Balance`` keeps
-the products of these 3 × 3 matrices, from each box to all below it: one more box is judged with a few small products,
-however high the pile is. Forces are in kg (without g, which cancels), lengths in metres.
+So a load is a vector (F, F·x, F·y), and the load that a box passes to a box below is linear in its own load: a 3 × 3
+matrix. ``Balance`` keeps the products of these matrices, from each box to all boxes below it. So a further box needs
+only a few small products, however high the pile is. Forces are in kg (without g, which cancels), lengths in metres.
 """
 
 from __future__ import annotations
@@ -26,36 +26,40 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.packing_tables import Count
 
 TOUCH_MM: Final = 1e-6
-"""Tops closer than this have the same height, and smaller overlaps do not count: rounding errors of float64 sums."""
+"""Tolerance for rounding errors of float64 sums. Tops closer than this have the same height, and smaller overlaps do
+not count."""
 
 SHARE_SLACK: Final = 1e-9
-"""A supported share may be smaller than the least one by so much: rounding errors, too."""
+"""Tolerance for rounding errors of a supported share, below the least share."""
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
-"""How far inside the hull a resultant must act: 20 mm, for small boxes this share of the shorter side. With 10 mm and a
-least support of 0.6 all of 60 plans stood as well; the margin is for what a robot does."""
+"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes this share of the shorter side. With
+10 mm and a least support of 0.6 all of 60 plans stood as well; the larger margin is for the errors of a robot."""
 
 FAR_M: Final = 0.2
-"""Margins are not said to be larger: that of a box on the carrier."""
+"""Upper limit of reported margins. A box on the carrier has this margin."""
 
 SAME_PLACE_DECIMALS: Final = 9
-"""Corners are the same where they are as near as a nanometre. The hull takes points from left to right, and would lose
-one that is to the left of others by less than its products resolve."""
+"""Corners are rounded to a nanometre. The hull takes points from left to right. Without rounding it could lose a point
+that is to the left of others by less than float64 products resolve."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""A corner at which the hull turns by less lies on an edge: rounding errors of its coordinates' products."""
+"""A point at which the hull turns by less is no corner but lies on an edge: tolerance for rounding errors of products
+of coordinates."""
 
 SLACK_KG_M: Final = 1e-9
+"""Tolerance for rounding errors of a load against an edge."""
 
 
 class Rest(NamedTuple):
-    """A box that would keep the balance.
+    """The effect of one more box on the balance.
 
     Attributes:
-        load: (3,) its own weight as a load.
-        passed: (n, 3, 3) from a load on it to what reaches each of the n boxes placed before; None on the carrier.
-        planes: (k, 3) the edges of its hull, moved inward; the product with a load is ≤ 0 inside.
+        load: (3,) the box's own weight as a load.
+        passed: (n, 3, 3) matrices from a load on the box to the load that reaches each of the n boxes placed before;
+            None: the box is on the carrier.
+        planes: (k, 3) edges of the box's hull, moved inward. The product with a load is ≤ 0 if it acts inside.
     """
 
     load: FloatArray
@@ -64,12 +68,12 @@ class Rest(NamedTuple):
 
 
 class Margins(NamedTuple):
-    """How far from tipping over a pile with one more box would be.
+    """The margins against tipping of a pile with one more box.
 
     Attributes:
-        rest: what the box would do; None: there is nothing under it.
-        own_m: how far inside its hull its weight acts.
-        pile_m: the same of all boxes below, the least of them.
+        rest: the effect of the box on the balance; None: nothing is under it.
+        own_m: distance by which the box's weight acts inside its hull.
+        pile_m: the least such distance of the loads of all boxes below.
     """
 
     rest: Rest | None
@@ -78,7 +82,11 @@ class Margins(NamedTuple):
 
 
 class Balance:
-    """The boxes placed so far, and the load that each passes on."""
+    """The boxes placed so far, and the loads that they pass to the boxes below.
+
+    Args:
+        capacity: largest number of boxes.
+    """
 
     def __init__(self, capacity: int) -> None:
         self.n = 0
@@ -92,16 +100,16 @@ class Balance:
         self._moved = np.zeros(0)
 
     def copy(self) -> Balance:
-        """The same pile, which goes its own way."""
+        """An independent copy of the pile."""
         twin, n = copy.copy(self), self.n
         twin._low, twin._high = self._low.copy(), self._high.copy()
         twin._top_mm, twin._load = self._top_mm.copy(), self._load.copy()
-        twin._passed = np.zeros_like(self._passed)  # pages that nobody writes cost nothing
+        twin._passed = np.zeros_like(self._passed)  # memory pages that are never written cost nothing
         twin._passed[:n, :n] = self._passed[:n, :n]
         return twin
 
     def write(self, tables: Mapping[str, NDArray[Any]]) -> None:
-        """Write everything into :mod:`petmjx.packers.packing_tables`."""
+        """Write the balance into arrays with the layout of :mod:`petmjx.packers.packing_tables`."""
         n, planes = self.n, len(self._planes)
         tables["counts"][Count.PLANES] = planes
         tables["low_m"][:n], tables["high_m"][:n] = self._low[:n], self._high[:n]
@@ -111,17 +119,17 @@ class Balance:
 
     @property
     def loads(self) -> FloatArray:
-        """(n, 3) own weight and all loads from above of each box: kg, kg·m, kg·m."""
+        """(n, 3) load of each box, its own weight and all loads from above: kg, kg·m, kg·m."""
         return self._load[: self.n]
 
     def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
-        """What one more box would do, let down on the tops at its height; None: it or a box below would tip over."""
+        """The effect of one more box that rests on the tops at its height; None: it or a box below would tip over."""
         let_down = self._let_down(corner_mm, base_mm, mass_kg)
         if corner_mm[2] <= 0:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # the load of a plane's owner against that plane, for all hulls of the pile at a time
+        # all hulls of the pile at once: the load of each plane's owner against the plane
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
@@ -133,14 +141,13 @@ class Balance:
         mass_kg: float,
         rest: Rest | None = None,
     ) -> Margins:
-        """How far inside the hulls of their contacts loads would act if one more box were let down, in metres, at most
-        ``FAR_M``; negative: outside, so that a box tips over.
+        """The margins against tipping with one more box, m, at most ``FAR_M``. Negative: a box tips over.
 
         Args:
-            rest: what ``rest`` said of the box, where that is known.
+            rest: result of the method ``rest`` for this box, if known.
         """
         let_down = rest or self._let_down(corner_mm, base_mm, mass_kg)
-        if let_down is None:  # on nothing
+        if let_down is None:  # nothing is under it
             return Margins(let_down, -FAR_M, FAR_M)
         box_margin = pile = FAR_M
         if len(let_down.planes):
@@ -152,7 +159,9 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) what each plane of the pile says of its owner's load with one more box: above 0 is outside."""
+        """(k,) product of each plane of the pile with its owner's load, with one more box. Above 0: the load acts
+        outside.
+        """
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
         excess: FloatArray = np.einsum("kc,kc->k", self._planes, after[self._owner])
@@ -161,7 +170,7 @@ class Balance:
     def _let_down(
         self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float
     ) -> Rest | None:
-        """What one more box would do, whether it keeps the balance or not; None: there is nothing under it."""
+        """The effect of one more box, whether the pile keeps its balance or not; None: nothing is under the box."""
         n = self.n
         corner = np.array(corner_mm[:2]) / MM_PER_M
         base = np.array(base_mm) / MM_PER_M
@@ -177,7 +186,7 @@ class Balance:
             return None
         low, high = low[under], high[under]
         planes = hull_planes(low, high, margin_m(base_mm))
-        if len(under) == 1:  # which takes the whole load
+        if len(under) == 1:  # the only support takes the whole load
             passed = self._passed[under[0], :n]
         else:
             moments = _moments(low, high)
@@ -186,7 +195,7 @@ class Balance:
         return Rest(load, passed, planes)
 
     def add(self, corner_mm: tuple[float, float, float], size_mm: tuple[float, float, float], rest: Rest) -> None:
-        """Put the box down that ``rest`` is about."""
+        """Place the box for which ``rest`` was computed."""
         n = self.n
         self._low[n] = np.array(corner_mm[:2]) / MM_PER_M
         self._high[n] = self._low[n] + np.array(size_mm[:2]) / MM_PER_M
@@ -204,17 +213,17 @@ class Balance:
 
 
 def tips(planes: FloatArray, load: FloatArray) -> bool:
-    """Whether a box with that load tips over the edges of its hull."""
+    """Whether a box with a load tips over an edge of its hull. ``planes`` as in ``Rest``."""
     return bool((planes @ load).max() > 0)
 
 
 def margin_m(base_mm: tuple[float, float]) -> float:
-    """How far inside its hull the load of a box with that base must act."""
+    """The margin by which the load of a box with a base must act inside its hull, m."""
     return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
 
 def _moments(low: FloatArray, high: FloatArray) -> FloatArray:
-    """∫ (1, x, y)ᵀ (1, x, y) dA over each of c rectangles, (c, 2) low and high corners: (c, 3, 3)."""
+    """(c, 3, 3) ∫ (1, x, y)ᵀ (1, x, y) dA over each of c rectangles, given by (c, 2) low and high corners."""
     middle, side = (low + high) / 2, high - low
     ones = np.concatenate([np.ones((len(low), 1)), middle], axis=1)
     moments = ones[:, :, None] * ones[:, None, :]
@@ -228,10 +237,11 @@ def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
     """The edges of the convex hull of rectangles, each moved inward by ``margin``.
 
     Args:
-        low, high: (c, 2) corners.
+        low, high: (c, 2) corners of the rectangles, m.
+        margin: distance, m.
 
     Returns:
-        (k, 3) rows (d, n_x, n_y): d + n · p is how far p lies beyond the edge that was moved.
+        (k, 3) rows (d, n_x, n_y). d + n · p is the distance by which a point p lies beyond the moved edge.
     """
     lows, highs = np.round(low, SAME_PLACE_DECIMALS).tolist(), np.round(high, SAME_PLACE_DECIMALS).tolist()
     corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]

@@ -1,8 +1,8 @@
-"""How likely a placement stands when a robot makes it inexactly: a network that has learned what physics says.
+"""Features and chances of placements: a network predicts whether a box stands that a robot places inexactly.
 
-It was trained on worlds in which all boxes were placed with the errors of a robot, in plans made by rules and partly at
-random (examples/train_packer): whether a box stands to the end, or until another one fails first. So the product over a
-plan's boxes is the chance that the whole plan stands.
+The network was trained on worlds in which all boxes are placed with the errors of a robot, in plans made by rules and
+partly at random (examples/train_packer). A box counts as standing if it stands to the end, or until another box fails
+first. So the product over a plan's boxes is the chance that the whole plan stands.
 """
 
 from __future__ import annotations
@@ -23,19 +23,21 @@ NAMES: Final = (
 )
 
 MOST_GAP_MM: Final = 15.0
-"""Errors of a robot are some millimetres: farther neighbours are no matter."""
+"""Largest gap that counts. The errors of a robot are some millimetres, so neighbours further away have no effect."""
 
 _MARGIN_M: Final = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementState:
-    """A box about to be put onto a pile.
+    """A box that is about to be placed on a pile.
 
     Attributes:
-        corner_mm, size_mm: (3,) as it would stand; ``mass_kg``.
-        low, high: (n, 3) corners of the boxes of the pile, mm; ``masses``: (n,) kg.
-        margins: what it does to the balance.
+        corner_mm, size_mm: (3,) low corner and size of the box as placed.
+        mass_kg: mass of the box.
+        low, high: (n, 3) corners of the boxes of the pile, mm.
+        masses: (n,) masses of the boxes of the pile, kg.
+        margins: margins against tipping with the box on the pile.
     """
 
     corner_mm: FloatArray
@@ -57,7 +59,12 @@ def placement_state(
     mass_kg: float,
     rest: Rest | None = None,
 ) -> PlacementState:
-    """A box about to be put onto a pile whose balance is known."""
+    """The state of a box that is about to be placed on a pile.
+
+    Args:
+        pile: balance of the pile.
+        rest: effect of the box on the balance, if known.
+    """
     (x, y, z), (length, width, _) = corner_mm.tolist(), size_mm.tolist()
     margins = pile.margins_m((x, y, z), (length, width), mass_kg, rest)
     return PlacementState(corner_mm, size_mm, mass_kg, low, high, masses, margins)
@@ -126,7 +133,7 @@ def _clipped_number(value: float) -> float:
 
 
 def likely(network: Network, features: FloatArray) -> FloatArray:
-    """(m,) probabilities that placements stand, of (m, f) features."""
+    """(m,) probabilities that placements stand, from (m, f) features."""
     logits = np.clip(network.scores(features), -30.0, 30.0)
     chances: FloatArray = 1.0 / (1.0 + np.exp(-logits))
     return chances

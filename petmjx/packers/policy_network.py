@@ -1,4 +1,4 @@
-"""A small network that gives each row of features a number: a linear part, and a layer of hidden units beside it."""
+"""A small network (``Network``) that scores rows of features: a linear part, plus one layer of hidden units."""
 
 from __future__ import annotations
 
@@ -15,8 +15,12 @@ class Network:
     """score = x · linear + tanh(x · hidden + bias) · out + constant, with x = (features − mean) / scale.
 
     Attributes:
-        mean, scale: (f,) of the features; they are not learned.
-        linear: (f,); ``hidden``: (f, h); ``bias``: (h,); ``out``: (h,); ``constant``: ().
+        mean, scale: (f,) mean and scale of the features; they are not learned.
+        linear: (f,) weights of the linear part.
+        hidden: (f, h) weights of the hidden units.
+        bias: (h,) biases of the hidden units.
+        out: (h,) weights of the hidden units' outputs.
+        constant: () constant of the score.
     """
 
     mean: FloatArray
@@ -29,25 +33,25 @@ class Network:
 
     @classmethod
     def fresh(cls, mean: FloatArray, scale: FloatArray, n_hidden: int, rng: np.random.Generator) -> Self:
-        """A network that gives 0."""
+        """An untrained network, whose scores are 0."""
         f = len(mean)
         hidden = rng.standard_normal((f, n_hidden)) / np.sqrt(f)
         return cls(mean, scale, np.zeros(f), hidden, np.zeros(n_hidden), np.zeros(n_hidden), np.zeros(()))
 
     def scores(self, features: FloatArray) -> FloatArray:
-        """(m,) of (m, f) features."""
+        """(m,) scores of (m, f) features."""
         x = (features - self.mean) / self.scale
         scores: FloatArray = x @ self.linear + np.tanh(x @ self.hidden + self.bias) @ self.out + self.constant
         return scores
 
     @property
     def learned(self) -> FloatArray:
-        """All numbers that are learned, one after the other."""
+        """All learned parameters as one vector."""
         parts = (self.linear, self.hidden, self.bias, self.out, self.constant)
         return np.concatenate([np.ravel(part) for part in parts])
 
     def with_learned(self, values: FloatArray) -> Self:
-        """The same network with other numbers."""
+        """The same network with other learned parameters, in the order of ``learned``."""
         f, h = self.hidden.shape
         linear, hidden, bias, out, constant = np.split(values, np.cumsum([f, f * h, h, h]))
         return replace(
@@ -55,10 +59,11 @@ class Network:
         )
 
     def slope(self, features: FloatArray, weights: FloatArray) -> FloatArray:
-        """The gradient of Σ weights · scores by what is learned.
+        """The gradient of Σ weights · scores with respect to the learned parameters, in the order of ``learned``.
 
         Args:
-            features: (m, f); ``weights``: (m,).
+            features: (m, f) features.
+            weights: (m,) weights of the rows.
         """
         x = (features - self.mean) / self.scale
         active = np.tanh(x @ self.hidden + self.bias)
@@ -67,10 +72,10 @@ class Network:
         return np.concatenate([np.ravel(part) for part in parts])
 
     def arrays(self, name: str) -> dict[str, FloatArray]:
-        """What a file of weights has of it, under names that begin with ``name``."""
+        """The arrays of the network for a file of weights, with names that begin with ``name``."""
         return {f"{name}_{field}": getattr(self, field) for field in self.__dataclass_fields__}
 
     @classmethod
     def of_arrays(cls, name: str, arrays: dict[str, FloatArray]) -> Self:
-        """A network of a file."""
+        """The network with the arrays of a file of weights, the inverse of ``arrays``."""
         return cls(**{field: np.asarray(arrays[f"{name}_{field}"], float) for field in cls.__dataclass_fields__})

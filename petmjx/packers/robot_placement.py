@@ -1,4 +1,4 @@
-"""``petmjx.placement_stability``: how likely the boxes of a plan stand when a robot places them."""
+"""``petmjx.placement_stability``: the chance of each box of a plan to stand when a robot places the boxes."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from petmjx.plans.plan import Plan
 
 
 def placement_stability(plan: Plan) -> FloatArray:
-    """(n,) how likely each box of a plan stands when a robot places all boxes inexactly: to the end, or until another
-    one fails first. The product is how likely the whole plan stands.
+    """(n,) the chance of each box of a plan to stand when a robot places all boxes inexactly.
 
-    A network's estimate in a millisecond a box, not a simulation: ``petmjx.score(plan, confidence=64)`` simulates it.
-    docs/packers.md says how far it can be trusted. A box that touches no top below it has 0, as one
-    that begins below the carrier's.
+    A box stands if it stands to the end, or until another box fails first. The product of the chances is the chance
+    that the whole plan stands. A box has the chance 0 if it touches no top below it, or begins below the carrier's top.
+
+    A network estimates the chances, in a millisecond a box; it is no simulation. ``petmjx.score(plan, confidence=64)``
+    simulates the plan. docs/packers.md says how far the estimate can be trusted.
 
     Raises:
-        InputError: something else than a plan.
+        InputError: ``plan`` is no plan.
     """
     instance_of(plan, "plan", Plan, "a plan")
     pile = Balance(plan.n_boxes)

@@ -1,10 +1,11 @@
-"""Sample plans in BED-BPP's format: generated ones, hand-made ones with a known answer, and packed orders.
+"""Sample plans in BED-BPP's format: packed from generated orders, or from a file of orders.
 
-``generate`` and ``write_samples`` draw orders with BED-BPP's statistics and pack them. Without the name of a packer
-they make a mixed set, for trials and benchmarks: about half of its plans (``loose_share``) are packed with a support
-rule that is not safe, so that some stand and some collapse. A packer that is named packs all plans by its rules, as is
-fair in comparisons. Plan i depends only on seed, i, packer and loose_share: the plans of ``n = 10`` are the first of
-``n = 1000``.
+``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, they
+make a mixed set for trials and benchmarks: about half of its plans (``loose_share``) are packed with an unsafe support
+rule, so that some plans stand and some collapse. A named packer packs all plans by its own rules, as comparisons need.
+Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first of ``n = 1000``.
+
+``pack_orders`` packs the orders of a file.
 """
 
 from __future__ import annotations
@@ -30,13 +31,13 @@ from petmjx.plans.order_reader import read_orders
 
 DEFAULT_LOOSE_SHARE = 0.5
 """Share of a mixed set's plans that are packed loosely. Measured on the first 100 plans of seed 0 (one by one,
-adaptive, physics ``pallet``): 38 % fail, 38 of 55 loose plans and none of 45 strict ones."""
+adaptive, physics ``pallet``): 38 % fail, that is 38 of 55 loose plans and none of 45 strict ones."""
 
 MOST_SAMPLES = 200_000
-"""Plans of a set: twenty times BED-BPP's, and nearly the 4 GiB of the largest file that petmjx reads."""
+"""Largest number of plans of a set: twenty times BED-BPP's. Their file has nearly 4 GiB, the most that petmjx reads."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
-"""A loose plan's ``min_support`` is drawn from this range (strict: the default of ``PackRules``)."""
+"""Range from which ``min_support`` of a loose plan is drawn. A strict plan has the default of ``PackRules``."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +45,11 @@ class LeftOutItems:
     """Items of one order for which the packer found no place.
 
     Attributes:
-        order_id: the order's, and the plan's.
-        n_items: how many the order has.
-        numbers: the keys of those left out in the order's ``item_sequence``, rising; of drawn orders their place in it.
-        why: the reason; "": they found no place below 2 m.
+        order_id: id of the order and of the plan.
+        n_items: number of items of the order.
+        numbers: keys of the left-out items in the order's ``item_sequence``, rising; in a generated order, which has no
+            keys, their positions from 1.
+        why: the reason; "": there was no place below 2 m.
     """
 
     order_id: str
@@ -56,7 +58,7 @@ class LeftOutItems:
     why: str = ""
 
     def __str__(self) -> str:
-        """ "order 00100408: 12 of 40 boxes are left out, items 3, 7, 8, …" """
+        """The line for messages: "order 00100408: 3 of 40 boxes are left out: items 3, 7, 8"."""
         many, few = count_text(self.n_items, "box", "boxes"), len(self.numbers)
         numbers = ", ".join(map(str, self.numbers))
         verb, items = ("is", "item") if few == 1 else ("are", "items")
@@ -65,7 +67,7 @@ class LeftOutItems:
 
 
 _Packed = tuple[str, list[Placement], LeftOutItems | None]
-"""Plan id, placements, and what was left out, if anything was."""
+"""Plan id, placements, and the items left out (None: none)."""
 
 
 def generate(
@@ -78,20 +80,19 @@ def generate(
     workers: int = 1,
     on_left_out: Callable[[LeftOutItems], None] | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
-    """The first ``n`` plans of ``seed``: (plan id, placements in packing order), each made when it is asked for.
+    """The first ``n`` plans of ``seed``: (plan id, placements in packing order). Plans are made lazily.
 
     Args:
-        loose_share: of the packer ``baseline``; the others have no loose plans. None: 0 where a packer is named, else
-            ``DEFAULT_LOOSE_SHARE``.
-        packer: a name of ``petmjx.packers.packer_registry.PACKERS``. The orders are the same for all. None: a mixed
-            set,
-            packed by ``baseline``.
-        look_ahead: of the packer ``learned``: how many of the boxes that come next it sees; None: 1.
-        workers: processes; they change nothing in the plans.
-        on_left_out: called with what a plan leaves out of its order, just before the plan is yielded.
+        loose_share: share of loose plans of the packer ``baseline``; other packers make no loose plans. None: 0 if a
+            packer is named, else ``DEFAULT_LOOSE_SHARE``.
+        packer: a name of ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. None: a mixed
+            set, packed by ``baseline``.
+        look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
+        workers: number of processes. It changes no plan.
+        on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
 
     Raises:
-        InputError: ``n`` outside 1…``MOST_SAMPLES``, a negative seed, a share outside 0…1, or no such packer.
+        InputError: ``n`` outside 1…``MOST_SAMPLES``, a negative seed, a share outside 0…1, or an unknown packer.
     """
     integer_of(n, "n", 1, MOST_SAMPLES)
     integer_of(seed, "seed", 0)
@@ -113,7 +114,7 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of plans that is packed loosely: what is asked for, else none of a packer that is named."""
+    """The share of loose plans: ``share`` if given; else 0 for a named packer, ``DEFAULT_LOOSE_SHARE`` without one."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0
@@ -131,14 +132,13 @@ def write_samples(
     on_left_out: Callable[[LeftOutItems], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> None:
-    """Write the first ``n`` plans of ``seed`` to a JSON file, gzipped if it is named ``*.gz``.
+    """Write the first ``n`` plans of ``seed`` to a JSON file, gzipped if its name ends in ``.gz``.
 
     Each plan is written as soon as it is made, so memory does not grow with ``n``. ``progress`` is called with the
-    number of plans written so far; the other arguments are those of :func:`generate`.
+    number of plans written so far. The other arguments are those of :func:`generate`.
 
     Raises:
-        InputError: ``n`` below 1, a negative seed, a share outside 0…1, no such packer, or a path that cannot be
-            written.
+        InputError: as :func:`generate`, or the file cannot be written.
     """
     made = generate(
         n,
@@ -165,15 +165,21 @@ def pack_orders(
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
 
-    Without a name the packer is ``baseline``. ``rules`` are those of the packer ``baseline``; without them the
-    strict rules are used. Boxes that find no place below 2 m are left out; ``on_left_out`` is called with them just
-    before the plan is yielded. If no box of an order finds a place, there is no plan for it. The packer sorts, so
-    ``sequence`` is numbered anew in packing order. ``look_ahead`` is of the packer ``learned``: how
-    many of the next boxes it sees.
+    Boxes that find no place below 2 m are left out. An order of which no box finds a place has no plan. A packer may
+    sort the boxes, so ``sequence`` is renumbered in packing order.
+
+    Args:
+        path: the file, gzipped or not.
+        seed: seed of the packer's random numbers.
+        packer: a name of ``petmjx.packers.packer_registry.PACKERS``; None: ``baseline``.
+        rules: rules of the packer ``baseline``; None: its strict rules.
+        look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
+        workers: number of processes. It changes no plan.
+        on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
+        on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
 
     Raises:
-        InputError: the file is no orders file; no such packer; or an order is bad and ``on_bad_order`` is not given
-            (else that is called with the error and the order skipped).
+        InputError: the file is no orders file, the packer is unknown, or an order is bad and ``on_bad_order`` is None.
     """
     name = BASELINE if packer is None else packer
     packer_named(name, look_ahead)
@@ -219,10 +225,10 @@ def _pack(
 
 
 def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: str = "") -> LeftOutItems | None:
-    """What a packing leaves out of an order; None: nothing."""
+    """The items of an order that a packing leaves out; None: it leaves out nothing."""
     counts = Counter(box.item for box in placed)
     missing = []
-    # drawn orders have no numbers of their own: their items count from 1
+    # generated orders have no numbers: their items count from 1
     for number, item in zip(order.numbers or range(1, len(order.items) + 1), order.items, strict=True):
         counts[item] -= 1
         if counts[item] < 0:
@@ -233,7 +239,7 @@ def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: s
 def _plans(
     packed: Iterable[_Packed], on_left_out: Callable[[LeftOutItems], None] | None
 ) -> Iterator[tuple[str, list[Placement]]]:
-    """The plans that have a box, with what they leave out told to whom it concerns."""
+    """The plans that have boxes. ``on_left_out`` is called with the items that a plan leaves out."""
     for plan_id, placements, left_out in packed:
         if left_out is not None and on_left_out is not None:
             on_left_out(left_out)
@@ -242,7 +248,7 @@ def _plans(
 
 
 def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
-    """Packed boxes with BED-BPP's keys. ``sequence`` counts them in packing order, from 1."""
+    """Packed boxes as placements in BED-BPP's format. ``sequence`` counts the boxes in packing order, from 1."""
     return [
         {
             "item": {
@@ -263,6 +269,6 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
 
 
 def _plain(value_mm: float) -> int | float:
-    """Whole millimetres as int, as BED-BPP writes them; others rounded to the nanometre, without float64 noise."""
+    """Whole millimetres as int, as in BED-BPP. Other values are rounded to the nanometre, without float64 noise."""
     rounded = round(value_mm, 6)
     return int(rounded) if rounded == int(rounded) else rounded

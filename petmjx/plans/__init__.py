@@ -1,4 +1,4 @@
-"""Packing plans: read, checked, and as arrays."""
+"""Packing plans: reading, checks, and plans as arrays."""
 
 from __future__ import annotations
 

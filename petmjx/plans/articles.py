@@ -1,9 +1,9 @@
-"""What the boxes of an article, a product group or a material are like: a table of the user's.
+"""Tables of articles (``Articles``): properties of boxes by article, product group or material, from a user's file.
 
-It says what boxes are made of, where their centres of mass are, how stiff they are, and what they bear. A strength is
-given in newtons, or follows from the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression
-strength formula for corrugated boxes", Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness ·
-perimeter). This is the strength of a new box in a press; a safety factor gives the strength in use.
+The properties are material, centre of mass, stiffness and strength. A strength is given in newtons, or follows from the
+carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for corrugated boxes",
+Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). This is the strength of a new box in
+a press; a safety factor gives the strength in use.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, joined_names, kind
 
 MCKEE: Final = 5.87
-"""Of McKee's formula in its simple form; it has no unit."""
+"""Factor of McKee's formula in its simple form; it has no unit."""
 
 _KEYS: Final = ("article", "product_group")
 _STIFFNESS: Final = "stiffness_n_mm"
@@ -53,26 +53,26 @@ _NUMBERS: Final = {
     _STIFFNESS: SPARSE[_STIFFNESS][:2],
     **dict.fromkeys(COM_FIELDS, (-LARGEST_MM / 2, LARGEST_MM / 2)),
 }
-"""Fields and the limits between which they make sense; a lower one of 0 is not allowed itself."""
+"""Field → limits between which its values make sense. A lower limit of 0 is itself not allowed."""
 _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 
 _LONGEST_MATERIAL: Final = 100
 
 MOST_ARTICLES: Final = 1_000_000
-"""Of a table: more than any warehouse has. They take some 400 MB."""
+"""Largest number of articles of a table: more than any warehouse has. They take some 400 MB."""
 
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
 
 
 @dataclass(frozen=True)
 class Strength:
-    """What one row says.
+    """The strength in one row of a table of articles.
 
     Attributes:
-        strength_n: N; None: by McKee's formula from the others.
+        strength_n: strength, N; None: by McKee's formula from the board.
         ect_kn_m: edge crush strength of the board, kN/m.
-        thickness_mm: of the board.
-        safety_factor: by which a strength is divided; None: 1.
+        thickness_mm: thickness of the board, mm.
+        safety_factor: the strength is divided by it; None: 1.
     """
 
     strength_n: float | None = None
@@ -81,7 +81,7 @@ class Strength:
     safety_factor: float | None = None
 
     def of_box(self, length_mm: float, width_mm: float) -> float:
-        """What a box of this base bears, N."""
+        """The load that a box with this base bears, N."""
         strength = self.strength_n
         if strength is None:
             perimeter_mm = 2 * (length_mm + width_mm)
@@ -92,12 +92,12 @@ class Strength:
 
 @dataclass(frozen=True)
 class Article:
-    """What is said of an article, a product group or a material.
+    """The properties of an article, a product group or a material.
 
     Attributes:
-        strength: what boxes bear; None: not given.
-        material: what they are made of, for friction (petmjx.options.materials); None: not given.
-        com_mm: centre of mass, seen from the box's middle along its length, width and height, mm; None: not given.
+        strength: strength of its boxes; None: not given.
+        material: material of its boxes, for friction (petmjx.options.materials); None: not given.
+        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: not given.
         stiffness_n_mm: as in ``Plan``; None: not given.
     """
 
@@ -107,21 +107,28 @@ class Article:
     stiffness_n_mm: float | None = None
 
     def filled_up(self, other: Article) -> Article:
-        """The same, with values of another entry where this one has none."""
+        """A copy in which missing values are taken from another entry."""
         values = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
         return replace(other, **values)
 
 
 @dataclass(frozen=True)
 class Articles:
-    """Data by article, by product group and by material; for each field the first of these that has a value counts."""
+    """Properties by article, by product group and by material.
+
+    For each property the article's value counts; if it has none, the product group's; else the material's.
+    """
 
     by_article: Mapping[str, Article]
     by_group: Mapping[str, Article]
     by_material: Mapping[str, Article] = field(default_factory=dict)
 
     def find(self, article: str, group: str, material: str = "") -> Article:
-        """All that is said of a box, whose plan says this material."""
+        """All properties of a box.
+
+        Args:
+            material: the box's material in the plan; "": the plan names none.
+        """
         entry = self.by_article.get(article, _NOTHING)
         merged = entry.filled_up(self.by_group.get(group, _NOTHING) if group else _NOTHING)
         return merged.filled_up(self.by_material.get(material_key(material or merged.material or ""), _NOTHING))
@@ -131,7 +138,7 @@ _NOTHING: Final = Article()
 
 
 def material_key(name: str) -> str:
-    """A material's name as pairs of materials compare it."""
+    """A material's name in the form in which names are compared: without case and white space around it."""
     return name.strip().lower()
 
 
@@ -139,7 +146,7 @@ def read_articles(path: str | Path) -> Articles:
     """A table of articles: CSV (also gzipped), Parquet or TOML.
 
     Raises:
-        InputError: it cannot be read, or a row is unusable; the line names file, row and field.
+        InputError: the file cannot be read, or a row is unusable; the line names file, row and field.
     """
     file, name = Path(path), printable(str(path))
     try:
@@ -169,7 +176,7 @@ def read_articles(path: str | Path) -> Articles:
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
-    """One checked row: which name it is of, the name, and what it says."""
+    """One checked row: the kind of its name (article, product_group or material), the name, and the properties."""
     known = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
     unknown = [name for name in known if name not in _FIELDS]
     if unknown:
@@ -301,15 +308,14 @@ def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         )
 
 
-# What it makes of plans.
+# Articles applied to plans.
 
 
 def with_articles(plan: Plan, articles: Articles) -> Plan:
-    """The plan with materials, centres of mass, stiffness and strength of its boxes; the same object if the table says
-    nothing
-    of them.
+    """The plan with the materials, centres of mass, stiffness and strength of its boxes from a table.
 
-    What the plan says of a box itself comes before what the table says.
+    A value in the plan takes precedence over the table. If the table has nothing on the plan's boxes, the same object
+    is returned.
 
     Raises:
         InputError: ", placement 3: …": a centre of mass is not inside its box.

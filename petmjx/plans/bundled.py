@@ -1,4 +1,4 @@
-"""The bundled plans: where their file is."""
+"""The path of the bundled plans."""
 
 from __future__ import annotations
 
@@ -7,5 +7,5 @@ from pathlib import Path
 
 
 def bundled_path() -> Path:
-    """The file of the bundled plans. :mod:`petmjx.packers.bundled_plans` says which they are, and makes the file."""
+    """The file of the bundled plans. :mod:`petmjx.packers.bundled_plans` chooses these plans and makes the file."""
     return Path(str(files(__package__) / "bundled.json"))

@@ -1,8 +1,8 @@
-"""Plans that look as if they followed another convention: centres for corners, metres for millimetres, z and y swapped.
+"""Detection of plans in another convention: centres for corners, metres for millimetres, z and y swapped.
 
-A plan that is odd as it is given (boxes float or overlap) is read in other ways, and a way in which nothing is odd any
-more is what it looks like. Real plans with odd boxes stay odd in every other way. Units that leave everything in its
-place are recognised by the density of the boxes.
+A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If it is no longer odd in one of
+them, it probably follows that one. Plans that really have odd boxes stay odd in every convention. A wrong unit of all
+lengths, or of masses, leaves the layout right; it is recognised by the density of the boxes.
 """
 
 from __future__ import annotations
@@ -27,28 +27,31 @@ from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, PlanWarnings, check
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
-"""After so many odd plans that no convention explains, one in so many is read in all ways, which takes 2 ms, the others
-only as plans before them seemed to be."""
+"""Limits of the search, since reading a plan in all conventions takes 2 ms. After ``MOST_UNEXPLAINED`` odd plans that
+no convention explains, only one in ``ONE_IN`` of such plans is read in all conventions. The other odd plans are read
+only in conventions that explain earlier plans."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
 """Densities of whole plans: air has 1.2 kg/m³, crisps in cartons 30, gold 19,300."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
-"""A carton's density and volume, as in BED-BPP's orders. They tell grams from centimetres, both of which make plans a
-thousand times too dense."""
+"""Usual density and volume of a carton, from BED-BPP's orders. They distinguish grams from centimetres: both make plans
+a thousand times too dense."""
 
 LEAST_SHARE: Final = 0.25
-"""Of the plans with an odd layout, those that one convention explains are at least this share: a mistake is made in all
-plans of a packer, and one in 300 plans of which three boxes float looks by chance as if y and z were swapped."""
+"""Least share of the plans with an odd layout that a convention must explain to be reported. A packer that makes a
+mistake makes it in all plans. By chance, one in 300 plans with three floating boxes looks as if y and z were
+swapped."""
 
 _LEAST_FILLED: Final = 0.3
-"""Least share of a plan's bounding box that is filled. Coordinates that are multiplied part boxes that overlap, too."""
+"""Least share of a plan's bounding box that boxes fill in a convention that explains the plan. Without it, larger
+coordinates would explain any plan: they also separate boxes that really overlap."""
 
 _MM3_PER_M3: Final = 1e9
 
 _MOST_ROUNDS: Final = 5
-"""Times that turned boxes are gone through; most rows are read rightly after two."""
+"""Largest number of passes over the turned boxes; most rows are right after two."""
 
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""
@@ -56,18 +59,19 @@ _Layout = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Convention:
-    """One other way to read a plan.
+    """A convention other than petmjx's, in which a plan may be read.
 
     Attributes:
-        looks: what plans look like that follow it.
-        advice: what to do about it. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}`` for the
-            middle of the carrier, mm.
-        read: corners and sizes as petmjx has them. None: they are not what differs.
-        least_odd: floating boxes and overlaps that a plan has at least, if its lowest box does not float.
-        of_turned: ``read`` is about boxes that an orientation says are turned; the others are as petmjx has them.
-        of_some: only about those of which it takes overlaps away.
-        least_share: share of the boxes above the carrier that float or overlap at least, by more than ``_SMALL_MM`` one
-            of them.
+        looks: how plans look that follow it, for messages.
+        advice: how to correct it, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}``
+            for the middle of the carrier, mm.
+        read: converts corners and sizes to petmjx's convention. None: corners and sizes do not differ.
+        least_odd: least number of floating boxes and overlaps of a plan that it explains, if the lowest box does not
+            float.
+        of_turned: apply ``read`` only to boxes that are turned by an orientation; all other boxes stay as they are.
+        of_some: of these boxes, apply ``read`` only to the ones that then overlap less.
+        least_share: least share of the boxes above the carrier that float or overlap; at least one of them by more than
+            ``_SMALL_MM``.
     """
 
     looks: str
@@ -79,7 +83,7 @@ class Convention:
     least_share: float = 0.0
 
     def layout_of(self, plan: Plan) -> _Layout:
-        """The plan's corners and sizes in this reading."""
+        """The plan's corners and sizes, read in this convention."""
         assert self.read is not None
         corner, size = self.read(plan.corner_mm, plan.size_mm)
         if not self.of_turned:
@@ -89,7 +93,7 @@ class Convention:
 
 
 def _scale_convention(unit: str, sizes: bool) -> Convention:
-    """Coordinates, or sizes, in a unit of their own."""
+    """The convention in which only sizes, or only coordinates, are in a unit."""
     factor, name = LENGTHS_MM[unit]
     subject, other = ("sizes", "coordinates") if sizes else ("coordinates", "sizes")
     return Convention(
@@ -111,10 +115,10 @@ _TURNED: Final = (
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
-"""If y and z are swapped, at least this share of the boxes above the carrier float or overlap. Where rows are flush in
-y nothing floats or overlaps after they are swapped, so a few boxes of a right plan that do say nothing."""
+"""Least share of the boxes above the carrier that float or overlap if y and z are swapped. If rows are flush in y,
+nothing floats or overlaps after a swap even in a right plan. So a few odd boxes are no evidence."""
 _SMALL_MM: Final = 20.0
-"""Gaps and overlaps up to this are of sheets, rounded heights or careless packers, and of no convention."""
+"""Gaps and overlaps up to this come from sheets, rounded heights or careless packers, not from a convention."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
@@ -143,7 +147,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),
     *(_scale_convention(unit, sizes=True) for unit in ("cm", "in", "m")),
 )
-"""Ways to read an odd plan; of several that fit the first one is taken."""
+"""Conventions that may explain an odd layout. The first one that fits is taken."""
 
 _SIZES_ALONE: Final = LAYOUTS[-3:]
 
@@ -165,7 +169,7 @@ TONNES: Final = Convention("masses look as if they were in tonnes", "give units 
 
 @dataclass
 class _ConventionMatch:
-    """Plans that follow one convention: the line about the first of them, and how many they are."""
+    """The plans that follow one convention: a line about the first one, and their number."""
 
     example: str
     advice: str
@@ -175,7 +179,7 @@ class _ConventionMatch:
 
 @dataclass
 class _Search:
-    """Conventions found so far in a set of plans."""
+    """The search for conventions in a set of plans, with the matches so far."""
 
     extent_mm: tuple[float, float] | None
     found: dict[str, _ConventionMatch] = field(default_factory=dict)
@@ -184,7 +188,12 @@ class _Search:
     unexplained: int = 0
 
     def look_at(self, plan: Plan, odd: PlanWarnings | None, unit: tuple[Convention, str] | None) -> None:
-        """Look at a plan with something odd in its layout, or with an odd density, which ``unit`` explains."""
+        """Search for the convention of one plan.
+
+        Args:
+            odd: the plan's odd boxes; None: its layout is not odd.
+            unit: a unit that explains the plan's density, and the evidence; None: the density is not odd.
+        """
         way = None
         if unit is not None and odd is not None:
             way = self._layout_of(plan, odd, _SIZES_ALONE)
@@ -204,7 +213,9 @@ class _Search:
             self._add(MIDDLE, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
 
     def _layout_of(self, plan: Plan, odd: PlanWarnings, ways: Sequence[Convention]) -> Convention | None:
-        """The convention that explains what is odd about a plan's layout; the last one that did is tried first."""
+        """The convention that explains an odd layout; None: none does. The last one that explained a plan is tried
+        first.
+        """
         n_odd = odd.n_floating + odd.n_overlapping_pairs
         if not n_odd:
             return None
@@ -217,7 +228,7 @@ class _Search:
         return None
 
     def common(self, looks: str) -> bool:
-        """Whether enough plans are explained by the convention of that name."""
+        """Whether the convention with this ``looks`` explains enough plans."""
         finding = self.found.get(looks)
         return finding is not None and (not finding.of_layout or finding.count >= LEAST_SHARE * self.n_odd)
 
@@ -233,10 +244,11 @@ class _Search:
 def with_conventions(
     plan_set: PlanSet, extent_mm: tuple[float, float] | None, known: Mapping[str, PlanWarnings | None] | None = None
 ) -> PlanSet:
-    """The same plans with what is odd about them, and what that looks like.
+    """The same plans with warnings about odd layouts, and with the conventions that they seem to follow.
 
     Args:
-        known: plan id → what is odd about its layout (None: nothing), where that is known.
+        extent_mm: x–y extent of the carrier; None: the plan's bounding box.
+        known: plan id → warnings about its layout (None: nothing is odd), for layouts that have been checked before.
     """
     known = known or {}
 
@@ -255,8 +267,8 @@ def _find_conventions(
     """A line for each convention that plans seem to follow instead of petmjx's.
 
     Args:
-        plans: each id once.
-        odd: what is odd about them, where something is.
+        plans: plans with distinct ids.
+        odd: warnings about odd layouts of these plans.
         carrier_extent_mm: x–y extent of the carrier; None: the plan's bounding box.
     """
     search = _Search(carrier_extent_mm)
@@ -275,7 +287,7 @@ def _find_conventions(
 
 
 def warn(lines: Iterable[str]) -> None:
-    """A ``PlanWarning`` for each line, at the place outside petmjx that called it."""
+    """Issue a ``PlanWarning`` for each line. Its place is the caller outside petmjx."""
     frame, depth = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "petmjx":
         frame, depth = frame.f_back, depth + 1
@@ -284,7 +296,7 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
-    """Whether a tenth of what is odd, or less, is left when a plan is read in another way."""
+    """Whether at most a tenth of the odd boxes and pairs is left when a plan is read in another convention."""
     if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
         return False
     if way.of_turned and not plan.turned.any():
@@ -292,7 +304,7 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
     if way.least_share and not _is_mostly_odd(plan, way.least_share):
         return False
     corner, size = way.layout_of(plan)
-    if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # read rightly, something stands on the carrier
+    if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # in the right convention a box stands on the carrier
         return False
     bounds = (corner + size).max(axis=0) - corner.min(axis=0)
     if size.prod(axis=1).sum() < _LEAST_FILLED * bounds.prod():
@@ -302,8 +314,10 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
 
 
 def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
-    """(n,) turned boxes that overlap fewer others with another size, (n, 3) mm: one after the other, as long as some
-    do."""
+    """(n,) whether a turned box overlaps fewer boxes with another size (``size``: (n, 3), mm).
+
+    Boxes are changed one after the other, in passes, until a pass changes none.
+    """
     chosen, sizes, low = np.zeros(plan.n_boxes, bool), plan.size_mm.copy(), plan.corner_mm
     turned = np.flatnonzero(plan.turned & (plan.size_mm != size).any(axis=1))
 
@@ -325,7 +339,7 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether so many of the boxes above the carrier float or overlap, and not all by little."""
+    """Whether at least this share of the boxes above the carrier floats or overlaps, one by more than ``_SMALL_MM``."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     odd = np.maximum(gap, overlap)
@@ -344,7 +358,7 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
 
 
 def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
-    """Plan id → what explains a density that no goods have, and the box that shows it best, in words."""
+    """Plan id → the unit that explains an impossible density, and the box with the most extreme density, in words."""
     if not plans:
         return {}
     begins = np.cumsum([0, *(plan.n_boxes for plan in plans[:-1])])
@@ -391,5 +405,5 @@ def _first_oddity(plan: Plan, odd: PlanWarnings, way: Convention) -> str:
 
 
 def _box(plan: Plan, box: int) -> str:
-    """ "box 22 (candy-00100723)"; boxes count from 0 in packing order."""
+    """A box in words: "box 22 (candy-00100723)". Boxes count from 0 in packing order."""
     return box_in_words(box, plan.articles[box])

@@ -1,4 +1,4 @@
-"""The formats of files: how those of plans are recognised, and what is said about files of other programs."""
+"""File formats: recognition of plan files, and error texts for files of other programs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ CSV_SUFFIXES: Final = (".csv", ".csv.gz", ".tsv", ".tsv.gz")
 
 @runtime_checkable
 class SupportsArrow(Protocol):
-    """A table of pandas, Polars, PyArrow and others (Arrow's PyCapsule interface)."""
+    """A table with Arrow's PyCapsule interface, such as those of pandas, Polars and PyArrow."""
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
-        """Its columns, for Arrow."""
+        """The columns of the table, as a stream for Arrow."""
 
 
 def is_csv(path: Path) -> bool:
-    """Whether a file is CSV by its name. Only that tells it from damaged JSON."""
+    """Whether a file is CSV by its name. Its content would not distinguish it from damaged JSON."""
     return path.name.lower().endswith(CSV_SUFFIXES)
 
 
@@ -36,8 +36,8 @@ def is_parquet(path: Path) -> bool:
     """Whether a file is Parquet, by its name or its first bytes.
 
     Raises:
-        OSError: it cannot be read, or is no regular file.
-        ValueError: a name that no file can have.
+        OSError: the file cannot be read, or is no regular file.
+        ValueError: no file can have this name.
     """
     with open_regular(path) as file:
         return is_parquet_name(path) or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
@@ -60,12 +60,12 @@ _MAGIC: Final = (
     (b"\x28\xb5\x2f\xfd", "is packed with Zstandard: unpack it, or pack it with gzip"),
     (b"7z\xbc\xaf\x27\x1c", "is a 7z archive: unpack it"),
 )
-"""Beginnings of files that are no text, and what they are."""
+"""First bytes of files that are no text, and the error text for each."""
 
 _MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]", re.IGNORECASE)
 _PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
 _LOOKED_AT: Final = 1 << 12
-"""Bytes at the beginning of a file that show what it is."""
+"""Number of bytes at the beginning of a file by which its format is recognised."""
 
 _SEPARATOR_MARK: Final = re.compile(rb"\s*\"?sep=.\"?[\s;,]*", re.IGNORECASE)
 
@@ -74,11 +74,13 @@ _DECIMAL_COMMA: Final = re.compile(r"[+-]?\d*,\d+")
 _GROUPED: Final = re.compile(
     r"[+-]?\d{1,3}(?P<mark>[.,'\u2019 \u00a0\u202f])\d{3}(?:(?P=mark)\d{3})*(?:(?P<decimal>[.,])\d+)?"
 )
-"""Numbers with marks between groups of three digits, and a decimal mark that is another one."""
+"""Numbers with a mark between groups of three digits, and maybe a decimal mark."""
 
 
 def foreign_kind(data: bytes | bytearray) -> str | None:
-    """What a file is that is neither JSON nor a table as text, by its first bytes; None: it may be one."""
+    """The format of a file that cannot be JSON or CSV, by its first bytes, as an error text. None: it may be JSON or
+    CSV.
+    """
     begin = bytes(data[:_LOOKED_AT])
     if begin.startswith(b"PK\x03\x04"):
         return _zip_kind(bytes(data[: 1 << 16]))
@@ -104,7 +106,7 @@ def _zip_kind(begin: bytes) -> str:
 
 
 def separator_mark(header: bytes | bytearray) -> str | None:
-    """What is wrong with a first row that is Excel's mark of the separator; None: it is none."""
+    """The error text for a first row that is Excel's mark of the separator, such as "sep=;". None: it is none."""
     if not _SEPARATOR_MARK.fullmatch(header):
         return None
     mark = header.decode("utf-8", "replace").strip().strip('"')[:5]
@@ -112,12 +114,12 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 
 def other_encoding(text: str) -> str:
-    """What a text that is not UTF-8 (its bytes are lone surrogates) may be, to be put behind a message."""
+    """The end of a message about a text that is not UTF-8: its probable content. Its bytes are lone surrogates."""
     if not all(character.isascii() or is_surrogate(character) for character in text):
-        return ""  # the rest is UTF-8: a damaged text, and none in another encoding
+        return ""  # the rest is UTF-8: the text is damaged, not in another encoding
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
-    except UnicodeEncodeError:  # a surrogate that JSON spells out stands for no byte
+    except UnicodeEncodeError:  # a surrogate that JSON wrote as an escape stands for no byte
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"
@@ -126,12 +128,12 @@ def other_encoding(text: str) -> str:
 
 
 def is_surrogate(character: str) -> bool:
-    """Whether a character stands for half of one, or for a byte that is no UTF-8."""
+    """Whether a character is a surrogate: half of a character, or a byte that is no UTF-8."""
     return 0xD800 <= ord(character) <= 0xDFFF
 
 
 def number_hint(text: str) -> str:
-    """How a number is to be written that has a decimal comma or marks between its thousands; "" for other text."""
+    """A hint how to write a number that has a decimal comma or marks between its thousands; "" for all other texts."""
     plain = text.strip()
     grouped = _GROUPED.fullmatch(plain) if len(plain) <= _LONGEST_NUMBER else None
     mark, decimal = (None, None) if grouped is None else (grouped["mark"], grouped["decimal"])

@@ -1,4 +1,4 @@
-"""How the numbers of plans are given: in which units, and the coordinates of which point of a box."""
+"""Conventions of input (``InputConventions``): the units of plans, and the point to which coordinates refer."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ ANCHORS: Final[Mapping[Anchor, tuple[float, float, float]]] = {
     "base-centre": (0.5, 0.5, 0.0),
     "far-corner": (1.0, 1.0, 1.0),
 }
-"""Where each point is, from the front-left-bottom corner, as shares of the box's extents."""
+"""Name of a point of a box → its offset from the front-left-bottom corner, as shares of the box's extents."""
 
 
 class Limits(NamedTuple):
-    """The range of a value in the unit in which it is given, and the unit's name."""
+    """The range of a value, in the unit of the input, and the unit's name."""
 
     smallest: float
     largest: float
@@ -34,11 +34,11 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class InputConventions:
-    """Units and point of all numbers of some plans.
+    """The units of plans, and the point of a box to which their coordinates refer.
 
     Attributes:
-        units: of lengths and masses, such as "cm,g".
-        anchor: a name of ``ANCHORS``.
+        units: units of lengths and masses, such as "cm,g".
+        anchor: the point, a name of ``ANCHORS``.
     """
 
     units: str = PLAN_UNITS
@@ -46,7 +46,7 @@ class InputConventions:
 
     @classmethod
     def checked(cls, units: Any, anchor: Any) -> InputConventions:
-        """Raises InputError: there are no such units or anchor."""
+        """Conventions from unchecked values. Raises InputError: the units or the anchor are unknown."""
         text_of(units, "units")
         known = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
         if known is None:
@@ -68,24 +68,24 @@ class InputConventions:
 
     @property
     def sizes(self) -> Limits:
-        """Of sizes."""
+        """The range of sizes."""
         factor, name = LENGTHS_MM[plan_units(self.units)[0]]
         return Limits(SMALLEST_MM / factor, LARGEST_MM / factor, name)
 
     @property
     def weights(self) -> Limits:
-        """Of masses."""
+        """The range of masses."""
         factor, name = MASSES_KG[plan_units(self.units)[1]]
         return Limits(SMALLEST_KG / factor, LARGEST_KG / factor, name)
 
     @property
     def coordinates(self) -> Limits:
-        """Of coordinates."""
+        """The range of coordinates."""
         factor, name = LENGTHS_MM[plan_units(self.units)[0]]
         return Limits(-FARTHEST_MM / factor, FARTHEST_MM / factor, name)
 
     def corner_mm(self, coordinates_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
-        """(n, 3) front-left-bottom corners, from the given points and the extents as the boxes stand, mm."""
+        """(n, 3) front-left-bottom corners, mm, from the points of the input and the extents of the boxes as placed."""
         if self.anchor == "corner":
             return coordinates_mm
         corner: FloatArray = coordinates_mm - np.array(ANCHORS[self.anchor]) * size_mm
@@ -93,4 +93,4 @@ class InputConventions:
 
 
 USUAL: Final = InputConventions()
-"""Millimetres and kilograms, and front-left-bottom corners."""
+"""The defaults: millimetres and kilograms, and front-left-bottom corners."""

@@ -1,4 +1,4 @@
-"""JSON files of plans and orders: unpacked within bounds, decoded one entry at a time."""
+"""Reader of JSON files of plans and orders: unpacks within bounds, and decodes one entry at a time."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _UTF8_MARK: Final = b"\xef\xbb\xbf"
 
 
 def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
-    """A file's text as bytes, and what is wrong with the file as a whole (None: nothing).
+    """The text of a file as bytes, and an error of the file as a whole (None: no error).
 
-    Gzip is recognised by content, not by name. Memory: the packed and the plain bytes, once each.
+    Gzip is recognised by content, not by name. The packed and the plain bytes are in memory once each.
 
     Raises:
-        OSError: it cannot be read, is no regular file, or is too large.
-        ValueError: a name that no file can have.
+        OSError: the file cannot be read, is no regular file, or is too large.
+        ValueError: no file can have this name.
     """
     data, fault = read_regular(path, MOST_BYTES), None
     if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":  # no reserved flag is set (RFC 1952)
@@ -43,7 +43,7 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
-    """Unpack the sound part of a gzip stream (of one or more members), and say what is wrong if that is not all."""
+    """Unpack the sound part of a gzip stream, which may have several members. Also returns the error; None: none."""
     most = min(MOST_BYTES, max(FREE_BYTES, MOST_RATIO * len(packed)))
     view = memoryview(packed)
     plain = bytearray()
@@ -69,7 +69,7 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
 
 
 def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytearray) -> None:
-    """Add the sound beginning of a chunk with an error in it: a failing call returns none of its output."""
+    """Add the sound beginning of a chunk that has an error. Byte by byte, since a failing call returns no output."""
     for position in range(len(chunk)):
         try:
             plain += inflate.decompress(chunk[position : position + 1])
@@ -77,7 +77,7 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytea
             return
 
 
-# JSON's white space is less than \s. Possessive quantifiers keep every match linear, also in malicious text.
+# JSON has less white space than \s. Possessive quantifiers keep the time of a match linear, also in malicious text.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")
 _KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+")[ \t\n\r]*+:[ \t\n\r]*+', re.DOTALL)
 _CUT_KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+(\\|"[ \t\n\r]*+)?)?\Z', re.DOTALL)
@@ -90,20 +90,22 @@ _OTHER_VALUES: Final = {
 }
 
 _SHOWN_ID: Final = 1000
-"""Bytes of a damaged plan's id that are shown."""
+"""Number of bytes of a damaged plan's id that are shown."""
 LONGEST_VALUE: Final = 4 << 20
-"""Bytes of one plan's text. A plan of BED-BPP takes 10,000 to 25,000; decoded it takes up to 30 times its text."""
+"""Largest text of one plan, bytes. A plan of BED-BPP takes 10,000 to 25,000. In memory, a decoded plan takes up to 30
+times its text."""
 _FIRST_WINDOW: Final = 1 << 15
 _SMALLEST_WINDOW: Final = 1 << 10
 _LONGEST_TOKEN: Final = 12
-"""Characters of a token other than a string or a number (``-Infinity``, an escape) that a window's end may cut."""
+"""Longest token that the end of a window may cut (``-Infinity``, an escape), in characters, without strings and
+numbers."""
 
 
 class DuplicateFieldObject(dict[str, Any]):
-    """A JSON object in which a field stands twice, and its last value.
+    """A JSON object that has a field twice. It keeps the field's last value.
 
     Attributes:
-        field: the first one that does.
+        field: the first field that is there twice.
     """
 
     def __init__(self, pairs: list[tuple[str, Any]]) -> None:
@@ -113,11 +115,11 @@ class DuplicateFieldObject(dict[str, Any]):
 
 
 class MalformedPlans(InputError):
-    """Text that is no JSON, or no object. Says in which plan, at which line and column (in bytes, both from 1)."""
+    """Text is no JSON, or no object. The error names the plan, the line and the column (in bytes, both from 1)."""
 
 
 class Entry(NamedTuple):
-    """One id and what JSON holds under it, not yet validated."""
+    """One id and its JSON value, not yet validated."""
 
     plan_id: str
     value: object
@@ -127,12 +129,12 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
     """Yield every entry of a file's bytes, in order.
 
     Args:
-        of: what the file should be an object of, for messages.
-        noun: what an entry is called there.
+        of: the expected content of the file's object, for messages.
+        noun: name of an entry in messages.
 
     Raises:
-        NotPlans: the text is not JSON from some point on (raised after the entries before it), or the file is empty
-            or holds something else. The text does not name the file.
+        MalformedPlans: the text is not JSON from some point on (raised after the entries before it), or the file is
+            empty or has no object. The error does not name the file.
     """
     at = _after_space(data, 0)
     if at == len(data):
@@ -178,13 +180,17 @@ def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> An
 
 
 def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str) -> tuple[Any, int]:
-    """One JSON value and its end.
+    """One JSON value and the position of its end.
 
-    Small windows are tried first: the decoder's errors count lines from the beginning of what they were given, and what
-    is not ASCII takes up to four times its size while it is decoded.
+    The decoder gets a window of the text, and a larger one if the value does not fit. Small windows are cheap: the
+    decoder's errors count the lines of all text that it gets, and text that is not ASCII takes up to four times its
+    size while it is decoded.
 
     Args:
-        window: bytes of the first one: twice as long as the value before, so that all windows together are linear.
+        begin: position of the value.
+        window: length of the first window, bytes. It is twice the length of the value before, so that the total of all
+            windows is linear in the text.
+        where: the plan, for errors.
     """
     while True:
         text = _text(data[begin : begin + window])
@@ -220,18 +226,20 @@ def _after_space(data: bytes | bytearray, position: int) -> int:
 
 
 def _text(data: bytes | bytearray) -> str:
-    """Bytes that are no UTF-8 become lone surrogates: JSON around them is still read, and a plan whose names hold
-    them is refused by name."""
+    """Text of bytes. Bytes that are no UTF-8 become lone surrogates.
+
+    So the JSON around them can still be read, and the error about a plan with such names can name the plan.
+    """
     return data.decode("utf-8", "surrogateescape")
 
 
 def _n_bytes(text: str, n_characters: int) -> int:
-    """How many bytes the first characters of a text took."""
+    """The number of bytes of the first characters of a text."""
     return n_characters if text.isascii() else len(text[:n_characters].encode("utf-8", "surrogateescape"))
 
 
 def _parse_any_integer(digits: str) -> int | float:
-    """Integers of any length; those beyond float64 become infinite and are refused as not finite."""
+    """An integer of any length. An integer beyond float64 becomes infinite, and is refused later as not finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 
@@ -250,5 +258,5 @@ def _decode_start(text: str) -> tuple[Any, int]:
     except json.JSONDecodeError:
         raise
     except ValueError:
-        # Python refuses integers of more than 4,300 digits. Such a plan must be named and skipped, not end the run.
+        # Python refuses integers of more than 4,300 digits. The plan is to be named and skipped; the run goes on.
         return _PATIENT_DECODER.raw_decode(text)

@@ -1,4 +1,4 @@
-"""Placements as BED-BPP writes them, and JSON files of them."""
+"""Writer of JSON files of plans in BED-BPP's format."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 
 Placement = dict[str, Any]
-"""One placement as BED-BPP writes it: item, orientation, flb_coordinates (mm)."""
+"""One placement in BED-BPP's format: item, orientation, flb_coordinates (mm)."""
 
 
 def write_plans(
@@ -27,7 +27,7 @@ def write_plans(
 ) -> None:
     """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The file appears when it is whole. The bytes depend only on the plans (no time stamp in the gzip header).
+    The file appears only when it is complete. Its bytes depend only on the plans: the gzip header has no time stamp.
 
     Raises:
         InputError: there is no plan, or the file cannot be written.
@@ -39,7 +39,7 @@ def write_plans(
         raise InputError(f"{printable(str(path))}: there is no plan to write")
     with atomic_write(path) as temporary, ExitStack() as stack:
         if isinstance(coming, Generator):
-            stack.callback(coming.close)  # now, whatever happens: processes that make plans would outlive an error
+            stack.callback(coming.close)  # closed even after an error: else its worker processes would live on
         out = _open_text(temporary, stack)
         out.write("{")
         for count, (plan_id, placements) in enumerate(chain([first], coming), start=1):

@@ -1,4 +1,4 @@
-"""Boxes that tip over as soon as they are let go, by a look at the plan: for estimates of time, not for verdicts."""
+"""Loose boxes: an estimate, from the plan alone, of the first box that tips over. Used for estimates of time only."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import shared_length
 
 MOST_LOOKED_AT: Final = 200
-"""Plans of a run that are looked at, evenly spread: a run of 10,003 must not wait for it."""
+"""Largest number of plans of a run that are checked, evenly spread, so that a run of 10,003 plans does not wait."""
 
 _LEVEL_MM: Final = 3.0
-"""Tops under a box that are lower than the highest one by more do not bear it."""
+"""The highest top under a box bears it, and all tops that are lower by at most this."""
 
 _BESIDE_MM: Final = 1.0
-"""Boxes that share less along x or y stand beside each other."""
+"""Boxes that overlap by no more than this along x or y stand beside each other."""
 
 
 def first_loose(plan: Plan) -> int:
-    """The first box, in packing order, whose centre of mass is not over what it comes down on; n if there is none.
+    """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
 
-    It comes down on the highest tops under it of boxes that were placed before, or on the carrier. "Over" is within the
-    extents of what it shares with these, which is less strict than their hull.
+    The supports of a box are the highest tops of earlier boxes under it, or the carrier. The centre of mass is over the
+    supports if it is within the x–y extents of their contact areas. This is less strict than their convex hull.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
@@ -48,8 +48,10 @@ def first_loose(plan: Plan) -> int:
 
 
 def placed_shares(plans: Sequence[Plan]) -> FloatArray:
-    """(n,) the share of each plan's boxes that are there when the first loose one comes; 1 where there is none. Of many
-    plans some are looked at, and the others are taken to be like them."""
+    """(n,) the share of each plan's boxes that are placed up to its first loose box, inclusive; 1 if none is loose.
+
+    Of more than ``MOST_LOOKED_AT`` plans only some are checked. Their shares are repeated for all plans.
+    """
     looked_at = (
         [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []
     )

@@ -1,10 +1,10 @@
-"""Synthetic orders with BED-BPP's statistics: how many boxes, how many distinct articles, which cartons.
+"""Generator of synthetic orders with BED-BPP's statistics: number of boxes, number of distinct articles, cartons.
 
 BED-BPP (Kagerer et al. 2023, "BED-BPP: Benchmarking dataset for robotic bin packing problems", Int. J. of Robotics
 Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles stands for the
 warehouse, and an order draws articles from it. Names and ids are invented.
 
-Order i depends only on (seed, i): the orders of a smaller set are the first ones of a larger set.
+Order i depends only on (seed, i), so the orders of a smaller set are the first orders of a larger set.
 """
 
 from __future__ import annotations
@@ -17,21 +17,22 @@ import numpy as np
 from petmjx.common.units import FloatArray
 
 TARGET_EXTENT_MM: dict[str, tuple[int, int]] = {"euro-pallet": (1200, 800), "rollcontainer": (800, 700)}
-"""BED-BPP's two targets: extent along x and y."""
+"""BED-BPP's two targets → their extents along x and y, mm."""
 
 MEAN_BOXES = 43.5
 STD_BOXES = 15.0
 MIN_BOXES = 10
 MAX_BOXES = 80
-"""A normal distribution between limits. The limits reduce the spread by 1, and the packer leaves out about 1 % of the
-boxes, so that packed plans have BED-BPP's 43±14."""
+"""Boxes of an order: a normal distribution between limits. The limits reduce the standard deviation by 1, and the
+packer leaves out about 1 % of the boxes. So packed plans have BED-BPP's 43±14 boxes."""
 
 EURO_PALLET_SHARE = 0.6
 DISTINCT_SHARE = (0.35, 0.7)
 """Range of distinct articles per box of an order."""
 
 FILL_BUDGET = 0.55
-"""Largest share of a target's volume (2 m high) that an order's boxes may have: orders of a warehouse fit."""
+"""Largest share of a target's volume (2 m high) that an order's boxes may fill: a warehouse's orders fit their targets.
+"""
 
 CATALOGUE_SIZE = 800
 FIRST_ARTICLE_ID = 100_001
@@ -39,15 +40,16 @@ FIRST_ARTICLE_ID = 100_001
 _MEDIAN_KG = 6.0
 _MEDIAN_M3 = 0.02
 _VOLUME_EXPONENT = 0.65
-"""Large cartons have light goods: density falls with volume (BED-BPP: up to 750 kg/m³ at 8 l, about 100 at 50 l)."""
+"""Exponent of mass over volume. Below 1, since large cartons hold light goods: density falls with volume (BED-BPP: up
+to 750 kg/m³ at 8 l, about 100 at 50 l)."""
 _DENSITY_SIGMA = 0.35
 WEIGHT_RANGE_KG = (0.2, 20.0)
 DENSITY_RANGE_KG_M3 = (60.0, 900.0)
 _LIGHT_SHARE = 0.08
 _LIGHT_FACTOR = 0.3
-"""Some articles are mostly air at any size: crisps, paper cups."""
+"""Share of articles that are mostly air at any size (crisps, paper cups), and the factor on their mass."""
 
-# Random streams of one seed. The second part of the key is the number of the order or article.
+# Random streams of one seed: first part of their keys. The second part is the number of the order or article.
 _CATALOGUE_STREAM = 0
 _ORDER_STREAM = 1
 PACKER_STREAM = 2
@@ -55,7 +57,7 @@ PACKER_STREAM = 2
 
 @dataclass(frozen=True)
 class _Family:
-    """Cartons of one kind: how frequent they are, and the ranges of length, width and height in mm."""
+    """Cartons of one kind: their share, their ranges of length, width and height in mm, and their product groups."""
 
     share: float
     length_mm: tuple[int, int]
@@ -71,12 +73,12 @@ _FAMILIES = (
     _Family(0.26, (270, 340), (160, 220), (110, 290), ("poultry", "fish", "side dish", "instant meals")),
     _Family(0.12, (120, 260), (100, 180), (100, 200), ("confectionery", "non-food products")),
 )
-"""The 600 × 400 module and its halves, slim long cartons, quarters, small cartons: the kinds in BED-BPP's sample."""
+"""The kinds of cartons in BED-BPP's sample: 600 × 400 module, its halves, slim long ones, quarters, small cartons."""
 
 
 @dataclass(frozen=True)
 class Item:
-    """One box of an order, as BED-BPP describes it."""
+    """One box of an order, with BED-BPP's fields."""
 
     article: str
     item_id: str
@@ -94,9 +96,9 @@ class Item:
 
 @dataclass(frozen=True)
 class Order:
-    """What one customer gets on one target ("euro-pallet" or "rollcontainer").
+    """An order: the items for one target ("euro-pallet" or "rollcontainer").
 
-    ``numbers`` are the sequence numbers that a file gives its items; none in drawn orders.
+    ``numbers`` are the sequence numbers of the items in a file. Generated orders have none.
     """
 
     target: str
@@ -130,7 +132,7 @@ def draw_order(seed: int, index: int) -> Order:
     low, high = DISTINCT_SHARE
     n_articles = max(1, round(n_boxes * (low + (high - low) * rng.random())))
     chosen = [int(j) for j in rng.permutation(len(articles))[:n_articles]]
-    # Each article once; the rest is distributed so that a few articles come many times and most do not.
+    # One box of each article. The remaining boxes are distributed so that few articles have many boxes.
     appetite = -np.log1p(-rng.random(n_articles))
     edges = np.cumsum(appetite) / appetite.sum()
     extra = np.searchsorted(edges[:-1], rng.random(n_boxes - n_articles), side="right")
@@ -141,7 +143,7 @@ def draw_order(seed: int, index: int) -> Order:
     of_all = _volumes_m3(seed)
     volumes = of_all[chosen]
     while float(volumes @ quantity) > budget_m3:
-        # Too much for one target: the article with the largest volume in the order is replaced by a smaller one.
+        # Too much for one target: replace the article that takes the largest volume in the order by a smaller one.
         bulkiest = int(np.argmax(volumes * quantity))
         free = of_all < volumes[bulkiest]
         free[chosen] = False
@@ -152,7 +154,9 @@ def draw_order(seed: int, index: int) -> Order:
 
 
 def _draw_count(rng: np.random.Generator) -> int:
-    """Number of boxes: normal, drawn again if it is outside the limits, so that no count is frequent at the limits."""
+    """A number of boxes from a normal distribution. A number outside the limits is drawn again, so that the limits
+    themselves do not become frequent.
+    """
     while True:
         n = round(MEAN_BOXES + STD_BOXES * float(rng.standard_normal()))
         if MIN_BOXES <= n <= MAX_BOXES:

@@ -1,11 +1,12 @@
-"""Boxes of a plan matched with the items of its order: which item each box is, and whether it is as it was ordered.
+"""Matching of plans with their orders (``match``, ``check_orders``).
 
-Boxes are known by ``id`` and ``article`` together, by the one of them that is there, or, where a box has neither, by
-size and mass. Each item is one box at most, so a box that is packed twice was ordered once. ``sequence`` says nothing,
-since packers renumber boxes. Sizes are compared whichever way a box stands.
+``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by the one of them that is
+present, or, if a box has neither, by size and mass. An item matches one box at most: if an item is packed twice, the
+second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
+orientation.
 
-Plans compared with the orders that they were packed from: what was left out, what nobody ordered, and what has
-another size or mass than was ordered (petmjx.plans.order_matching says which box is which).
+``check_orders`` compares plans with a file of orders: which items were left out, which boxes were not ordered, and
+which have another size or mass than ordered.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 
 SIZE_TOLERANCE_MM: Final = 0.5
-"""Sizes that differ by no more are the same: orders have whole millimetres, and packers may round to them."""
+"""Tolerance of equal sizes: orders have whole millimetres, and packers may round to them."""
 
 MASS_TOLERANCE: Final = 0.001
-"""Masses that differ by no more, as a share of the order's, are the same; so are those that differ by no more than half
-a gram, to which small masses are rounded."""
+"""Tolerance of equal masses, as a share of the order's mass."""
 
 MASS_TOLERANCE_KG: Final = 0.0005
+"""Tolerance of equal masses that also holds for small masses: half a gram, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
-"""What sums in binary may add to a difference that is a tolerance exactly."""
+"""Allowance for float64: a difference that is exactly a tolerance may come out slightly larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +46,11 @@ class Matching:
     """The n boxes of a plan and the m items of its order.
 
     Attributes:
-        item: (n,) which item each box is; −1: nobody ordered it, or not so often.
+        item: (n,) the item of each box; −1: the box was not ordered, or all its items are other boxes.
         resized: (n,) whether the box has another size or mass than its item.
         by_size: (n,) whether the box has neither id nor article, and was matched by size and mass.
-        sheets: (n,) interlayer sheets, which orders need not have.
-        n_items: m.
+        sheets: (n,) whether the box is an interlayer sheet, which orders need not have.
+        n_items: m, the number of items.
     """
 
     item: NDArray[np.int64]
@@ -60,22 +61,22 @@ class Matching:
 
     @property
     def as_ordered(self) -> NDArray[np.bool_]:
-        """(n,) whether a box is an ordered one, with its size and mass."""
+        """(n,) whether a box was ordered, with this size and mass."""
         return (self.item >= 0) & ~self.resized
 
     @property
     def not_ordered(self) -> NDArray[np.bool_]:
-        """(n,) boxes that nobody ordered; sheets are none."""
+        """(n,) whether a box was not ordered. Sheets do not count."""
         return (self.item < 0) & ~self.sheets
 
     @property
     def left_out(self) -> int:
-        """Items that no box is."""
+        """The number of items that match no box."""
         return self.n_items - int(np.count_nonzero(self.item >= 0))
 
 
 class _Names(NamedTuple):
-    """What a box or an item is called; "" where it has no such name."""
+    """The names of a box or an item; "" where it has no such name."""
 
     item_id: str
     article: str
@@ -86,11 +87,12 @@ _Takes = Callable[[_Names], bool]
 
 
 class _MatchKey(NamedTuple):
-    """A way in which boxes are known: those with the same key; None: neither side has one.
+    """One way to match: boxes and items with the same key match.
 
     Attributes:
-        boxes, items: which of them it is for.
-        named: whether the key says which item a box is, whatever its size.
+        key: the key of a box or an item; None: it has none, and does not match.
+        boxes, items: whether a box or an item takes part.
+        named: whether the key alone identifies the item, whatever the box's size.
     """
 
     key: _Key
@@ -112,8 +114,8 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), lambda box: not any(box), _any, named=False),
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
-"""One after the other, for the boxes and items that are left: first for boxes of the same size and mass, then for
-others. A name that one side lacks does not tell them apart."""
+"""Ways to match, in order; each takes the boxes and items that the ways before have left. All ways are tried first with
+equal size and mass, then those with ``named`` without. A name that one side lacks is not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:
@@ -146,7 +148,7 @@ def match(plan: Plan, order: Order) -> Matching:
 def _match_equal(
     boxes: list[_Names], of_boxes: FloatArray, items: list[_Names], of_items: FloatArray, matched: NDArray[np.int64]
 ) -> None:
-    """Match boxes that have all of an item's names and its very size and mass: most of them, and quickly."""
+    """Match boxes whose names, size and mass are exactly those of an item. This is fast, and matches most boxes."""
     free: dict[Hashable, list[int]] = defaultdict(list)
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
@@ -166,7 +168,7 @@ def _groups(numbers: list[int], names: list[_Names], takes: _Takes, key: _Key) -
 def _equal_pairs(
     boxes: list[int], items: list[int], of_boxes: FloatArray, of_items: FloatArray
 ) -> list[tuple[int, int]]:
-    """(box, item) of the same size and mass."""
+    """Pairs (box, item) of equal size and mass. A box and an item are in one pair at most."""
     if not items:
         return []
     same = _equal_measures(of_boxes[boxes][:, None], of_items[items][None])
@@ -181,7 +183,7 @@ def _equal_pairs(
 
 
 def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether size and mass are the same, within the tolerances."""
+    """Whether sizes and masses are equal within the tolerances."""
     apart = np.abs(box - item)
     sizes = (apart[..., :3] <= SIZE_TOLERANCE_MM + _ROUNDING).all(axis=-1)
     masses = apart[..., 3] <= np.maximum(MASS_TOLERANCE * item[..., 3], MASS_TOLERANCE_KG) + _ROUNDING
@@ -189,7 +191,7 @@ def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
 
 
 def _measures(size_mm: FloatArray, mass_kg: FloatArray) -> FloatArray:
-    """(n, 4) sizes, the smallest first, and mass."""
+    """(n, 4) the three sizes in ascending order, mm, and the mass, kg."""
     return np.column_stack([np.sort(size_mm, axis=1), mass_kg])
 
 
@@ -199,20 +201,20 @@ def _measures_of(items: tuple[Item, ...]) -> FloatArray:
 
 
 MOST_LISTED: Final = 10_000
-"""Plans, orders or errors that are named one by one; all are counted."""
+"""Largest number of plans, orders or errors that are listed one by one. The counts include all."""
 
 MOST_ARTICLES: Final = 5
-"""Articles that a line names."""
+"""Largest number of articles that a line names."""
 
 
 class PlanOrderCounts(NamedTuple):
-    """One plan and its order, as counts of boxes.
+    """Counts of boxes of one plan and its order.
 
     Attributes:
-        ordered_boxes: of the order.
-        left_out: ordered, but not in the plan.
-        not_ordered: in the plan, but not ordered.
-        resized: ordered and in the plan, but with another size or mass.
+        ordered_boxes: boxes of the order.
+        left_out: boxes that were ordered, but are not in the plan.
+        not_ordered: boxes of the plan that were not ordered.
+        resized: boxes of the plan that were ordered with another size or mass.
     """
 
     ordered_boxes: int
@@ -223,17 +225,17 @@ class PlanOrderCounts(NamedTuple):
 
 @dataclass
 class OrderCounts:
-    """All plans of a run and all orders, as counts.
+    """Counts of all plans of a run and all orders.
 
     Attributes:
         orders: usable orders of the file.
-        ordered_boxes, left_out, not_ordered, resized: boxes, as in :class:`PlanOrderCounts`, of all plans that have an
+        ordered_boxes, left_out, not_ordered, resized: boxes (see :class:`PlanOrderCounts`) of all plans that have an
         order.
-        matched_by_size: boxes without id and article of these plans, which are matched by size and mass.
+        matched_by_size: boxes of these plans without id and article, which were matched by size and mass.
         plans_leaving_out: plans that leave out at least one box.
-        plans_without_order: plans of which the file has no usable order.
-        orders_without_plan, boxes_without_plan: orders that have no usable plan, and their boxes; None: not known,
-            since not all plans were read.
+        plans_without_order: plans without a usable order in the file.
+        orders_without_plan, boxes_without_plan: orders without a usable plan, and their boxes; None: not known, since
+            not all plans were read.
         unusable_orders: orders of the file that were not compared.
     """
 
@@ -252,16 +254,16 @@ class OrderCounts:
 
 @dataclass
 class OrderCheck:
-    """What :func:`check_orders` found.
+    """The result of :func:`check_orders`. Each list has at most ``MOST_LISTED`` entries.
 
     Attributes:
         file: name of the orders file.
-        digest: hexadecimal, of what was ordered.
+        digest: digest of the ordered items, hexadecimal.
         of_plan: plan id → counts, for each plan that has an order; also plans of other shards.
-        counts: of this shard.
-        lines: one for each plan of this shard that is not what was ordered. At most ``MOST_LISTED``, as those below.
+        counts: counts of this shard.
+        lines: a line for each plan of this shard that differs from its order.
         without_plan: ids of orders of this shard that have no usable plan.
-        unusable: one line for each order that was not compared.
+        unusable: a line for each order that was not compared.
     """
 
     file: str
@@ -281,17 +283,17 @@ def check_orders(
     all_plans: bool = True,
     strict: bool = False,
 ) -> OrderCheck:
-    """Compare plans with the orders of a BED-BPP orders file; an order belongs to the plan that has its id.
+    """Compare plans with the orders of a BED-BPP orders file. A plan and its order have the same id.
 
     Args:
         path: the file, gzipped or not.
-        plans: all plans of the run, each id once.
-        takes: whether a plan or order of that id is in this shard.
-        all_plans: whether these are all plans that there are. If not, it is not known which orders have none.
+        plans: all plans of the run, with distinct ids.
+        takes: whether the plan or order with an id is in this shard.
+        all_plans: whether ``plans`` has all plans. If not, orders without a plan are not counted.
         strict: raise at the first unusable order, instead of leaving it out of the comparison.
 
     Raises:
-        InputError: the file cannot be read, is damaged or holds no usable order; with ``strict`` an unusable order.
+        InputError: the file cannot be read, is damaged or has no usable order; with ``strict`` an order is unusable.
             The line names file, order and field.
     """
     by_id = {plan.plan_id: plan for plan in plans}
@@ -338,13 +340,13 @@ def check_orders(
 
 
 def counts_of(matching: Matching) -> PlanOrderCounts:
-    """A plan's boxes and its order's, as counts."""
+    """The counts of one plan and its order."""
     not_ordered, resized = (int(np.count_nonzero(mask)) for mask in (matching.not_ordered, matching.resized))
     return PlanOrderCounts(matching.n_items, matching.left_out, not_ordered, resized)
 
 
 def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
-    """What of a plan is not as it was ordered: "2 of 9 ordered boxes are left out (2 × jam)"; empty: nothing."""
+    """The differences between a plan and its order: "2 of 9 ordered boxes are left out (2 × jam)"; empty: none."""
     ordered, parts = counts_of(matching), []
     if ordered.left_out:
         missing = set(range(len(order.items))) - set(matching.item.tolist())
@@ -369,8 +371,11 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
 
 
 def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
-    """(n,) which boxes of a plan are on the order's target, wherever the plan has its origin: all of a plan that has
-    room on it, also turned; else those whose middles are over the target with its corner in the origin."""
+    """(n,) whether a box of a plan is on the order's target.
+
+    If the plan's bounding box fits on the target, also turned, all boxes are on it, wherever the plan has its origin.
+    Else a box is on it if its middle is over the target with its corner at the origin.
+    """
     extent = np.array(TARGET_EXTENT_MM[order.target], float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
     across = high.max(axis=0) - low.min(axis=0)
@@ -382,13 +387,13 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
 
 @dataclass(eq=False)
 class OddBoxes:
-    """What of many plans is not as it was ordered: boxes of each kind, and the first of them in words."""
+    """Differences between many plans and their orders: the number of boxes of each kind, and the first in words."""
 
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)
 
     def add(self, plan: Plan, order: Order, matching: Matching) -> None:
-        """Count one more plan."""
+        """Add the boxes of one plan."""
         kinds = {
             "not_ordered": matching.not_ordered,
             "resized": matching.resized,
@@ -407,7 +412,11 @@ class OddBoxes:
                 self.first[kind] = words
 
     def lines(self, whose: str = "") -> Iterator[str]:
-        """A line on each kind of which there are some; ``whose``: "of NAME", a packer."""
+        """A line for each kind that has boxes.
+
+        Args:
+            whose: "of NAME", the name of a packer; may be empty.
+        """
         for kind, one, many in (
             ("not_ordered", "was not ordered", "were not ordered"),
             ("resized", "has another size or mass than ordered", "have other sizes or masses than ordered"),
@@ -433,7 +442,9 @@ def _name_of_box(plan: Plan, box: int) -> str:
 
 
 def _name(item_id: str, article: str) -> str:
-    """ "bread-00105329", "carton (77)": an article, with an id that it does not hold; "" where there is neither."""
+    """The article, and the id if the article does not contain it: "bread-00105329", "carton (77)". Without an article
+    the id; "" without both.
+    """
     if not article:
         return printable_name(item_id)
     return printable_name(article) + ("" if item_id in article else f" ({printable_name(item_id)})")
@@ -452,7 +463,7 @@ def _measures_in_words(sizes_mm: Iterable[float], kg: float) -> str:
 
 
 def _in_words(names: Iterable[str], between: str = ", ") -> str:
-    """ "2 × bread-00105329, 1 × carton (77)"."""
+    """Names with their counts: "2 × bread-00105329, 1 × carton (77)"."""
     counts = [f"{number:,} × {name}" for name, number in Counter(names).items()]
     more = [count_text(len(counts) - MOST_ARTICLES, "more article")] if len(counts) > MOST_ARTICLES else []
     return between.join([*counts[:MOST_ARTICLES], *more])

@@ -1,4 +1,4 @@
-"""Reading BED-BPP *orders* files: order id → ``item_sequence`` and ``properties``."""
+"""Reader of BED-BPP's files of *orders*: order id → ``item_sequence`` and ``properties``."""
 
 from __future__ import annotations
 
@@ -15,18 +15,21 @@ from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
 
 MOST_ITEMS: Final = 512
-"""Items of one order: twice the boxes of the largest plan. The packer's time grows with their third power."""
+"""Largest number of items of an order: twice the boxes of the largest plan. The packer's time grows with its third
+power."""
 _MOST_DIGITS: Final = 18
-"""Of a sequence number."""
+"""Largest number of digits of a sequence number."""
 
 
 def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = None) -> Iterator[tuple[str, Order]]:
-    """Yield (order id, order) for each order of a file, gzipped or not; items by rising sequence number.
+    """Yield (order id, order) for each order of a file, gzipped or not. Items are sorted by sequence number.
+
+    Args:
+        on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
 
     Raises:
-        InputError: the file cannot be read or is not a whole JSON object, which is found out before the first order is
-            yielded; or an order is bad and ``on_bad_order`` is not given (else that is called with the error and the
-            order skipped).
+        InputError: the file cannot be read or is not a whole JSON object (raised before the first order); or an order
+            is bad and ``on_bad_order`` is None.
     """
     name = printable(str(path))
     data = _read_whole(path, name)
@@ -47,7 +50,7 @@ def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = 
 
 
 def _read_whole(path: Path, name: str) -> bytearray:
-    """The bytes of a file in which nothing is damaged."""
+    """The bytes of a file of orders. Raises InputError: the file is damaged or has no order."""
     try:
         data, fault = read_text_bytes(path)
     except (OSError, ValueError) as error:

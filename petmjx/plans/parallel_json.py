@@ -1,8 +1,8 @@
-"""Large JSON files of plans, read in several interpreters at a time, each a piece of the text.
+"""Parallel reading of large JSON files of plans: several interpreters read a piece of the text each.
 
-A piece is cut where a plan seems to end. Each is read as a file of its own; only if all of them are sound JSON were
-they cut between plans, and the plans are those of the whole text. Else the caller reads the text in one go, and says
-what is wrong with it.
+The text is cut where a plan seems to end. Each piece is read as a file of its own. If all pieces are sound JSON, all
+cuts were between plans, and the plans are those of the whole text. Otherwise the caller reads the text in one go, and
+reports its errors.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from petmjx.plans.plan_validation import PlanError, parse_plan
 from petmjx.plans.plan_warnings import PlanWarnings, check_layout
 
 WORTH_BYTES: Final = 12 << 20
-"""A shorter text is read in one go: 10 MB take 0.4 s, and an interpreter takes 0.3 s to start."""
+"""Least length of a text that is read in pieces: 10 MB take 0.4 s, and an interpreter takes 0.3 s to start."""
 
 PIECE_BYTES: Final = 4 << 20
-"""A piece is no shorter."""
+"""Least length of a piece."""
 
 _BETWEEN_PLANS: Final = re.compile(rb'\}[ \t\n\r]*+\][ \t\n\r]*+(,)[ \t\n\r]*+"')
 """The end of a plan's last placement, and the beginning of the next id."""
@@ -39,16 +39,17 @@ _BETWEEN_PLANS: Final = re.compile(rb'\}[ \t\n\r]*+\][ \t\n\r]*+(,)[ \t\n\r]*+"'
 _CODE: Final = "from petmjx.plans.parallel_json import main; main()"
 
 _MARK: Final = b"petmjx pieces\n"
-"""Before each answer. What the user's sitecustomize prints when an interpreter starts is none, and is not unpickled."""
+"""Mark before each answer. The user's sitecustomize may print when an interpreter starts; without the mark that output
+is not unpickled."""
 
 
 class ReadEntry(NamedTuple):
-    """An entry of a file, read: a plan, a fault, or an order.
+    """One entry of a file after reading: a plan, a faulty entry, or an order.
 
     Attributes:
-        plan: None for a fault or an order.
-        layout: what is odd about the plan's layout; None: nothing.
-        fault: why the entry is no plan; None for a plan or an order.
+        plan: the plan; None for a faulty entry or an order.
+        layout: warnings about the plan's layout; None: nothing is odd.
+        fault: the error of a faulty entry; None for a plan or an order.
     """
 
     plan_id: str
@@ -59,7 +60,7 @@ class ReadEntry(NamedTuple):
 
 @dataclass(frozen=True)
 class PieceOptions:
-    """How pieces are read: arguments of ``load_plans`` that reach a single plan."""
+    """Options for reading pieces: the arguments of ``load_plans`` that apply to a single plan."""
 
     source: str
     max_boxes: int
@@ -68,10 +69,10 @@ class PieceOptions:
 
 
 def read_in_pieces(data: bytes | bytearray, options: PieceOptions, unread: UnreadFields) -> list[ReadEntry] | None:
-    """The entries of a large text, in order; None if it is to be read in one go.
+    """The entries of a large text, in order; None if the caller must read it in one go.
 
     Args:
-        unread: fields that nobody reads are counted here.
+        unread: gets the counts of fields that petmjx does not read.
     """
     pieces = _cut(data, min(cpu_threads(), len(data) // PIECE_BYTES))
     if len(pieces) < 2:
@@ -83,11 +84,11 @@ def read_in_pieces(data: bytes | bytearray, options: PieceOptions, unread: Unrea
             try:
                 children += (_reader_process() for _ in pieces)
                 read += pool.map(lambda child, piece: _answer(child, options, piece), children, pieces)
-            finally:  # here: after ctrl-C the pool waits for its threads, and they for whole pieces
+            finally:  # inside the pool's block: after ctrl-C its exit waits for threads, and these for whole pieces
                 for child in children:
                     with suppress(OSError):
                         child.kill()
-    except (OSError, RuntimeError):  # no memory for them or a thread, or an interpreter inside another program
+    except (OSError, RuntimeError):  # no memory for a process or a thread, or Python is embedded in another program
         return None
     finally:
         for child in children:
@@ -100,7 +101,7 @@ def read_in_pieces(data: bytes | bytearray, options: PieceOptions, unread: Unrea
 
 
 def _cut(data: bytes | bytearray, count: int) -> list[list[memoryview | bytes]]:
-    """At most so many pieces of a text, each an object of its own if it was cut between plans."""
+    """At most ``count`` pieces of a text. Each piece is a JSON object if the text was cut between plans."""
     cuts: list[int] = []
     for number in range(1, count):
         match = _BETWEEN_PLANS.search(data, max(len(data) * number // count, cuts[-1] if cuts else 0))
@@ -117,7 +118,7 @@ def _cut(data: bytes | bytearray, count: int) -> list[list[memoryview | bytes]]:
 def _reader_process() -> subprocess.Popen[bytes]:
     return subprocess.Popen(
         [sys.executable, "-c", _CODE],
-        env={**own_environment(), "OPENBLAS_NUM_THREADS": "1"},  # threads that nobody needs take time to start
+        env={**own_environment(), "OPENBLAS_NUM_THREADS": "1"},  # further threads are not used, and take time to start
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -127,8 +128,10 @@ def _reader_process() -> subprocess.Popen[bytes]:
 def _answer(
     child: subprocess.Popen[bytes], options: PieceOptions, piece: Sequence[memoryview | bytes]
 ) -> tuple[list[ReadEntry], UnreadFields] | None:
-    """What an interpreter made of a piece; None if that is no sound JSON, or the interpreter died or
-    printed something of its own."""
+    """The entries that an interpreter read from a piece, and counts of unread fields.
+
+    None: the piece is no sound JSON, or the interpreter died, or its output does not start with the mark.
+    """
     assert child.stdin is not None
     assert child.stdout is not None
     try:
@@ -144,10 +147,10 @@ def _answer(
 
 
 def main() -> None:
-    """Read a piece from standard input, and write what is in it to standard output."""
+    """Read a piece from standard input, and write its entries to standard output."""
     options: PieceOptions = pickle.load(sys.stdin.buffer)
     answer = None
-    with suppress(Exception):  # whoever reads the whole text says what is wrong
+    with suppress(Exception):  # the caller then reads the whole text, and reports its errors
         unread = UnreadFields()
         answer = *_packed_entries(list(_entries(sys.stdin.buffer.read(), options, unread))), unread
     sys.stdout.buffer.write(_MARK)
@@ -173,13 +176,13 @@ def _entries(data: bytes, options: PieceOptions, unread: UnreadFields) -> Iterat
 
 _FIELDS: Final = tuple(field.name for field in fields(Plan))
 _ARRAYS: Final = ("size_mm", "corner_mm", "mass_kg", "sequence", "orientation")
-"""What all plans of files have. Arrays of all plans of a piece travel as one."""
+"""Arrays that every plan of a file has. Those of all plans of a piece are concatenated for the transfer."""
 
 _OTHERS: Final = tuple(name for name in _FIELDS if name not in _ARRAYS)
 
 
 def _packed_entries(entries: Sequence[ReadEntry]) -> tuple[list[Any], dict[str, Any]]:
-    """Entries as they travel: a row for each, and the arrays of all plans."""
+    """Entries in the form of the transfer: a row for each entry, and the concatenated arrays of all plans."""
     plans = [entry.plan for entry in entries if entry.plan is not None]
     rows = [
         (*entry[2:], entry.plan_id, None)
@@ -196,7 +199,7 @@ def _unpacked_entries(rows: Sequence[Any], arrays: dict[str, Any]) -> Iterator[R
         if others is None:
             yield ReadEntry(of_plan, None, layout, fault)
             continue
-        plan, end = object.__new__(Plan), begin + of_plan  # it was checked where it was read
+        plan, end = object.__new__(Plan), begin + of_plan  # no check: the interpreter that read it has checked it
         for name, value in zip(_OTHERS, others, strict=True):
             object.__setattr__(plan, name, value)
         for name, values in arrays.items():

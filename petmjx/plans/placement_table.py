@@ -1,11 +1,9 @@
-"""One column of a table of placements: its values as arrays, and which of them cannot be used.
+"""Tables of placements: columns (``InputColumn``) become the checked fields of plans (``table_plans``).
 
-Whole columns are converted in C; only where that fails are values looked at one by one.
+A table has one row for each placement. ``sequence`` is the packing order, so rows may come in any order. Each unusable
+plan or row gets one line.
 
-A table with a row a placement: from columns to the checked fields of plans, with one line about each unusable part.
-
-``sequence`` is the packing order, so rows may come in any order. All rows are checked at once; Python looks at single
-rows only where something is wrong.
+For speed, whole columns are converted and checked in C. Python checks single values and rows only where that fails.
 """
 
 from __future__ import annotations
@@ -49,17 +47,17 @@ _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
 _WHOLE: Final = re.compile(r"[+-]?[0-9]+")
 _MOST_EXACT: Final = 2.0**53
-"""Up to here float64 has every whole number."""
+"""Up to this number float64 represents every whole number."""
 
 
 @dataclass(frozen=True, eq=False)
 class InputColumn:
-    """A column as it came.
+    """A column of a table, before it is checked.
 
     Attributes:
-        values: Arrow's array; or Python objects, where they are of several types.
-        is_text: whether numbers are written as text too, as in CSV; empty text is then a missing value.
-        decimal: the decimal mark of such numbers.
+        values: an Arrow array; or Python objects, if they are of several types.
+        is_text: whether numbers are texts, as in CSV. Empty text is then a missing value.
+        decimal: the decimal mark of numbers that are texts.
     """
 
     values: pa.Array | Sequence[Any]
@@ -67,10 +65,10 @@ class InputColumn:
     decimal: str = "."
 
     def raw(self, row: int, number: bool = False) -> Any:
-        """The value of a row as messages show it; None where there is none.
+        """The value of a row as messages show it; None: it is missing.
 
         Args:
-            number: whether it should be a number: text that is one is shown as one.
+            number: whether the column should have numbers. A number that is text is then shown as a number.
         """
         value = self.values[row]
         value = value.as_py() if isinstance(value, pa.Scalar) else value
@@ -84,19 +82,18 @@ class InputColumn:
             return None
         if self.is_text and number:
             return _as_number(value.strip(), self.decimal)
-        # times and what else a table may hold are shown as text
+        # times, and values of all further types, are shown as text
         return value if isinstance(value, str | int | float | list | dict) else str(value)
 
     def missing(self, number: bool = False) -> NDArray[np.bool_]:
-        """(n,) where there is no value; as for :meth:`raw`."""
+        """(n,) whether a row has no value. ``number`` as for :meth:`raw`."""
         if not isinstance(self.values, pa.Array):
             return np.array([self.raw(row, number) is None for row in range(len(self.values))], dtype=bool)
         array = _trimmed_text(self.values) if self.is_text and number else self.values
         return np.asarray(array.is_null())
 
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) numbers, NaN where there is none; and a mask of values that are usable as numbers. Ranges are not
-        checked."""
+        """(n,) numbers, NaN where there is none; and the mask of usable numbers. Ranges are not checked."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _float, np.nan, np.float64)
@@ -108,7 +105,7 @@ class InputColumn:
         return np.asarray(numbers.fill_null(np.nan)), np.asarray(numbers.is_valid())
 
     def whole(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """(n,) whole numbers, 0 where there is none; and a mask of where there is one."""
+        """(n,) whole numbers, 0 where there is none; and the mask of rows that have one."""
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
         integers = np.where(usable, numbers, 0).astype(np.int64)
@@ -120,7 +117,7 @@ class InputColumn:
         return np.where(known, np.asarray(exact.fill_null(0)), integers), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
-        """(n,) names, "" where there is none; and a mask of usable ones. Equal ones share one string."""
+        """(n,) names, "" where there is none; and the mask of usable names. Equal names share one string."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _name, "", np.object_)
@@ -140,10 +137,7 @@ class InputColumn:
 
 
 def as_column(values: Any, is_text: bool = False, decimal: str = ".") -> InputColumn:
-    """A column of a pandas series, a NumPy array, a list or an Arrow array.
-
-    Numbers that are NaN are missing values in pandas, and so they are here.
-    """
+    """A column from a pandas series, a NumPy array, a list or an Arrow array. NaN is a missing value, as in pandas."""
     if isinstance(values, pa.ChunkedArray):
         values = values.combine_chunks()
     if not isinstance(values, pa.Array):
@@ -171,7 +165,7 @@ def _trimmed_text(array: pa.Array) -> pa.Array:
 
 
 def _exact(array: pa.Array) -> pa.Array:
-    """Whole numbers as int64, of which float64 has not all; null where there is none."""
+    """Whole numbers as int64, since float64 would lose digits; null where there is none."""
     try:
         return pc.cast(array, pa.int64())
     except pa.ArrowInvalid:
@@ -183,7 +177,7 @@ def _exact(array: pa.Array) -> pa.Array:
 
 
 def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
-    """Text as Arrow reads numbers; null where it is none."""
+    """The numbers in texts, as float64; null where a text is no number."""
     text = _trimmed_text(array)
     if decimal != ".":
         text = pc.replace_substring(text, decimal, ".")
@@ -194,7 +188,7 @@ def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
 
 
 def _as_number(text: str, decimal: str) -> Any:
-    """A number that is written as text; other text as it is, None where it is empty."""
+    """The number in a text. A text that is no number is returned unchanged; None: it is empty."""
     if not text:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:
@@ -206,7 +200,13 @@ def _as_number(text: str, decimal: str) -> Any:
 def _converted_objects(
     values: Sequence[Any], read: Callable[[Any], Any], otherwise: Any, kind: type[np.generic]
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Python objects one by one; ``read`` gives None for what cannot be used."""
+    """Values of Python objects, converted one by one; and the mask of usable values.
+
+    Args:
+        read: converts a value; None: it cannot be used.
+        otherwise: stands for values that cannot be used.
+        kind: type of the array.
+    """
     readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
     usable = np.array([value is not None for value in readings], dtype=bool)
     array = np.empty(len(readings), dtype=kind)
@@ -232,19 +232,19 @@ def _name(value: Any) -> str | None:
 _SIZE: Final = ("length_mm", "width_mm", "height_mm")
 _CORNER: Final = ("x_mm", "y_mm", "z_mm")
 NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER)
-"""Columns that every table has."""
+"""Columns that every table must have."""
 _SELDOM: Final = ("material", "kind", *COM_FIELDS, *SPARSE)
 OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", *_SELDOM)
-"""Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order; where
-there is none, ``sequence`` is taken for it."""
+"""Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order;
+without this column ``sequence`` is used."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 _NAMES: Final = ("plan_id", *_TEXTS)
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
-"""Columns that may have no value in a row."""
+"""Columns in which a row may lack a value."""
 _ALIASES: Final = {
     name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *COM_FIELDS)
 }
-"""BED-BPP's own spelling of sizes and weights."""
+"""BED-BPP's spelling of sizes, weights and centres of mass → petmjx's."""
 
 
 PlanFields = dict[str, Any]
@@ -252,18 +252,18 @@ PlanFields = dict[str, Any]
 
 
 class TableError(InputError):
-    """A table of which nothing can be used."""
+    """A whole table cannot be used."""
 
 
 class RefusedPlan(NamedTuple):
-    """A plan, or a row of no known plan (``plan_id`` is None), that is refused; ``message`` is the whole line."""
+    """A refused plan, or a refused row of no known plan (``plan_id`` is None). ``message`` is the whole line."""
 
     plan_id: str | None
     message: str
 
 
 class LostRow(NamedTuple):
-    """A row that cannot be read, by its number; ``plan_id`` is None where it is not known."""
+    """A row that cannot be read. ``plan_id`` is None if it is not known."""
 
     number: int
     plan_id: str | None
@@ -272,13 +272,13 @@ class LostRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table as it was read.
+    """A table after reading, before its values are checked.
 
     Attributes:
-        columns: by name, n rows each; names are those of `NEEDED` and `OPTIONAL`, others are not read.
-        unread: names of further columns.
-        numbers: (n,) how rows are counted in messages.
-        lost: rows that are not in the columns.
+        columns: name, of `NEEDED` or `OPTIONAL` → column of n rows.
+        unread: names of columns that are not read.
+        numbers: (n,) the number of each row in messages.
+        lost: rows that could not be read, and are not in the columns.
         cut_off: whether the table ends too early, so that the last plan may lack rows.
     """
 
@@ -290,12 +290,12 @@ class Table:
 
 
 def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
-    """Which column is where, by the name that petmjx has for it, and the names of others.
+    """petmjx's name of a column → its position; and the names of columns that are not read.
 
-    Names differ neither by case nor by white space around them.
+    Case, and white space around a name, are ignored.
 
     Raises:
-        TableError: a column is there twice, or one is missing. The text does not name the file.
+        TableError: a column is there twice, or is missing. The error does not name the file.
     """
     positions: dict[str, int] = {}
     unread = []
@@ -319,20 +319,20 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
 def table_plans(
     table: Table, source: str, max_boxes: int, notes: list[str], given: InputConventions = USUAL
 ) -> Generator[PlanFields | RefusedPlan, None, None]:
-    """The plans of a table in the order in which they appear, and what is refused.
+    """The plans of a table, in order of appearance, and the refused plans and rows.
 
     Args:
-        source: the file, for messages.
+        source: name of the file in messages.
         max_boxes: plans with more boxes are refused.
-        notes: gets a line on plans whose ``sequence`` has gaps.
-        given: units and point of its numbers.
+        notes: gets a line about plans whose ``sequence`` has gaps.
+        given: units and anchor of the table's numbers.
     """
     return _TableReader(table, source, max_boxes, notes, given).plans()
 
 
 @dataclass(eq=False)
 class _TableReader:
-    """One table while it is read. Rows with an unusable plan id belong to no plan."""
+    """The reading of one table. Rows with an unusable plan id belong to no plan."""
 
     table: Table
     source: str
@@ -346,7 +346,7 @@ class _TableReader:
         try:
             if self._plan_ids:
                 yield from self._rows_of_plans()
-        finally:  # also if only the first plans are wanted
+        finally:  # also if the caller takes only the first plans
             if self.gaps:
                 plans = f"{count_text(len(self.gaps), 'plan')} ({first_names(self.gaps)})"
                 self.notes.append(f"{self.source}: sequence has gaps in {plans}; are rows missing?")
@@ -439,13 +439,16 @@ class _TableReader:
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
-        """Where the columns have no value."""
+        """Name of a column → (n,) whether a row has no value in it."""
         names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
         return {name: self.table.columns[name].missing(number=name not in _NAMES) for name in names}
 
     @cached_property
     def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
-        """(n,) which plan, by first appearance, −1 where the plan id cannot be used; and the ids."""
+        """(n,) the number of each row's plan, −1 if the plan id cannot be used; and the ids of the plans.
+
+        Plans are numbered in order of appearance.
+        """
         names, usable = self._texts["plan_id"]
         coded = pa.array(names, pa.large_string(), mask=~usable | (names == "")).dictionary_encode()
         return np.asarray(coded.indices.fill_null(-1)).astype(np.int64), coded.dictionary.to_pylist()
@@ -460,13 +463,13 @@ class _TableReader:
 
     @cached_property
     def _order(self) -> NDArray[np.int64]:
-        """Rows by plan and packing order; rows of no plan come first."""
+        """Rows sorted by plan and packing order; rows of no plan come first."""
         order: NDArray[np.int64] = np.lexsort((self._whole["sequence"][0], self._codes))
         return order
 
     @cached_property
     def _sorted(self) -> dict[str, NDArray[Any]]:
-        """Columns by plan and packing order."""
+        """Columns sorted by plan and packing order."""
         order, number, integers, texts = self._order, self._numbers, self._whole, self._texts
         size = np.stack([number[name][order] for name in _SIZE], axis=1)
         columns: dict[str, NDArray[Any]] = {
@@ -515,7 +518,7 @@ class _TableReader:
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
-        """Why a plan is refused; begins with ", row" where a row is to blame."""
+        """Why a plan is refused; None: it is fine. Begins with ", row" if the fault is in a row."""
         if end - begin > self.max_boxes:
             return too_many_boxes(end - begin, self.max_boxes)
         rows = np.sort(self._order[begin:end])
@@ -529,7 +532,7 @@ class _TableReader:
         return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
-        """Why rows are bad: all that is missing, or else the first fault."""
+        """The fault of bad rows: all missing values if several rows lack some, or else the first fault."""
         numbers = self.table.numbers
         needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
         missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}
@@ -540,7 +543,7 @@ class _TableReader:
         return next(faults, "is unusable")
 
     def _fault_of(self, row: np.int64) -> str | None:
-        """What is wrong with a row, in the order of the columns."""
+        """The first fault of a row, in the order of the columns; None: it has none."""
         missing = [name for name, empty in self._missing.items() if empty[row] and name not in _MAY_LACK]
         if missing:
             return missing_fault(missing)
@@ -566,7 +569,7 @@ class _TableReader:
     def _raw(self, name: str, row: np.int64) -> Any:
         return self.table.columns[name].raw(int(row), number=name not in _NAMES)
 
-    # What is no plan.
+    # Rows and plans that are refused.
 
     def _rows_of_no_plan(self) -> Iterator[RefusedPlan]:
         for row in np.flatnonzero(self._codes < 0):
@@ -581,7 +584,7 @@ class _TableReader:
                 yield RefusedPlan(lost.plan_id, f"{self.source}:{plan} row {lost.number}: {lost.fault}")
 
     def _refused_before(self) -> dict[str, str]:
-        """Plans that lack a row, and why."""
+        """Id of a plan that lacks a row → the fault."""
         reasons: dict[str, str] = {}
         if self.table.cut_off and len(self._codes) and self._codes[-1] >= 0:
             reasons[self._plan_ids[self._codes[-1]]] = "the file ends inside this plan; truncated?"
@@ -592,5 +595,5 @@ class _TableReader:
 
 
 def _integer_value(value: Any) -> Any:
-    """A whole number that came as 2.0."""
+    """A float such as 2.0 as an integer; all other values unchanged."""
     return int(value) if isinstance(value, float) and value.is_integer() else value

@@ -20,27 +20,29 @@ from petmjx.plans.plan_fields import KINDS, SHEET, SPARSE
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
 class Plan:
-    """One packing plan. Rows are placements in packing order, counted from 0; lengths are millimetres.
+    """One packing plan. Rows are placements in packing order, counted from 0. Lengths are in millimetres.
 
     Attributes:
         plan_id: the plan's key in its file.
-        source: the file it came from, for messages.
-        size_mm: (n, 3) box extents along x, y, z as they stand, orientation applied.
+        source: name of its file, for messages.
+        size_mm: (n, 3) extents of the boxes along x, y, z as placed, orientation applied.
         corner_mm: (n, 3) front-left-bottom corners; z = 0 is the top of the carrier.
-        mass_kg: (n,).
+        mass_kg: (n,) masses, kg.
         item_ids, articles: n names each.
         sequence: (n,) number of each item in the customer's order.
-        orientation: (n,) 0 or 1: whether the item's own length lies along x or along y; None: not given, and the
-            extents are taken as the item's own sizes.
+        orientation: (n,) 0: the item's length lies along x; 1: along y. None: not given, and the extents are taken as
+            the item's length and width.
         product_groups: n names, "" where an item has none; empty: no item has one.
-        materials: n names, by which friction is known (petmjx.options.materials), "" where not given; empty: given for
-            no box.
-        mass_center_mm: (n, 3) centres of mass, seen from the boxes' middles along x, y and z; None: in the middles.
-        approach_deg: (n,) level direction in which each box goes to its place, from +x to +y; NaN where not given;
-            None: given for no box. Used where boxes are carried (``petmjx.options.placing``).
-        stiffness_n_mm: (n,) force on each box's top per compression, as in a press; NaN: it is rigid; None: all are.
-        strength_n: (n,) what each box bears on its top, N; NaN where not given; None: given for no box.
-        kinds: n times "box" or "sheet", an interlayer sheet; empty: all are boxes.
+        materials: n names of materials, which determine friction (petmjx.options.materials); "" where not given; empty:
+            given for no box.
+        mass_center_mm: (n, 3) centres of mass relative to the middles of the boxes, along x, y and z; None: all in the
+            middles.
+        approach_deg: (n,) horizontal direction in which each box moves to its place, from +x to +y, degrees; NaN where
+            not given; None: given for no box. Used if boxes are carried (``petmjx.options.placing``).
+        stiffness_n_mm: (n,) force on the box's top per compression, as in a press, N/mm; NaN: the box is rigid; None:
+            all boxes are rigid.
+        strength_n: (n,) load that the box bears on its top, N; NaN where not given; None: given for no box.
+        kinds: n times "box" or "sheet" (an interlayer sheet); empty: all are boxes.
     """
 
     plan_id: str
@@ -61,10 +63,12 @@ class Plan:
     kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Take lists for arrays, and refuse what no engine could use; from_boxes says which box it is.
+        """Convert lists to arrays, and refuse values that no engine can use.
+
+        Errors name the field; those of ``from_boxes`` also name the box.
 
         Raises:
-            InputError: a field has another type or length, or a number is not finite or not positive.
+            InputError: a field has a wrong type or length, or a number is not finite or not positive.
         """
         text_of(self.plan_id, "plan_id")
         text_of(self.source, "source")
@@ -126,31 +130,31 @@ class Plan:
         anchor: Anchor = "corner",
         **columns: Any,
     ) -> Plan:
-        """A plan from plain values, checked as those of files are.
+        """A plan from plain values, with the same checks as for files.
 
         ``Plan.from_boxes("tower", size_mm=[[400, 300, 200]] * 2, corner_mm=[[0, 0, 0], [0, 0, 200]], mass_kg=[6, 6])``
 
         Args:
             plan_id: 1 to 1,000 characters.
-            boxes: a dictionary for each box, in packing order, or one that has a list of n values for each field; also
-                a data frame. Fields are the columns of the table form: ``length_mm``, ``width_mm``, ``height_mm``,
-                ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and where known ``article``, ``item_id``,
+            boxes: a dictionary for each box, in packing order; or one dictionary with a list of n values for each
+                field; or a data frame. Fields are the columns of tables: ``length_mm``, ``width_mm``, ``height_mm``,
+                ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and optionally ``article``, ``item_id``,
                 ``product_group``, ``orientation``, ``order_sequence``, ``approach_deg``, ``material``,
                 ``com_length_mm``, ``com_width_mm``, ``com_height_mm``, ``stiffness_n_mm``, ``strength_n`` and ``kind``.
-                ``sequence`` gives another packing order.
-            size_mm: instead: (n, 3) extents along x, y, z as the boxes stand, mm, as ``Plan.size_mm`` has them; an
-                ``orientation`` beside it says how they were turned, and turns nothing.
-            corner_mm: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
-            mass_kg: (n,) kg.
-            units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) in all these, such as "cm,g".
-            anchor: the point of a box whose coordinates they have: ``corner``, ``centre``, ``base-centre`` or
+                ``sequence`` sets another packing order.
+            size_mm: instead of lengths, widths and heights: (n, 3) extents along x, y, z as placed, mm, as in
+                ``Plan.size_mm``. An ``orientation`` beside it only says how the boxes were turned; it turns nothing.
+            corner_mm: instead of x, y and z: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
+            mass_kg: instead of weights: (n,) masses, kg.
+            units: units of all these lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g".
+            anchor: the point of a box to which the coordinates refer: ``corner``, ``centre``, ``base-centre`` or
                 ``far-corner``.
             columns: further fields as lists of n values.
 
         Raises:
             InputError: a field is missing, unknown or unusable; the line names the box and the field.
         """
-        from petmjx.plans.plan_builder import fields_from_boxes  # what reads tables loads Arrow
+        from petmjx.plans.plan_builder import fields_from_boxes  # not at the top of the module: it loads Arrow
 
         arrays = {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}
         return cls(**fields_from_boxes(plan_id, boxes, arrays, columns, InputConventions.checked(units, anchor)))
@@ -161,17 +165,17 @@ class Plan:
 
     @property
     def sheets(self) -> NDArray[np.bool_]:
-        """(n,) which items are interlayer sheets."""
+        """(n,) whether an item is an interlayer sheet."""
         return np.array([name == SHEET for name in self.kinds] or [False] * self.n_boxes, bool)
 
     @property
     def turned(self) -> NDArray[np.bool_]:
-        """(n,) whether the item's own length lies along y."""
+        """(n,) whether the item's length lies along y."""
         return np.zeros(self.n_boxes, dtype=bool) if self.orientation is None else self.orientation == 1
 
     @property
     def item_com_mm(self) -> NDArray[np.float64]:
-        """(n, 3) centres of mass, seen from the items' middles along their length, width and height."""
+        """(n, 3) centres of mass relative to the items' middles, along their length, width and height."""
         if self.mass_center_mm is None:
             return np.zeros((self.n_boxes, 3))
         along = self.mass_center_mm[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
@@ -179,7 +183,7 @@ class Plan:
 
     @property
     def item_size_mm(self) -> NDArray[np.float64]:
-        """(n, 3) length, width and height of the items themselves."""
+        """(n, 3) length, width and height of the items, before they are turned."""
         return np.where(self.turned[:, None], self.size_mm[:, [1, 0, 2]], self.size_mm)
 
     def __repr__(self) -> str:
@@ -187,7 +191,7 @@ class Plan:
 
 
 def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
-    """(n,) whole numbers."""
+    """(n,) whole numbers as int64. Raises InputError: some are not."""
     if isinstance(values, np.ndarray) and values.dtype == np.int64 and values.ndim == 1:
         return values
     array = array_of(values, name, ())

@@ -1,4 +1,4 @@
-"""The fields of plans from plain Python values and NumPy arrays, checked as those of files are."""
+"""Builder of plans from plain Python values and NumPy arrays, with the same checks as for files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ARRAYS: Final = {
     "corner_mm": ("x_mm", "y_mm", "z_mm"),
     "mass_kg": ("weight_kg",),
 }
-"""Arguments of ``Plan.from_boxes`` → the columns that they are."""
+"""Argument of ``Plan.from_boxes`` → the columns of a table that it stands for."""
 
 
 def fields_from_boxes(
@@ -33,7 +33,7 @@ def fields_from_boxes(
     more: Mapping[str, Any],
     given: InputConventions,
 ) -> PlanFields:
-    """See ``Plan.from_boxes``.
+    """The checked fields of a plan. Arguments are those of ``Plan.from_boxes``.
 
     Raises:
         InputError: a field is missing, unknown or unusable, or fields have different lengths.
@@ -92,7 +92,7 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
             continue
         try:
             values = np.asarray(arrays[argument])
-        except Exception:  # whatever an object says when it is asked for an array
+        except Exception:  # whatever an object raises when it is turned into an array
             raise InputError(
                 f"{where}: {argument} must be an array of numbers, {shown_value(arrays[argument])}"
             ) from None
@@ -105,8 +105,9 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """The items' own lengths and widths, which tables have, from extents as the boxes stand. Orientations that are none
-    are refused later."""
+    """Lengths and widths of the items, as tables have them, from extents of the placed boxes. Wrong orientations are
+    refused later.
+    """
     turned = np.zeros(len(columns["length_mm"]), bool)
     try:
         orientations = list(columns["orientation"])
@@ -119,7 +120,7 @@ def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _length(values: Any, name: str) -> int:
-    with suppress(Exception):  # whatever an object says when it is asked
+    with suppress(Exception):  # whatever an object raises when its length is taken
         if not isinstance(values, str | bytes):
             return len(values)
     raise InputError(f"{name} must be a list of values, one for each box, {shown_value(values)}")

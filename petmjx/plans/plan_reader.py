@@ -1,6 +1,7 @@
-"""Packing plans: from files, in any of their forms, to validated plans, with one line about each unusable part.
+"""Reader of packing plans (``load_plans``): files of all formats become validated plans.
 
-What reads tables loads Arrow, and is imported where there is a table.
+Each unusable plan, entry or file gets one line. Modules that read tables load Arrow, so they are imported only when a
+table is read.
 """
 
 from __future__ import annotations
@@ -33,15 +34,15 @@ if TYPE_CHECKING:
     from petmjx.plans.placement_table import Table
 
 DEFAULT_MAX_BOXES: Final = 512
-"""Boxes of the largest plan that is taken by default: twelve times BED-BPP's mean of 43, and twice the largest plan of
-other packers that has been seen. Its model on C MuJoCo declares 132,000 pairs of geoms."""
+"""Default limit of a plan's boxes: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
+packers. The model of a plan of this size declares 132,000 pairs of geoms on C MuJoCo."""
 
 MOST_LINES: Final = 100_000
-"""Of a file, this many unusable entries are listed one by one; what else is unusable is counted."""
+"""Largest number of unusable entries of a file that are listed one by one. Further ones are counted."""
 FRAME: Final = "data frame"
-"""What a data frame is called in messages."""
+"""Name of a data frame in messages."""
 _COLUMNS: Final = ("plan_id", "sequence", "article", "length", "width", "height", "weight", "x_mm", "y_mm", "z_mm")
-"""By which a table is known whose name does not say that it is one."""
+"""Column names by which text is recognised as a table if the file's name does not say so."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
 
 
@@ -57,28 +58,29 @@ def load_plans(
 ) -> PlanSet:
     """Read and validate packing plans.
 
-    If plans seem to follow another convention, such as coordinates of centres, there is a ``PlanWarning``.
+    A ``PlanWarning`` is issued if plans seem to follow another convention, such as coordinates of centres.
 
     Args:
-        paths: a file, a folder, or several of them; or a table of placements as a pandas data frame, or as anything
-            that gives its columns to Arrow. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet, the first
-            two plain or gzipped, of at most 4 GiB; devices and FIFOs are not read. Of a folder all such files directly
-            in it are read, sorted by name.
+        paths: a file, a folder, or several of them; or a table of placements, as a pandas data frame or any object with
+            Arrow's stream interface. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet; JSON and CSV may
+            be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. In a folder, all such files
+            directly in it are read, sorted by name.
         limit: stop after this many good plans.
-        strict: raise at the first thing that would be skipped.
+        strict: raise an error instead of skipping anything.
         max_boxes: plans with more boxes are skipped.
-        carrier_extent_mm: x–y extent within which boxes are not reported as outside; None: the plan's footprint.
-        units: of lengths (mm, cm, m or in) and masses (kg, g, lb or t) as the plans have them, such as "cm,g".
-        anchor: which point of a box the plans give: ``corner``, the front-left-bottom one, ``centre``,
-            ``base-centre`` or ``far-corner``, the one with the largest x, y and z.
+        carrier_extent_mm: x–y extent of the carrier; boxes beyond it are reported as outside. None: the plan's
+            footprint.
+        units: units of the plans' lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g".
+        anchor: the point of a box to which the plans' coordinates refer: ``corner`` (front-left-bottom), ``centre``,
+            ``base-centre`` or ``far-corner`` (with the largest x, y and z).
 
     Returns:
-        The good plans. Bad plans, damaged spots and unusable files are in ``skipped``. Of plans with the same id the
-        first good one is kept.
+        The good plans. Bad plans, damaged parts and unusable files are in ``skipped``. If several plans have the same
+        id, the first good one is kept.
 
     Raises:
-        InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument makes
-            no sense. With ``strict`` also if anything would be skipped.
+        InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument is
+            invalid. With ``strict`` also if anything would be skipped.
     """
     if limit is not None:
         integer_of(limit, "limit", 1)
@@ -110,7 +112,7 @@ def read_plans(
     extent_mm: tuple[float, float] | None,
     given: InputConventions,
 ) -> PlanSet:
-    """As :func:`load_plans`, without a Python warning."""
+    """Like :func:`load_plans`, but without a Python warning."""
     loading = _PlanLoader(limit, strict, max_boxes, extent_mm, given)
     if isinstance(paths, SupportsArrow):
         loading.read_frame(paths)
@@ -124,7 +126,7 @@ def read_plans(
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
-    """Files in the order of reading. All paths are checked first, so that a typing error is found at once."""
+    """Files in the order of reading. All paths are checked before any file is read, so a typing error shows at once."""
     if not paths:
         raise InputError("no plan files were given")
     files: list[Path] = []
@@ -145,7 +147,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
 
 
 def plan_files_in(folder: Path) -> list[Path]:
-    """The files directly in a folder that are read as plans, by their names, sorted. Raises OSError."""
+    """The files directly in a folder whose names are those of plan files, sorted. Raises OSError."""
     return sorted(
         member
         for member in folder.iterdir()
@@ -155,10 +157,16 @@ def plan_files_in(folder: Path) -> list[Path]:
 
 @dataclass
 class _PlanLoader:
-    """The state of one `load_plans`: what was found, and which ids are in use.
+    """The state of one call of `load_plans`: the plans so far, and the ids in use.
 
     Attributes:
-        layouts: plan id → what is odd about its layout (None: nothing), where that is known already.
+        found: plans, skipped entries and notes so far.
+        source_of: plan id → name of its file.
+        names: name → the same name, so that equal names share one string.
+        unread: counts of fields that petmjx does not read.
+        unlisted: unusable entries of the current file that are only counted.
+        most_skipped: limit of ``found.skipped`` for the current file.
+        layouts: plan id → warnings about its layout (None: nothing is odd), for layouts that have been checked.
     """
 
     limit: int | None
@@ -172,7 +180,7 @@ class _PlanLoader:
     unread: UnreadFields = field(default_factory=UnreadFields)
     unlisted: int = 0
     n_plans: int = 0
-    """Plans so far, usable or not."""
+    """Number of plans so far, usable or not."""
     most_skipped: int = MOST_LINES
     layouts: dict[str, PlanWarnings | None] = field(default_factory=dict)
 
@@ -181,7 +189,7 @@ class _PlanLoader:
         return self.limit is not None and len(self.found.plans) >= self.limit
 
     def done(self) -> PlanSet:
-        """What was found, when all is read."""
+        """The result, when all files have been read."""
         self.found.notes.extend(self.unread.notes())
         return with_conventions(self.found, self.carrier_extent_mm, self.layouts)
 
@@ -200,10 +208,10 @@ class _PlanLoader:
         self._count_unlisted(source)
 
     def read_frame(self, frame: SupportsArrow) -> None:
-        """A table of placements.
+        """Read a table of placements.
 
         Raises:
-            InputError: it lacks columns.
+            InputError: the table lacks columns.
         """
         from petmjx.plans.placement_table import TableError
         from petmjx.plans.table_files import frame_table
@@ -250,8 +258,10 @@ class _PlanLoader:
                     break
 
     def _read_json(self, source: str, data: bytearray, damaged: bool) -> None:
-        """Read the plans of a text. If that proves to be no JSON, what was read of it is taken back; where it is known
-        to be ``damaged``, the plans before that stay.
+        """Read the plans of a text. If it turns out to be no JSON, its plans are removed again.
+
+        Args:
+            damaged: whether the text is known to be damaged. Then the plans before the damage are kept.
         """
         kept, skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
@@ -345,7 +355,7 @@ class _PlanLoader:
 
 
 def _kind_of_text(data: bytearray) -> str | None:
-    """What text is that does not begin as JSON does, in a file whose name says nothing; None: it begins so."""
+    """The error text for a text that does not begin like JSON, in a file with no known suffix; None: it begins so."""
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
     if not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null")):
         return None

@@ -1,4 +1,4 @@
-"""A set of plans, with what was skipped."""
+"""Sets of plans (``PlanSet``), with skipped entries and warnings."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """Something that was not used. ``message`` is the whole line, with file and plan.
+    """A skipped plan, or another skipped part of the input. ``message`` is the whole line, with file and plan.
 
-    ``plan_id`` is None if it is not about one plan (a file, or damage between plans). ``number`` is that of the plan
-    among those given, from 0.
+    ``plan_id`` is None for an entry that is not about one plan (a file, or damage between plans). ``number`` is the
+    plan's number in the input, from 0.
     """
 
     source: str
@@ -34,7 +34,7 @@ class Skipped:
         """A plan that was read but cannot be simulated.
 
         Args:
-            why: goes on after the plan's id, as in ": repeated plan id".
+            why: the message after the plan's id, such as ": repeated plan id".
 
         Raises:
             InputError: with ``strict``.
@@ -50,12 +50,16 @@ class Skipped:
 
 @dataclass(frozen=True, repr=False)
 class PlanSet:
-    """What `load_plans` found: plans in the order of the files, what was skipped, and warnings.
+    """The result of `load_plans`: plans in the order of the files, skipped entries, and warnings.
 
-    ``numbers`` maps each plan id to the plan's number among those that were read, from 0, counting skipped plans, too;
-    empty: the order of ``plans``. ``warnings`` holds an entry for each plan of ``plans`` with an overlap, a
-    box outside or a floating box; ``conventions`` a line for each other convention that plans seem to follow; ``notes``
-    has lines about everything that was read, such as ignored fields.
+    Attributes:
+        plans: the good plans.
+        skipped: an entry for each skipped plan, damaged part or file.
+        warnings: an entry for each plan of ``plans`` with an overlap, a box outside the carrier or a floating box.
+        notes: lines about the whole input, such as ignored fields.
+        conventions: a line for each other convention that plans seem to follow.
+        numbers: plan id → number of the plan in the input, from 0, skipped plans included; empty: the order of
+            ``plans``.
     """
 
     plans: list[Plan] = field(default_factory=list)
@@ -79,7 +83,7 @@ class PlanSet:
         return iter(self.plans)
 
     def to_frame(self) -> pd.DataFrame:
-        """The plans as a table with a row a placement, which ``petmjx.score`` takes in turn.
+        """The plans as a table with one row for each placement. ``petmjx.score`` accepts this table.
 
         Raises:
             ValueError: there is no plan.

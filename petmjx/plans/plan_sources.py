@@ -1,4 +1,4 @@
-"""Plans from files, folders or objects, without those that cannot be simulated."""
+"""Sources of plans (files, folders, objects): plans are gathered, and those that cannot be simulated are skipped."""
 
 from __future__ import annotations
 
@@ -33,16 +33,19 @@ if TYPE_CHECKING:
 
 PathArgument = str | PathLike[str]
 PlanSource = PathArgument | Plan | Sequence[PathArgument] | Sequence[Plan] | PlanSet | SupportsArrow
-"""A file, a folder, several of them; a plan, a list of plans, or a ``PlanSet``; a data frame in the table form."""
+"""A file, a folder, or several of them; a plan, a list of plans, or a ``PlanSet``; a data frame of placements."""
 
 _SOURCES = "paths or Plan objects, or one of them, a PlanSet or a data frame"
 
 
 def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """The plans that can be simulated; None: the bundled samples.
+    """The plans that can be simulated. Conventions that they seem to follow are warned of.
+
+    Args:
+        plans: None: the bundled plans.
 
     Raises:
-        InputError: there is none, or with ``options.strict`` a plan would be skipped.
+        InputError: no plan can be simulated, or with ``options.strict`` a plan would be skipped.
     """
     if isinstance(plans, Mapping):
         raise InputError(f"plans must be {_SOURCES}, got a table (of a plan file? give its path)")
@@ -63,7 +66,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def are_files(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files; the bundled ones are."""
+    """Whether plans are read from files. The bundled plans (None) are."""
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
@@ -71,14 +74,16 @@ def are_files(plans: PlanSource | None) -> bool:
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """Read and check files; take plans as they are, those that repeat an id under names of their own. All with what the
-    table of articles says of their boxes."""
+    """All plans of a source, with the properties of their boxes from the table of articles.
+
+    Files are read and checked. Plan objects are taken as they are; if an id is repeated, the plan gets a new id.
+    """
     plan_set = _gather_plans(plans, sim, options)
     return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
 
 
 def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
-    """Plans with what a table says of their boxes, without those that it does not fit."""
+    """Plans with the properties of their boxes from a table of articles. Plans that contradict it are skipped."""
     from petmjx.plans.articles import (
         read_articles,
         with_articles,  # loads Arrow
@@ -101,8 +106,11 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A line on the rows of a table of articles that match no box. Boxes may have their materials from the same
-    table."""
+    """A list with one line about the rows of a table of articles that match no box; empty if all rows match.
+
+    Args:
+        plans: plans before and after the table is applied, since boxes may have their materials from the table itself.
+    """
     from petmjx.plans.articles import material_key
 
     names_by_kind = {
@@ -161,10 +169,10 @@ def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
 
 
 def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
-    """Plans with an id each, since tables have ids as keys: of those with the same one the second is called "ID#2".
+    """The same plans with distinct ids, since ids are keys of tables. The second plan with the id ID is renamed "ID#2".
 
-    In files an id names one plan, and what repeats it is skipped (petmjx.plans.plan_reader). Someone who passes plan
-    objects wants an answer for each of them.
+    In files an id names one plan, and a plan that repeats it is skipped (petmjx.plans.plan_reader). But a caller who
+    passes plan objects expects a result for each of them.
     """
     given = plan_set.plans[: options.limit]
     plan_ids = {plan.plan_id for plan in given}
@@ -183,15 +191,15 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{count_text(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # they are not among the plans given
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans are not among these plans
     return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 
 def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
-    """Skip plans with a box that the size reduction (mm) would leave without extent.
+    """Skip plans with a box that has no extent left after the size reduction (mm).
 
     Raises:
-        InputError: with ``strict``, a plan that would be skipped.
+        InputError: with ``strict``, a plan would be skipped.
     """
     kept, skipped = [], list(plan_set.skipped)
     for plan in plan_set.plans:
@@ -207,10 +215,10 @@ def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict:
 
 
 def find_plan(plan_set: PlanSet, plan_id: str) -> Plan:
-    """The plan with that id.
+    """The plan with an id.
 
     Raises:
-        InputError: there is none. If it was skipped, the line says why.
+        InputError: no plan has this id. If it was skipped, the line says why.
     """
     for plan in plan_set.plans:
         if plan.plan_id == plan_id:

@@ -1,4 +1,4 @@
-"""One plan in BED-BPP's format: from decoded JSON to checked arrays, or one line that says what is wrong."""
+"""Validation of a plan in BED-BPP's format: decoded JSON becomes checked arrays, or an error of one line."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ _NUMBERS: Final = {int, float}
 
 
 class PlanError(InputError):
-    """A plan that is refused. Its text is the whole line: file, plan, placement, field, and what was found."""
+    """A plan is refused. The text is the whole line: file, plan, placement, field and value."""
 
 
 def parse_plan(
@@ -66,14 +66,16 @@ def parse_plan(
     """Validate one decoded plan.
 
     Args:
-        value: what JSON held under the plan's id.
-        max_boxes: plans with more boxes are refused, never cut.
-        names: item ids and articles read so far; equal ones share one string (BED-BPP repeats each about 20 times).
-        unread: counts the fields of a good plan that nobody reads.
-        given: units and point of its numbers.
+        source: name of the file in messages.
+        value: the decoded JSON value of the plan.
+        max_boxes: a plan with more boxes is refused, never cut.
+        names: names read so far (item ids, articles, groups, materials), so that equal names share one string. BED-BPP
+            repeats each about 20 times.
+        unread: gets the counts of fields of a good plan that petmjx does not read.
+        given: units and anchor of the plan's numbers.
 
     Raises:
-        PlanError: naming file, plan, placement (counted from 0, as boxes are everywhere) and field.
+        PlanError: the plan is refused. The line names file, plan, placement (counted from 0, like all boxes) and field.
     """
     where = f"{source}: plan {printable_name(plan_id)}"
     fault = plan_id_fault(plan_id)
@@ -113,8 +115,8 @@ def _parse_columns(
 ) -> Plan | None:
     """Read all placements column by column; None if anything is wrong.
 
-    10,003 plans have 3 million numbers, so a good plan is checked in C, over whole columns. For a bad plan `find_fault`
-    does the same checks value by value, and says what is wrong.
+    Whole columns are checked in C, since 10,003 plans have 3 million numbers. For a bad plan `find_fault` does the same
+    checks value by value, and makes the error text.
     """
     try:
         items = [placement["item"] for placement in value]
@@ -164,7 +166,7 @@ def _parse_columns(
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
     mass = numbers[3] * given.mass_kg
-    # Comparisons with NaN are false, so each range also refuses NaN.
+    # Comparisons with NaN are false, so the ranges also refuse NaN.
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
@@ -197,13 +199,13 @@ def _parse_columns(
 
 
 def _value_or_default(item: dict[str, Any], field: str, otherwise: Any) -> Any:
-    """A value that may be missing, or null."""
+    """The value of a field; ``otherwise`` if the field is missing or null."""
     value = item.get(field)
     return otherwise if value is None else value
 
 
 def find_fault(placement: object, given: InputConventions = USUAL) -> str | None:
-    """What is wrong with one placement, in the order of the fields; None if it is fine."""
+    """The error text for the first bad field of a placement; None if it is fine."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
     for record, of in ((placement, ""), (placement.get("item"), "item.")):
@@ -243,7 +245,7 @@ def find_fault(placement: object, given: InputConventions = USUAL) -> str | None
 
 
 def _missing(placement: dict[str, Any]) -> list[str]:
-    """Fields that a placement does not have; those of an item that is no object are not asked for."""
+    """Fields that a placement lacks. If its item is no object, the item's fields are not checked."""
     item = placement.get("item")
     inner = [field for field in _NEEDED if field not in item] if isinstance(item, dict) else []
     outer = [field for field in _OF_PLACEMENT if field not in placement]
@@ -251,7 +253,7 @@ def _missing(placement: dict[str, Any]) -> list[str]:
 
 
 def _all_missing(placements: list[Any]) -> str | None:
-    """What is missing in more than one placement."""
+    """The error text for missing fields, if more than one placement lacks some; else None."""
     missing: dict[str, list[int]] = {}
     for index, placement in enumerate(placements):
         for field in _missing(placement) if isinstance(placement, dict) else ():

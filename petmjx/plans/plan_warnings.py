@@ -1,12 +1,11 @@
-"""Where boxes meet: what two of them share along an axis, and whether one's top is at the other's bottom.
+"""Warnings about odd plans (``PlanWarnings``): overlapping and floating boxes, and boxes outside the carrier.
 
-Callers that ask what lies on what add their own conditions: the order of placement, the carrier, or a least width.
+Packing algorithms produce such plans, and physics is to judge them. So odd boxes are counted, and the plan is never
+refused. Functions work on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), rows in packing order,
+sizes as placed.
 
-Warnings about plans that are legal but odd: overlapping, overhanging and floating boxes.
-
-Packing algorithms do produce such plans, and physics shall judge them: they are counted, never refused. Everything
-here works on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), rows in packing order, sizes as the
-boxes stand.
+``shared_length`` and ``meets`` say where two boxes overlap along an axis, and whether one's top is at the other's
+bottom. Their callers add conditions of their own: the order of placement, the carrier, or a least width.
 """
 
 from __future__ import annotations
@@ -22,39 +21,47 @@ from petmjx.common.units import FloatArray
 
 
 def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(…, n, n) length that two boxes share along an axis, from their (…, n) ends there; negative where they are
-    apart."""
+    """(…, n, n) overlap of each pair of boxes along an axis; negative: the gap between them.
+
+    Args:
+        low, high: (…, n) lower and upper ends of the boxes along the axis.
+    """
     ends, begins = np.minimum(high[..., :, None], high[..., None, :]), np.maximum(low[..., :, None], low[..., None, :])
     length: FloatArray = ends - begins
     return length
 
 
 def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | None = None) -> NDArray[np.bool_]:
-    """(…, n, n): whether the upper end of the row's box is at the lower end of the column's, within the tolerance; or
-    no further below it than ``most_gap``."""
+    """(…, n, n) whether the upper end of the row's box meets the lower end of the column's box.
+
+    Args:
+        low, high: (…, n) lower and upper ends of the boxes along an axis.
+        tolerance: the upper end may be above the lower end by at most this.
+        most_gap: the upper end may be below the lower end by at most this; None: ``tolerance``.
+    """
     over = high[..., :, None] - low[..., None, :]
     touching: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
     return touching
 
 
 DEFAULT_TOLERANCE_MM: Final = 0.5
-"""Gaps and overlaps up to this count as touching. Plans are written in whole millimetres, in which neighbours touch:
-half of the last digit separates rounding from intent."""
+"""Gaps and overlaps up to this count as touching. Plans have whole millimetres, in which neighbours touch. Half of the
+last digit separates rounding from intent."""
 
 
 MOST_NAMED: Final = 3
-"""Boxes, or pairs of them, that a warning names."""
+"""Largest number of boxes, or of pairs, that a warning names."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanWarnings:
-    """What is odd about one plan, as counts and with the boxes that come first in packing order.
+    """The odd boxes of one plan: counts, and the first boxes in packing order.
 
     Attributes:
-        plan_id, source: which plan, and the file it came from.
-        n_overlapping_pairs: pairs of boxes that share more than the tolerance along all three axes.
+        plan_id, source: id of the plan, and its file.
+        n_overlapping_pairs: pairs of boxes that overlap by more than the tolerance along all three axes.
         n_outside: boxes that reach beyond the carrier or below its top.
-        n_floating: boxes with nothing under them at the moment they are placed.
+        n_floating: boxes with nothing under them when they are placed.
         overlapping, outside, floating: the first ``MOST_NAMED`` of each, in words: "3 and 7", "3", "3 by 100 mm".
     """
 
@@ -93,7 +100,7 @@ def check_layout(
     carrier_extent_mm: tuple[float, float] | None = None,
     tolerance_mm: float = DEFAULT_TOLERANCE_MM,
 ) -> PlanWarnings:
-    """Count and name what is odd about one plan's layout.
+    """Count and name the odd boxes of one plan.
 
     Args:
         carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's
@@ -103,7 +110,7 @@ def check_layout(
     side_by_side = (shared_length(low[0], high[0]) > tolerance_mm) & (shared_length(low[1], high[1]) > tolerance_mm)
     overlapping = side_by_side & (shared_length(low[2], high[2]) > tolerance_mm)
     thick_enough = ((high - low) > tolerance_mm).all(axis=0)
-    # The matrix is symmetric, and its diagonal says of each box whether it overlaps itself.
+    # The matrix is symmetric. Its diagonal is true for each box that overlaps itself, that is, a thick enough one.
     n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(thick_enough)) // 2)
     outside = _outside(low, high, carrier_extent_mm, tolerance_mm)
     gap = _gaps(low, high, side_by_side, tolerance_mm)
@@ -122,10 +129,10 @@ def check_layout(
 
 
 def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -> FloatArray:
-    """(n,) how far each box is above what is under it, the carrier's top or a box, mm; 0 where one reaches into it.
+    """(n,) gap between each box and its support, a box or the carrier's top, mm; 0 if the support reaches into it.
 
     Args:
-        in_order: whether only boxes placed before it are considered; else all are.
+        in_order: whether only boxes placed earlier can be supports; else all can.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     tolerance = DEFAULT_TOLERANCE_MM
@@ -134,7 +141,10 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
 
 
 def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
-    """(n,) how deep each box reaches into another one: along the axis along which they share least, mm; 0 for none."""
+    """(n,) largest penetration of each box into another box, mm; 0 if it overlaps none.
+
+    The penetration of two boxes is their overlap along the axis with the smallest overlap.
+    """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     depth = np.minimum.reduce([shared_length(low[axis], high[axis]) for axis in range(3)])
     np.fill_diagonal(depth, 0.0)
@@ -145,7 +155,7 @@ def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
 def _outside(
     low: FloatArray, high: FloatArray, carrier_extent_mm: tuple[float, float] | None, tolerance_mm: float
 ) -> NDArray[np.bool_]:
-    """(n,) whether a box reaches beyond the carrier."""
+    """(n,) whether a box reaches beyond the carrier or below its top."""
     outside: NDArray[np.bool_] = low[2] < -tolerance_mm
     if carrier_extent_mm is not None:
         outside |= (low[:2] < -tolerance_mm).any(axis=0)
@@ -160,13 +170,15 @@ def _gaps(
     tolerance_mm: float,
     in_order: bool = True,
 ) -> FloatArray:
-    """(n,) mm from each box down to the highest thing that begins below it, the carrier's top or a box.
+    """(n,) gap between each box and its support, mm.
 
-    A box into which another one reaches from below counts as overlapping, not as floating. A box that is placed before
+    The support of a box is the highest box that begins below it, or the carrier's top.
+
+    A box into which another box reaches from below counts as overlapping, not as floating. A box that is placed before
     the box under it floats: placed one by one, it falls.
     """
     bottom, top = low[2], high[2]
-    # Row: supporter, column: the box above it; supporters are earlier in packing order.
+    # Row: the supporting box, column: the box above it. Supporting boxes are earlier in packing order.
     below = side_by_side & np.less.outer(bottom, bottom)
     if in_order:
         below = np.triu(below, k=1)

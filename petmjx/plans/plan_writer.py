@@ -1,4 +1,7 @@
-"""Plans to files: BED-BPP's JSON, or tables with a row a placement. What is written is read again as it was."""
+"""Writer of plans (``save_plans``): BED-BPP's JSON, or tables with one row for each placement.
+
+A written plan is read back without any change.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import COM_FIELDS, COM_FIELDS_JSON, SPARSE
 
 _PLANS_AT_A_TIME: Final = 1_000
-"""Plans whose rows are in memory at a time: about 43,000 rows."""
+"""Number of plans whose rows are in memory at a time: about 43,000 rows."""
 _JSON: Final = (".json", ".json.gz")
 _CSV: Final = (".csv", ".csv.gz")
 _PARQUET: Final = (".parquet",)
@@ -38,13 +41,13 @@ _UNITS: Final = {
 
 
 def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> None:
-    """Write plans to one file in the form that its name ends in: ``.json``, ``.csv`` (both also ``.gz``) or
-    ``.parquet``.
+    """Write plans to one file. Its suffix sets the format: ``.json``, ``.csv`` (both also ``.gz``) or ``.parquet``.
 
-    The file appears whole or not at all. Numbers are written so that they are read again to the last bit.
+    The file appears whole or not at all. Numbers are written so that they are read back to the last bit.
 
     Raises:
-        InputError: another ending, no plan, two of one id, or a path that cannot be written.
+        InputError: the suffix is another one, there is no plan, two plans have the same id, or the file cannot be
+            written.
     """
     file = path_of(path, "path")
     chosen = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", Plan, "Plan objects")
@@ -69,12 +72,12 @@ def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:
 
 
 def plans_table(plans: Sequence[Plan]) -> pa.Table:
-    """Plans as a table with a row a placement; see docs/plan-format.md."""
+    """Plans as a table with one row for each placement; see docs/plan-format.md."""
     return _Columns.of(plans).table(plans)
 
 
 def as_placements(plan: Plan) -> list[Placement]:
-    """A plan as BED-BPP writes it. Whole numbers are written without decimals."""
+    """A plan in BED-BPP's format. Whole numbers are written without decimals."""
     size, corner, mass = plan.item_size_mm.tolist(), plan.corner_mm.tolist(), plan.mass_kg.tolist()
     groups = plan.product_groups
     com = None if plan.mass_center_mm is None else plan.item_com_mm.tolist()
@@ -105,7 +108,7 @@ def as_placements(plan: Plan) -> list[Placement]:
 
 
 def _sparse(plan: Plan, name: str) -> FloatArray:
-    """(n,) numbers that few placements have, NaN where there is none."""
+    """(n,) values of an optional number (`SPARSE`), NaN where a placement has none."""
     values: FloatArray | None = getattr(plan, name)
     return np.full(plan.n_boxes, np.nan) if values is None else values
 
@@ -142,7 +145,7 @@ def _write_parquet(plans: Sequence[Plan], file: Path) -> None:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Which optional columns a table has: those that say something."""
+    """The optional columns of a table: a column is left out if it would be empty or have only its default."""
 
     item_id: bool
     product_group: bool

@@ -1,4 +1,4 @@
-"""Tables of placements from CSV and Parquet files and from data frames, within bounds."""
+"""Reader of tables of placements, within bounds: CSV files, Parquet files and data frames."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
 _LINE_ENDS: Final = (b"\n", b"\r")
 _DELIMITERS: Final = ",;\t"
 _BLOCK_BYTES: Final = 1 << 22
-"""Of CSV that is parsed at a time; no row is longer."""
+"""Block of CSV that is parsed at a time. No row may be longer."""
 _MOST_LOST: Final = 100_000
-"""Most unreadable rows that are listed one by one."""
+"""Largest number of unreadable rows that are listed one by one."""
 
 
 def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
-    """The table of a CSV text with a header. Columns end at commas, semicolons or tabs, whichever the header has most.
+    """The table of a CSV text with a header. The separator is the most frequent of comma, semicolon and tab in it.
 
-    With semicolons numbers may have a decimal comma.
+    With semicolons, numbers may have a decimal comma.
 
     Args:
         data: UTF-8 text.
         cut_off: whether the text ends too early.
 
     Raises:
-        TableError: it is empty, has no usable header, or lacks a column. The text does not name the file.
+        TableError: the text is empty, has no usable header, or lacks a column. The error does not name the file.
     """
     header = _FIRST_LINE.match(data)[0]  # type: ignore[index]  # matches any text
     if not header.strip():
@@ -53,7 +53,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
         where, unread = sorted_columns(names)
     except TableError as error:
         for number, name in enumerate(names, start=1):
-            if not is_text(name):  # it may be one of those that are missing
+            if not is_text(name):  # this may be the missing column
                 raise TableError(f"row 1, column {number}: the name is not UTF-8 text{other_encoding(name)}") from error
         raise
     if not data[len(header) :].strip():
@@ -65,7 +65,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     lost = reader.lost
     last = max(numbers[-1:].tolist(), default=1)
     if lost and lost[-1].number > last and not data.endswith(_LINE_ENDS):
-        # the text ends within a row, whose plan id may be cut too
+        # the text ends within a row, and the row's plan id may be cut too
         lost, cut_off = lost[:-1], True
     return Table(columns, unread, numbers, lost, cut_off)
 
@@ -74,22 +74,21 @@ class _CsvReader:
     """Reads the rows of one CSV text.
 
     Attributes:
-        lost: rows with too few or too many fields; lines that are not UTF-8, or have a quotation mark that nothing
-            closes.
+        lost: rows with too few or too many fields, lines that are not UTF-8, and lines with an unclosed quotation mark.
     """
 
     def __init__(self, delimiter: str, names: list[str], plan_column: int) -> None:
         self.lost: list[LostRow] = []
         self._lost_numbers: list[int] = []
-        """Of rows that Arrow could not use, among those that it was given."""
+        """Numbers of the rows that Arrow could not use, counted in the text that Arrow got."""
         self._plans_with_lost: set[str | None] = set()
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 
     def read(self, data: bytearray) -> tuple[pa.Table, np.ndarray[Any, np.dtype[np.int64]]]:
-        """All columns as text, and the number of each row; the header is row 1.
+        """All columns as text, and the number of each row. The header is row 1.
 
         Raises:
-            TableError: Arrow cannot read it.
+            TableError: Arrow cannot read the text.
         """
         damaged = np.zeros(0, dtype=np.int64)
         if data.count(b'"') % 2 or not _is_utf8(data):
@@ -101,7 +100,7 @@ class _CsvReader:
             raise TableError(f"not CSV: {reason(error)}") from error
         lost = np.array(self._lost_numbers, dtype=np.int64)
         numbers = np.setdiff1d(np.arange(2, rows.num_rows + len(lost) + 2), lost, assume_unique=True)
-        if len(damaged):  # lines that were taken out before count too
+        if len(damaged):  # row numbers also count the lines that were removed before
             kept = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
             numbers = kept[numbers - 1]
             self.lost[before:] = [row._replace(number=int(kept[row.number - 1])) for row in self.lost[before:]]
@@ -109,7 +108,7 @@ class _CsvReader:
 
     def _parse(self, data: bytearray) -> pa.Table:
         kinds = {str(index): pa.string() for index in range(len(self._names))}
-        # Without quotation marks no value holds a line break. With threads rows would have no numbers.
+        # Without quotation marks no value has a line break. With threads Arrow would not number the rows.
         return pa_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)),
             read_options=pa_csv.ReadOptions(
@@ -128,14 +127,18 @@ class _CsvReader:
         return "skip"
 
     def _add_lost(self, number: int, text: str, fault: str) -> None:
-        """Keep what is lost; of very many rows one of each plan."""
+        """List a lost row. Beyond ``_MOST_LOST`` rows only one row of each plan is listed."""
         plan_id = self._plan_of(text)
         if len(self.lost) < _MOST_LOST or plan_id not in self._plans_with_lost:
             self.lost.append(LostRow(number, plan_id, fault))
             self._plans_with_lost.add(plan_id)
 
     def _without_damaged_lines(self, data: bytearray) -> tuple[bytearray, np.ndarray[Any, np.dtype[np.int64]]]:
-        """UTF-8 text in which every quotation mark is closed in its line; other lines are lost."""
+        """The text without its damaged lines, and their numbers.
+
+        Damaged lines are not UTF-8, or have a quotation mark that is not closed in the line. They are added to
+        ``lost``.
+        """
         kept, damaged = [], []
         for number, line in enumerate(data.split(b"\n"), start=1):
             fault = None if number == 1 else self._line_fault(line)
@@ -147,7 +150,7 @@ class _CsvReader:
         return bytearray(b"\n").join(kept), np.array(damaged, dtype=np.int64)
 
     def _line_fault(self, line: bytearray) -> str | None:
-        """Why a line cannot be a row of its own; None: it may be one."""
+        """Why a line cannot be a whole row; None: it may be one."""
         if not _is_utf8(line):
             text = line.decode("utf-8", "surrogateescape")
             try:
@@ -161,7 +164,7 @@ class _CsvReader:
         return "has an unclosed quotation mark" if line.count(b'"') % 2 else None
 
     def _plan_of(self, line: str) -> str | None:
-        """The plan id in a row that cannot be read; None where it has too few fields for one."""
+        """The plan id in a row that cannot be read; None if the row has too few fields."""
         try:
             fields = next(csv.reader([line.partition("\n")[0]], delimiter=self._delimiter), [])
         except csv.Error:
@@ -181,8 +184,8 @@ def read_parquet(path: Path) -> Table:
     """The table of a Parquet file. Rows count from 0, as in pandas.
 
     Raises:
-        TableError: it lacks a column, is damaged or too large. The text does not name the file.
-        OSError: it cannot be read.
+        TableError: the file lacks a column, is damaged or too large. The error does not name the file.
+        OSError: the file cannot be read.
     """
     with open_for_arrow(path) as stream:
         try:
@@ -200,13 +203,13 @@ def read_parquet(path: Path) -> Table:
 
 
 def frame_table(frame: Any) -> Table:
-    """The table of a pandas data frame, or of anything that gives its columns to Arrow. Rows count from 0.
+    """The table of a pandas data frame, or of any object with Arrow's stream interface. Rows count from 0.
 
     Raises:
-        TableError: it lacks a column. The text does not name it.
+        TableError: the frame is no table or lacks a column. The error does not name the frame.
     """
     if hasattr(frame, "iloc") and hasattr(frame, "columns"):
-        # pandas: columns one by one, since some may be of several types
+        # pandas: column by column, since a column may have values of several types
         names = [str(name) for name in frame.columns]
         where, unread = sorted_columns(names)
         columns = {name: as_column(frame.iloc[:, index]) for name, index in where.items()}
