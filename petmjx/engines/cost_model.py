@@ -52,12 +52,12 @@ STATIC_LANDINGS = 45
 pallet: fitted to checks of 16 to 241 boxes with both schedules."""
 
 SHAKEN_STEPS = 700
-"""Largest number of steps of a drive in which boxes slide or fall: all of EUMOS's profile. Most of the 2,970 steps of a
-tilt are at rest. Shakes of many seconds in which a pallet does not rest take up to ten times as long as expected."""
+"""Largest number of steps of a drive in which boxes slide or fall: all of EUMOS's profile. Most of a tilt's 2,970 steps
+are at rest. Shakes of many seconds in which a pallet does not rest take up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
-"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker drive the
-pallet may creep: weaker drives are expected to take ``CREEPING`` times as many steps, and begin earlier. Of EUMOS's
+"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker drive
+the pallet may creep: weaker drives are expected to take ``CREEPING`` times as many steps, and begin earlier. Of EUMOS's
 4,032 drives of 100 plans the strong ones take 336 steps in the mean and 1,149 at most, the weak ones 570 and 6,088."""
 
 

@@ -1,9 +1,9 @@
-"""Engine handover: C MuJoCo, which hands worlds over to the kernels if they take long. ``auto`` takes it for little work
-without a GPU.
+"""Engine handover: C MuJoCo, which hands worlds over to the kernels if they take long.
 
-``auto`` chooses by an estimate from the numbers of boxes. Plans that collapse take many times as long on C MuJoCo, and
-less so in kernels. So the CPU time of finished worlds is compared with their expected time. If the kernels would finish
-the remaining worlds sooner, compilation included, they take them.
+``auto`` takes this engine for little work without a GPU. It chooses by an estimate from the numbers of boxes. Plans
+that collapse take many times as long on C MuJoCo, and less so in kernels. So the CPU time of finished worlds is
+compared with their expected time. If the kernels would finish the remaining worlds sooner, compilation included, they
+take them.
 """
 
 from __future__ import annotations

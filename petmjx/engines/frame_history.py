@@ -51,7 +51,7 @@ def history_of(
 
 
 def _drive(job: Job, step: NDArray[np.integer], driven_from: int | None) -> FloatArray:
-    """(f, 3) force or acceleration of the drive during each of these steps; zero before it and after its last sample."""
+    """(f, 3) force or acceleration of the drive during these steps; zero before it and after its last sample."""
     acting = np.zeros((len(step), 3))
     if job.drive is None or driven_from is None:
         return acting

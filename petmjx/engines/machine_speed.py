@@ -18,12 +18,12 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 WORTH_S: Final = 2.0
-"""Expected time of a run from which on the machine is measured, s: below it nobody looks at the estimate."""
+"""Expected time of a run from which on the machine is measured, s: for shorter runs nobody looks at the estimate."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
-"""Of the block of boxes that is built to measure the machine: it stands. The fastest round counts: others may have been
-held up."""
+"""Boxes along a side and layers of the block that is built to measure the machine, and number of rounds. The block
+stands. The fastest round counts: the other one may have been held up."""
 
 REFERENCE_S: Final = 0.04
 """CPU time of the block on the machine of ``MEASURED``."""

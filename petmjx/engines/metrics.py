@@ -30,9 +30,10 @@ TEXT: Final = ""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
-"""Forces on tops count in all steps that begin with a box faster than ``RESTLESS_M_S`` and in which a box is accelerated
-upwards by more than ``RISING_M_S2``; else only at looks for quiet (docs/rules.md, section 7). Forces of other steps
-exceed a weight by at most a twentieth: boxes press with more than their weight while they are accelerated upwards."""
+"""Forces on tops count in all steps that begin with a box faster than ``RESTLESS_M_S`` and in which a box is
+accelerated upwards by more than ``RISING_M_S2``; else only at looks for quiet (docs/rules.md, section 7). Forces of
+other steps exceed a weight by at most a twentieth: boxes press with more than their weight while they are accelerated
+upwards."""
 
 
 class SampleAt(StrEnum):

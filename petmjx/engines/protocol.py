@@ -177,9 +177,9 @@ class Engine(MinimalEngine, Protocol):
         raise InputError(f"engine {self.name} lets no boxes go; mujoco, mjx-warp, mjx-warp-cpu and mjx-jax do")
 
     def retire(self) -> None:
-        """Nothing is run any more: begin to free what is held between runs, such as workers. Returns at once."""
+        """Begin to free resources that are held between runs, such as workers; no run may follow. Returns at once."""
         return None
 
     def close(self) -> None:
-        """The same, and wait until it is free."""
+        """As ``retire``, and wait until the resources are free."""
         return self.retire()

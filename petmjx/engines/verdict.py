@@ -109,8 +109,9 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """The fields above: least distances of loads from edges, m, the boxes that have these loads, and the box after whose
-    placement; -1 for none. Filled in by petmjx.engines.outcome_checks, as the distances of boxes are."""
+    """The fields above: least distances of loads from edges, m; the boxes that have these loads; and the box after
+    whose placement ``build_edge_m`` is reached. -1: none. Filled in by petmjx.engines.outcome_checks, as the distances
+    of boxes are."""
     message: str = ""
     """Why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None

@@ -17,7 +17,7 @@ AT_A_TIME: Final = 64
 
 
 def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
-    """Numbers of scenes that can be stacked, and whether they are plain: boxes alone, none of which gives or is a sheet.
+    """Numbers of scenes that can be stacked, and whether they are plain: boxes that neither give nor lie on sheets.
     What is not plain has a group of its own. Worlds of a plan are alike."""
     numbers_by_key: dict[Any, list[int]] = {}
     for number, scene in enumerate(scenes):
