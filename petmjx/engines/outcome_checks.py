@@ -78,8 +78,8 @@ def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.i
 
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bool = True) -> None:
-    """Fill in the least distances, by the plan, at rest and while the plan is built, those of boxes, and the flag of a
-    knife's edge, which any box may set.
+    """Fill in the least distances of loads from edges: by the plan, at rest and while the plan is built. Also fill in
+    the distances of boxes, and the flag of a knife's edge, which any box may set.
 
     At rest: of worlds that stand and were not shaken, whose carrier is where it was. While it is built: of plans whose
     boxes are placed ``in_order``, without errors.
@@ -116,9 +116,14 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
 def _all_edges(
     planned: Sequence[tuple[Scene, int, bool]], at_rest: Sequence[Scene], pos: Sequence[FloatArray]
 ) -> tuple[list[Edges], list[LeastBuildingEdge], list[Edges]]:
-    """Of scenes with so many boxes placed the edges, and the least ones while those are built of which it is asked; and
-    the edges of those that are at rest with their boxes at (n, 3) places. All are computed at once: what takes time
-    is the number of calls."""
+    """The edges of planned scenes, the least edges while they are built, and the edges of scenes at rest.
+
+    All are computed at once: the time depends on the number of calls.
+
+    Args:
+        planned: scene, number of placed boxes, and whether the least edges while it is built are wanted.
+        at_rest: scenes at rest, with their boxes at the (n, 3) places ``pos``, m.
+    """
     if not planned:
         return [], [], []
     scenes, placed, inputs = zip(*planned, strict=True)

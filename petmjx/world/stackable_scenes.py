@@ -1,5 +1,7 @@
-"""Groups of scenes whose arrays can be stacked, so that many worlds are computed at once, to the last bit as one by
-one."""
+"""Stackable scenes: groups of scenes whose arrays can be stacked.
+
+Then many worlds are computed at once, identical to the last bit with each world alone.
+"""
 
 from __future__ import annotations
 

@@ -66,7 +66,7 @@ class OpenWorld(WorldRun):
         self._leave_pause()
 
     def fork(self, *, grows: bool = False) -> Self:
-        """A twin in the same state, which goes on by itself.
+        """A copy in the same state, which goes on independently.
 
         Args:
             grows: True: a box is put into it first.

@@ -1,4 +1,4 @@
-"""The law of sliding contacts on C MuJoCo. The law: petmjx/world/contact_laws.py.
+"""Sliding contacts on C MuJoCo. The law: petmjx/world/contact_laws.py.
 
 MuJoCo's step has two halves. Between them contacts have their reference accelerations, and the solver has not begun.
 """
