@@ -154,8 +154,8 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
 
 
 def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(…, n, n) 1 where the column's box is above the row's, directly or over others; rows from the lowest to the
-    highest."""
+    """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Rows are sorted from
+    the lowest box to the highest."""
     above = np.triu(over, 1).astype(np.float32)
     while True:  # matrices of ones and zeros: each product doubles the number of boxes in between
         further = np.minimum(above + above @ above, 1.0)

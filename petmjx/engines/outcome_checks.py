@@ -81,8 +81,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
     """Fill in the least distances of loads from edges: by the plan, at rest and while the plan is built. Also fill in
     the distances of boxes, and the flag of a knife's edge, which any box may set.
 
-    At rest: of worlds that stand and were not shaken, whose carrier is where it was. While it is built: of plans whose
-    boxes are placed ``in_order``, without errors.
+    Distances at rest are those of worlds that stand and were not shaken, so that the carrier is at its place. Distances
+    while the plan is built are those of plans whose boxes are placed ``in_order``, without errors.
     """
     scenes = [job.scene for job in jobs]
     valid = [k for k, outcome in enumerate(outcomes) if outcome.verdict is not Verdict.INVALID]

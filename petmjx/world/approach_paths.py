@@ -69,7 +69,7 @@ ASIDE_SHARE: Final = 2.0
 """How far aside a box goes at most, as a share of how far beside its place it begins: errors of two places may add."""
 
 CLEARANCE_M: Final = 0.001
-"""How far above what is in its way a box begins."""
+"""Height of a box's bottom above the bodies in its way when it begins above them."""
 
 _BESIDE_M: Final = 0.005
 """Boxes are beside one another along an axis if their planned extents overlap by no more than this: sizes and places

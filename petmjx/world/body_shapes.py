@@ -76,7 +76,7 @@ class Body:
 
     @property
     def low(self) -> FloatArray:
-        """(3,) the lowest corner of all shapes where the body is planned, m."""
+        """(3,) the lowest corner of all shapes with the body at its planned place, m."""
         low: FloatArray = (self.pos + self.shape_pos - self.half_size).min(axis=0)
         return low
 

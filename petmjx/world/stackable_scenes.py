@@ -20,7 +20,7 @@ AT_A_TIME: Final = 64
 
 def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
     """Numbers of scenes that can be stacked, and whether they are plain: boxes that neither give nor lie on sheets.
-    What is not plain has a group of its own. Worlds of a plan are alike."""
+    A scene that is not plain is a group by itself. Worlds of one plan can be stacked."""
     numbers_by_key: dict[Any, list[int]] = {}
     for number, scene in enumerate(scenes):
         if not is_plain(scene):

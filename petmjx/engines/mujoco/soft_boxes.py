@@ -95,7 +95,7 @@ class SoftWorld(LiveWorld):
         return rows
 
     def _fit(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(s, 3) centres of the soft boxes whose points are here, m, and (s, 3, 3) how they are turned."""
+        """(s, 3) centres of the soft boxes with these points, m, and (s, 3, 3) their rotations."""
         middle = (self._weight * points).sum(axis=1)
         spread = np.einsum("spi,spj->sij", self._weight * self._points, points - middle[:, None])
         left, _, right = np.linalg.svd(spread)
@@ -103,7 +103,7 @@ class SoftWorld(LiveWorld):
         return middle, np.swapaxes(left @ right, 1, 2)
 
     def _poses_of(self, points: FloatArray) -> FloatArray:
-        """(s, 7) poses of the soft boxes whose points are here; NaN where these are no numbers."""
+        """(s, 7) poses of the soft boxes with these points; NaN if the points are not finite."""
         poses = np.full((len(points), 7), np.nan)
         sound = np.isfinite(points).all(axis=(1, 2))
         if not sound.all():
