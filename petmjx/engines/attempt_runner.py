@@ -1,4 +1,4 @@
-"""One attempt at a batch of worlds: asks an engine, or its stand-in, and makes of answers what is looked at."""
+"""Runs one attempt at a batch of worlds on an engine or its fallback, and checks the outcomes."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def _never() -> bool:
 
 
 Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
-"""A world between two attempts: with the outcome of the last one, and the records of all before."""
+"""A world between two attempts, with the outcome of the last one and the records of all before."""
 
 
 Made = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
-"""A world after an attempt: with its outcome, and the records of all so far."""
+"""A world after an attempt, with its outcome and the records of all attempts so far."""
 
 
 class _End:
-    """Stands for the end of an engine's answers."""
+    """Marks the end of an engine's outcomes."""
 
 
 _END: Final = _End()
@@ -42,14 +42,13 @@ _END: Final = _End()
 
 @dataclass(eq=False)
 class _PendingJobs(Generic[AnyWorld]):
-    """What an engine was asked in one run: how many worlds, and those of them that it has not answered, by the number
-    of their job."""
+    """The jobs of one run of an engine: their number, and the worlds without an outcome by the number of their job."""
 
     count: int = 0
     unanswered: dict[int, Pending[AnyWorld]] = field(default_factory=dict)
 
     def add(self, batch: Sequence[Pending[AnyWorld]]) -> None:
-        """It is asked more. After an error it is not."""
+        """Add jobs to the run. After an error of the engine none are added."""
         try:
             self.unanswered.update(enumerate(batch, self.count))
         except BaseException:
@@ -66,10 +65,9 @@ class AttemptRunner(Generic[AnyWorld]):
     Attributes:
         sim: the run's options with the attempt's changes.
         more: worlds that follow from the results so far, if they may be added to the batch.
-        next_chunk: other worlds that may be added once they are made; None as long as they are not, and no worlds at
-            the end.
-        aside: those of all of them that another engine simulates are put here.
-        lookers: look at answers beside the run, if there are any.
+        next_chunk: makes further worlds that may be added; None while they are being made, and no worlds at the end.
+        aside: receives the worlds that another engine simulates.
+        lookers: pool that checks outcomes in other processes, if there is one.
     """
 
     attempt: AttemptRecipe
@@ -80,15 +78,15 @@ class AttemptRunner(Generic[AnyWorld]):
     lookers: CheckPool[Pending[AnyWorld]] | None = None
     next_chunk: Callable[[], list[AnyWorld] | None] | None = None
     _message: str = ""
-    """Of the last error of an engine."""
+    """Text of the last error of an engine."""
     _put_back: list[AnyWorld] | None = None
-    """The chunk that could not be made jobs of while an engine had others."""
+    """The chunk for which jobs could not be made while an engine had others."""
 
     def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
         """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
 
         Args:
-            batch: is emptied, since worlds that have ended would take memory.
+            batch: the worlds. It is emptied, since finished worlds would take memory.
         """
         engine = self.engines.own
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
@@ -101,7 +99,7 @@ class AttemptRunner(Generic[AnyWorld]):
         yield from self.stood_in(left + others)
 
     def stood_in(self, left: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
-        """The same of worlds that the stand-in takes over, if there is one."""
+        """Run the worlds that an engine left unanswered on its fallback, if it has one; yields as ``run``."""
         maker = self.engines.own
         if left and self.engines.stand_in is not None:
             maker = self.engines.stand_in
@@ -119,7 +117,7 @@ class AttemptRunner(Generic[AnyWorld]):
     def _run_on(
         self, engine: Engine, batch: list[Pending[AnyWorld]]
     ) -> Generator[Made[AnyWorld] | None, None, list[Pending[AnyWorld]]]:
-        """Yield what an engine made of worlds; return those that an error of the engine left unanswered.
+        """Yield the worlds with the outcomes of an engine; return the worlds that an error left unanswered.
 
         Args:
             batch: is emptied, as of ``run``.
@@ -139,7 +137,7 @@ class AttemptRunner(Generic[AnyWorld]):
         while True:
             try:
                 answer = next(answers, _END)
-            except BaseException as error:  # ctrl-C, too, loses nothing that has come
+            except BaseException as error:  # even ctrl-C loses no outcome that has arrived
                 if self.lookers is not None and not isinstance(error, Exception):
                     self.lookers.hurry()
                 yield from self.made(arrivals, maker, looks=engine.looks)
@@ -147,7 +145,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user's to change: what the engine refuses, or the user's own engine
+                    raise  # the user can change it: worlds that the engine refuses, or the user's own engine
                 self._message = one_line(error)
                 self.engines.note_failure(engine.name, self.attempt.number, len(ledger.unanswered), self._message)
                 return list(ledger.unanswered.values())
@@ -161,7 +159,7 @@ class AttemptRunner(Generic[AnyWorld]):
             if answer.job not in ledger.unanswered:
                 raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
             arrivals.append((ledger.unanswered.pop(answer.job), answer))
-            # up to MOST_TOGETHER answers are looked at together, but none is held back: others must be at hand
+            # up to MOST_TOGETHER outcomes are checked together, but none is held back: further ones must be at hand
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
@@ -176,9 +174,9 @@ class AttemptRunner(Generic[AnyWorld]):
         return []
 
     def _next_part(self, ledger: _PendingJobs[AnyWorld], engine: Engine) -> Sequence[Job] | None:
-        """As of ``JobsInParts``. The engine would take an error for its own, memory of the host for its device's. So a
-        chunk that meets one is put back, and no other one follows: it is tried again once the engine is through with
-        what it has, and the run ends with the error if it comes again."""
+        """The next part for ``JobsInParts``. The engine would take an error here for its own, and a lack of memory on
+        the host for one on its device. So a chunk with an error is put back, and no other one follows. It is tried
+        again once the engine has finished its jobs. If the error comes again, it ends the run."""
         assert self.next_chunk is not None
         if self._put_back:
             return ()
@@ -187,13 +185,13 @@ class AttemptRunner(Generic[AnyWorld]):
             chunk = self.next_chunk()
             return None if chunk is None else self._more_jobs(chunk, ledger, engine)
         except Exception as error:
-            self._put_back = chunk  # for which no memory is needed
+            self._put_back = chunk  # needs no memory
             with suppress(Exception):
                 self.engines.note(f"worlds were made again after an error: {one_line(error)}")
             return ()
 
     def _more_jobs(self, worlds: Iterable[AnyWorld], ledger: _PendingJobs[AnyWorld], engine: Engine) -> list[Job]:
-        """The jobs of those worlds that an engine simulates, of which it is asked, too. The others are put aside."""
+        """Jobs of the worlds that this engine simulates, added to the ledger. Other worlds are put aside."""
         batch, others = list[Pending[AnyWorld]](), list[AnyWorld]()
         for world in worlds:
             if self._engine_for(world) is engine:
@@ -209,7 +207,7 @@ class AttemptRunner(Generic[AnyWorld]):
             raise
 
     def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], ledger: _PendingJobs[AnyWorld], engine: Engine) -> list[Job]:
-        """The jobs of worlds of which an engine is asked now. After an error it is asked of none."""
+        """Jobs of these worlds, added to the ledger. After an error of the engine there are none."""
         jobs = [pending[0].job for pending in batch]
         jobs = self.attempt.apply_to_jobs(
             jobs if engine.names_engines else [ready_for(engine.name, job) for job in jobs]
@@ -226,12 +224,12 @@ class AttemptRunner(Generic[AnyWorld]):
         wait: bool = True,
         until: Callable[[], bool] = _never,
     ) -> Iterator[Made[AnyWorld]]:
-        """What becomes of the answers of many worlds.
+        """Check the outcomes of many worlds.
 
         Args:
-            engine: that made them; empty where each says it.
-            looks: the engine has looked at them itself.
-            wait: for those that are looked at beside the run; else some of them follow in later calls.
+            engine: the engine that made them; empty if each outcome names its engine.
+            looks: True: the engine has already checked them.
+            wait: True: wait for outcomes that are checked in the pool; else some of them follow in later calls.
             until: as in ``CheckPool.exchanged``.
         """
         if looks:
@@ -255,11 +253,12 @@ class AttemptRunner(Generic[AnyWorld]):
             yield world, outcome, records
 
     def _has_outcomes(self) -> bool:
-        """Whether the run's own engine says that outcomes are at hand."""
+        """Whether the engine of the run reports that outcomes are at hand."""
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
-        """The outcome of a world that was checked at half the timestep: the one before, which says so if it changed."""
+        """The outcome of a world that was checked at half the timestep: the earlier one, with a flag if the verdict
+        changed."""
         if checked.verdict is before.verdict:
             return before
         name = f"{world.plan.plan_id}, variant {world.variant}" if world.variant else world.plan.plan_id

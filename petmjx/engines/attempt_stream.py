@@ -1,6 +1,6 @@
-"""Simulates worlds with an engine, repeats the invalid ones with other settings, and yields each world's last outcome.
+"""Simulates worlds with an engine, repeats invalid ones with other settings, and yields the last outcome of each world.
 
-Which attempts there are: petmjx/engines/attempts.py.
+The attempts are listed in petmjx/engines/attempts.py.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
 DEFAULT_CHUNK_WORLDS: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Most worlds that are made at once: two groups of mjx-warp, beside what each may have of the one before
-(``LEFT_SHARE`` and ``READY_SHARE`` in petmjx/engines/warp/engine.py)."""
+"""Largest number of worlds made at once: two groups of mjx-warp, less the part that each may still have of the one
+before (``LEFT_SHARE`` and ``READY_SHARE`` in petmjx/engines/warp/engine.py)."""
 
 CHUNK_BOXES: Final = 1 << 20
-"""Boxes of a chunk to which no more worlds are added: 130 MB of scenes, and as much for the next chunk."""
+"""Number of boxes from which on no more worlds are added to a chunk: 130 MB of scenes, and as much for the next
+chunk."""
 
 FIRST_WORLDS, GROWTH = 2048, 8
-"""Worlds of the first chunk for an engine that takes parts, and how many times as many each next one has: a GPU begins
-after half a second, and works on most chunks for as long as it takes to make the next one. 2,048 worlds fill its blocks
-for few boxes."""
+"""Worlds of the first chunk for an engine that takes parts, and the factor by which each next chunk is larger. So a GPU
+begins after half a second, and works on most chunks for as long as it takes to make the next one. 2,048 worlds fill its
+blocks for few boxes."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
-    """What looks at outcomes beside an engine that answers so many worlds; None where that is not worth while."""
+    """A pool that checks outcomes beside an engine with this many worlds; None if it is not worthwhile."""
     return CheckPool.here() if engine.name in BESIDE and not engine.looks and worlds >= LARGE else None
 
 
@@ -59,24 +60,25 @@ def score_worlds(
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
-    ``chunk_worlds`` worlds are given to a device at a time, and the next ones are made meanwhile; an engine may take
-    these before all others have ended (``JobsInParts``), and then begins with ``first_worlds``. Invalid ones are
-    collected and simulated again together, at the end or when they are as many. So memory does not grow with the number
-    of worlds. Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at once.
+    A device is given ``chunk_worlds`` worlds at a time, and the next chunk is made meanwhile. An engine may take the
+    next chunk before the worlds of this one have ended (``JobsInParts``); its first chunk then has ``first_worlds``.
+    Invalid worlds are collected and simulated again together, when they fill a chunk or at the end. So memory does not
+    grow with the number of worlds. Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at
+    once.
 
-    ``more`` gives worlds that follow from the results so far, each once. An engine with ``takes_more`` simulates them
-    beside those that still run, any other one when these have ended.
+    ``more`` gives worlds that follow from the results so far, each world once. An engine with ``takes_more`` simulates
+    them beside the worlds that still run, any other engine after these have ended.
 
-    ``lookers``: of several calls, one after the other; else one with many worlds has its own.
+    ``lookers``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
-    An error of an engine that has a stand-in does not end the run: that simulates what was left unanswered. Nor does an
-    error at a further attempt: without a stand-in such worlds are invalid by ``failed``.
+    An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. Nor does
+    an error at a further attempt: without a fallback these worlds are invalid by ``failed``.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
-        InputError: the engine has no soft boxes, which the options ask for.
+        InputError: the options ask for soft boxes, which the engine does not have.
         PetmjxError: the engine refuses the worlds at the first attempt.
-        Exception: that of an engine without a stand-in at the first attempt.
+        Exception: an error of an engine without a fallback at the first attempt.
     """
     if sim.has_soft and engine.name != "mujoco" and engine.name not in STAND_INS:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
@@ -110,7 +112,8 @@ def score_worlds(
             yield from went_on(attempt, pending)
 
     def next_chunk() -> list[AnyWorld] | None:
-        """For an engine that still has the one before; none where as many wait, for other attempts or engines."""
+        """The next chunk for an engine that still has the one before; none if a chunk's worth of worlds waits for other
+        attempts or engines."""
         return source.take_made() if len(waiting) + len(aside) < chunk_worlds else []
 
     def attempt_at(batch: list[Pending[AnyWorld]], attempt: AttemptRecipe) -> Iterator[WorldResult[AnyWorld]]:
@@ -135,7 +138,7 @@ def score_worlds(
         while True:
             next_worlds = aside or source.take() or (more() if more else ())
             batch: list[Pending[AnyWorld]] = [(world, None, ()) for world in next_worlds]
-            del next_worlds  # worlds that have ended take memory
+            del next_worlds  # finished worlds take memory
             aside.clear()
             ended = not batch
             if batch:
@@ -147,10 +150,10 @@ def score_worlds(
             elif not waiting:
                 return
             if len(waiting) >= chunk_worlds or ended:
-                yield from retry()  # from whose results more may follow
+                yield from retry()  # more worlds may follow from its results
     except GeneratorExit:
         raise
-    except BaseException as error:  # ctrl-C, too, loses nothing that has come
+    except BaseException as error:  # even ctrl-C loses no outcome that has arrived
         if besides.lookers is not None and not isinstance(error, Exception):
             besides.lookers.hurry()
         yield from from_beside()
@@ -165,12 +168,12 @@ def score_worlds(
 
 @dataclass(eq=False)
 class Chunks(Generic[AnyWorld]):
-    """Worlds by the chunk. A thread makes the next one while an engine has this one: a device would wait.
+    """Worlds in chunks. A thread makes the next chunk while an engine has this one, so that a device need not wait.
 
     Args:
-        size: worlds of the next chunk. The one behind it has ``GROWTH`` times as many.
-        most: worlds of a chunk.
-        most_boxes: of a chunk to which no more worlds are added.
+        size: number of worlds of the next chunk. The chunk after it has ``GROWTH`` times as many.
+        most: largest number of worlds of a chunk.
+        most_boxes: number of boxes from which on no more worlds are added to a chunk.
     """
 
     source: Iterator[AnyWorld]
@@ -183,7 +186,7 @@ class Chunks(Generic[AnyWorld]):
 
     @property
     def more(self) -> bool:
-        """Whether the next chunk is being made, or is there."""
+        """Whether the next chunk is being made, or is ready."""
         return self._next is not None
 
     def take(self) -> list[AnyWorld]:
@@ -193,8 +196,8 @@ class Chunks(Generic[AnyWorld]):
         return chunk
 
     def take_made(self) -> list[AnyWorld] | None:
-        """The same, but None while they are being made. An error of the source is left to ``take``: until then there
-        are no more."""
+        """As ``take``, but None while the worlds are being made. An error of the source is raised by ``take`` alone:
+        here it means no more worlds."""
         if self._next is not None and not self._next.done():
             return None
         return self.take() if self._next is not None and self._next.exception() is None else []
@@ -211,34 +214,34 @@ class Chunks(Generic[AnyWorld]):
         return chunk
 
     def close(self) -> None:
-        """Make no more worlds; one that is being made is waited for."""
+        """Make no more worlds, and wait for the one that is being made."""
         self._ended = True
         self._maker.shutdown()
 
 
 @dataclass(eq=False)
 class _SideTasks(Generic[AnyWorld]):
-    """What is done beside the engine of a run: further attempts at single worlds, and looks at outcomes."""
+    """Side tasks of a run, in other processes: further attempts at single worlds, and checks of outcomes."""
 
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """Lookers that go on afterwards."""
+    """A pool that is kept after this run."""
     lookers: CheckPool[Pending[AnyWorld]] | None = None
     making: AttemptRunner[AnyWorld] | None = None
-    """Whose answers they look at."""
+    """The attempt whose outcomes the pool checks."""
     _numbers: Iterator[int] = field(default_factory=count)
     _asked: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
     """Number of a task → the attempt that it makes, the world, and the name of the engine."""
 
     @property
     def unanswered(self) -> int:
-        """Worlds that are simulated now."""
+        """Number of worlds that are being simulated."""
         return len(self._asked)
 
     def prepare(self, worlds: Sequence[AnyWorld], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run: start what looks at outcomes, and what makes the attempts that few worlds
-        need, with a box of one of them. It may have to compile a kernel, for as long as many worlds take."""
+        """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. That
+        process simulates one box first: it may have to compile a kernel, which takes as long as many worlds."""
         self.lookers = self.lookers or self.lent or check_pool_for(self.engines.own, len(worlds))
         name = BESIDE.get(self.engines.own.name)
         if name is None or len(worlds) < LARGE:
@@ -255,7 +258,7 @@ class _SideTasks(Generic[AnyWorld]):
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
         making = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
         world, before, _ = pending
-        # where boxes of a plan may sink, they do in all its worlds with errors
+        # if boxes of a plan may sink, they do in all its worlds with errors
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
         few = attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
         traits = {"doubles": attempt.doubles, "soft": making.is_soft(world), "few": few}
@@ -274,7 +277,7 @@ class _SideTasks(Generic[AnyWorld]):
         """The attempts that have ended, and the worlds with their outcomes.
 
         Args:
-            wait: for one at least, if there is any.
+            wait: True: wait for at least one, if any attempt is running.
         """
         if self._asked:
             for answer in self.engines.helper.ended(wait=wait):
@@ -288,7 +291,8 @@ class _SideTasks(Generic[AnyWorld]):
     def _made(
         self, making: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
     ) -> Iterator[Made[AnyWorld] | None]:
-        """What becomes of an answer: without an outcome the stand-in is asked, and then once more in this process."""
+        """The world with the outcome of an answer. Without an outcome the fallback is asked beside the run. If it has
+        no outcome either, it simulates the world in this process."""
         stand_in = self.engines.stand_in
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps
@@ -300,7 +304,7 @@ class _SideTasks(Generic[AnyWorld]):
             yield from making.stood_in([pending])
 
     def close(self) -> None:
-        """Nothing more is asked."""
+        """End the side tasks."""
         if self.lookers is not None and self.lookers is not self.lent:
             self.lookers.close()
         if "helper" in vars(self.engines):

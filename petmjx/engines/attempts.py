@@ -1,20 +1,22 @@
-"""The attempts at a world: what each changes, for which outcomes it is, and which engine makes it.
+"""Attempts at a world: the settings that each changes, the outcomes for which it is made, and the engine that makes it.
 
 The rules: docs/rules.md, section 9.
 
-They are those of the PET-Physics paper (Newton, then CG, up to two attempts each), and then one with half the timestep.
-Worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``) have two attempts of their
-own. If asked for, the last attempt has soft boxes, as the third one of the reference implementation. The second
-attempts of the reference implementation repeat the same deterministic run. Here they differ: the solver gets up to
+The first attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each); one with half the
+timestep follows. Worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``) have two
+attempts of their own. If asked for, the last attempt has soft boxes, as the third one of the reference implementation.
+The second attempts of the reference implementation repeat the same deterministic run. Here the solver gets up to
 ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 
-The MJX engines work in single precision, and ``mjx-warp`` has Newton's method alone. So C MuJoCo, their *stand-in*,
-makes the attempts that want double precision and worlds with soft boxes, simulates with conjugate gradients, and takes
-over what an error of theirs left unanswered. ``mujoco`` itself and an engine of the user's own have no stand-in.
+The MJX engines work in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
+(``STAND_INS``). It makes the attempts that want double precision, simulates worlds with soft boxes and with conjugate
+gradients, and takes over worlds that an error left unanswered. ``mujoco`` itself and a user's own engine have no
+fallback.
 
-A single world takes a GPU as long as many. So of a run on ``mjx-warp`` further attempts that few worlds need are made
-beside it, on CPU threads (petmjx/engines/subprocess): those of C MuJoCo, and with stiffer contacts those of
-``mjx-warp-cpu``, the same kernels. Who makes an attempt depends on the world and the options alone.
+A GPU takes as long for a single world as for many. So in a run on ``mjx-warp`` further attempts that few worlds need
+are made beside it, on CPU threads (petmjx/engines/subprocess): the attempts of C MuJoCo, and those with stiffer
+contacts, which ``mjx-warp-cpu`` makes with the same kernels. The engine of an attempt depends only on the world and the
+options.
 """
 
 from __future__ import annotations
@@ -37,23 +39,24 @@ from petmjx.options.simulation import Attempts, Simulation, Solver
 from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
-"""Most solver iterations per step in a second attempt: four times MuJoCo's default, with which CG stops so
-early that boxes of ``pallet`` slide apart which should stand."""
+"""Largest number of solver iterations per step in a second attempt: four times MuJoCo's default. With the default CG
+stops so early that boxes of ``pallet`` that should stand slide apart."""
 
 CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
 
 NEAR = 0.5
-"""Worlds whose margin is smaller are checked at half the timestep. ``Outcome.margin`` of invalid ones is NaN."""
+"""Worlds with a smaller absolute margin are checked at half the timestep. ``Outcome.margin`` of invalid ones is NaN."""
 
 STIFF_QUIET_STEPS = 25
-"""``Quiet.steps`` in stiff contacts, where less than a millimetre decides. Of 6,000 small stacks that statics decides
-5 fell with 15 that should stand, 4 with 25, and 3 with 50, with which pallets that tremble take three times as long."""
+"""``Quiet.steps`` in stiff contacts, where less than a millimetre decides. Of 6,000 small stacks that statics decides,
+5 that should stand fell with 15 steps, 4 with 25, and 3 with 50. With 50 pallets that tremble take three times as
+long."""
 
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # numbers are compared several times as fast
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
-"""Fields of ``Quiet``."""
+"""Fields of ``Quiet`` that are numbers of steps."""
 
 
 @dataclass(frozen=True)
@@ -65,28 +68,28 @@ class AttemptRecipe:
     careful: bool = False
     timestep_divisor: int = 1
     stiff: float | None = None
-    """With stiffer contacts, of this share of the time constant: for worlds whose verdict may come from soft ones
-    (``Flag.SINKING``), and for no others."""
+    """Stiffer contacts, with this share of the time constant: only for worlds whose verdict may come from soft contacts
+    (``Flag.SINKING``)."""
     checks: bool = False
-    """Whether it leaves the verdict as it is, and says whether it would be another one (``Flag.TIMESTEP``)."""
+    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds another one."""
 
     most_boxes: int | None = None
-    """Worlds of more boxes that have a verdict keep it, and the flag: steps of hundreds of boxes in stiff contacts take
-    tens of milliseconds, and what leans there is a small part of the pallet."""
+    """Worlds with more boxes than this keep their verdict, if they have one, and the flag. Steps of hundreds of boxes
+    in stiff contacts take tens of milliseconds, and the leaning boxes are a small part of the pallet."""
     soft: bool = False
-    """With all boxes as flex bodies (petmjx/world/soft_boxes.py), from the beginning."""
+    """All boxes are flex bodies (petmjx/world/soft_boxes.py), from the beginning."""
 
     doubles: bool = False
-    """Whether it wants double precision: an invalid world may be so by single precision, and in contacts of a twentieth
-    of the time constant boxes sink by less than it resolves."""
+    """Whether it wants double precision. A world may be invalid because of single precision. In contacts of a twentieth
+    of the time constant boxes sink by less than single precision resolves."""
 
     few: bool = False
-    """Whether few worlds need it, among many: but for those with errors of a plan whose boxes may sink."""
+    """Whether only few of many worlds need it, except for worlds with errors of a plan whose boxes may sink."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
-        """Whether this attempt may give what the one before did not. More time is not given to a world."""
+        """Whether this attempt may give a result that the one before did not. No attempt gives a world more time."""
         if self.checks:
-            # of a world that ended early it is the margin of a box on its way down
+            # the margin of a world that ended early is that of a box on its way down
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -108,7 +111,7 @@ class AttemptRecipe:
             update["solver_tolerance"] = CAREFUL_TOLERANCE
         if self.timestep_divisor != 1:
             factor = self.timestep_divisor
-            # not checked again: a fraction of the smallest timestep may be below what users may give
+            # not validated again: a fraction of the smallest timestep may be below the limit for users
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
@@ -151,15 +154,15 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
 """The attempts, in order. Attempts 1 and 6 to 9 use the run's own solver (Newton by default)."""
 
 STAND_INS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
-"""Engine → its stand-in."""
+"""Engine → its fallback engine."""
 
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
-"""Engine → that which makes further attempts on CPU threads beside it, if few worlds need them."""
+"""Engine → the engine that makes further attempts on CPU threads beside it, if few worlds need them."""
 
 
 @dataclass(eq=False)
 class Engines:
-    """The engine of a run and its stand-in, which is built when a world needs it."""
+    """The engine of a run and its fallback, which is built when a world needs it."""
 
     own: Engine
     progress: Progress
@@ -170,7 +173,7 @@ class Engines:
         return make_engine(name) if name is not None else None
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
-        """Who simulates a job; ``doubles``: at an attempt that wants double precision; ``soft``: with soft boxes."""
+        """The engine of a job; ``doubles``: the attempt wants double precision; ``soft``: it has soft boxes."""
         if soft and self.stand_in is not None:
             self.note(f"worlds with soft boxes were simulated on {self.stand_in.name}")
             return self.stand_in
@@ -188,11 +191,11 @@ class Engines:
         return self.own
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
-        """Who makes a further attempt at a job beside the engine of the run; None: it is not made beside it.
+        """The engine that makes a further attempt at a job beside the engine of the run; None: no engine does.
 
         Args:
-            few: whether few worlds need that attempt. It is made by the engine of the run, too, where a drive or a
-                state that others start from belongs to it: of these there may be many.
+            few: whether few worlds need that attempt. A job with a drive, or with a state from which other worlds
+                start, stays with the engine of the run: there may be many of these.
         """
         if self.own.name not in BESIDE:
             return None
@@ -207,24 +210,24 @@ class Engines:
 
     @cached_property
     def helper(self) -> SideSimulator:
-        """Makes attempts beside the engine of the run."""
+        """The processes that make attempts beside the engine of the run."""
         return SubprocessSimulator()
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
-        """Say that an error ended an engine's attempt, and what becomes of the worlds that it left unanswered."""
+        """Note that an error ended an engine's attempt, and what happens to the unanswered worlds."""
         other = self.stand_in
         then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
         self.note(f"attempt {attempt}: {engine} failed ({message}); {count_text(worlds, 'world')}: {then}")
 
     def note(self, text: str) -> None:
-        """A line for ``run.json``."""
+        """Add a line for ``run.json``."""
         self.progress.notes[text] = None
 
 
 def ready_for(engine: str, job: Job) -> Job:
-    """A job as an engine takes it: with a state of its own to start from. From another engine's state it does not
-    start: it takes the world through its placement again."""
+    """A job for an engine, with a start state of this engine. From another engine's state it cannot start: then it
+    simulates the placement again."""
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None
-    return Job(**{**vars(job), "start": start})  # ``replace`` takes three times as long; a Job keeps nothing but fields
+    return Job(**{**vars(job), "start": start})  # ``replace`` takes three times as long; a Job has only fields

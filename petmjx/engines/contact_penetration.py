@@ -1,8 +1,8 @@
-"""How far boxes sink into what bears them because simulated contacts are softer than any carton.
+"""Contact penetration: how far boxes sink into their supports because simulated contacts are softer than any carton.
 
-``petmjx.world.contact_laws`` says how deep a contact is at rest. What is needed for it is known on the host for every
-engine: plans, masses and the largest force on each box. It is not read from final poses, since a column that stood on a
-box which gave way may have fallen.
+``petmjx.world.contact_laws`` has the depth of a contact at rest. Its inputs are known on the host for every engine:
+plans, masses and the largest force on each box. The depth is not read from final poses: a column that stood on a box
+that gave way may have fallen.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LEAST_TIME_CONSTANT_STEPS = 4
-"""It stays at least so many timesteps: MuJoCo asks for 2, and at 2.5 pallets were seen to explode."""
+"""Smallest time constant of contacts in timesteps: MuJoCo asks for 2, and at 2.5 pallets exploded."""
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with contacts that bear light boxes under heavy ones, and slender ones upright.
+    """The same physics with stiffer contacts, which bear light boxes under heavy ones, and slender ones upright.
 
-    They are as stiff from their onset as beyond it, with the largest impedance that MuJoCo takes and a share of the
-    time constants: with a half 40 times as stiff as in ``pallet``, with a tenth 1,000 times.
+    They are as stiff at their onset as beyond the width, with the largest impedance that MuJoCo takes and this share of
+    the time constants: with a half they are 40 times as stiff as in ``pallet``, with a tenth 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -45,17 +45,16 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
         "solref": (time_s, damping),
         "solreffriction": (share * friction_s if friction_s > 0 else friction_s, friction_damping),
     }
-    return physics.model_copy(update=changed)  # not checked again: its timestep may be below what users may give
+    return physics.model_copy(update=changed)  # not validated again: its timestep may be below the limit for users
 
 
 def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
     """(n,) how far each box's centre comes down because the contacts below it give way, m: an upper estimate.
 
     Args:
-        top_force_n: (n,) what presses on each box's top, N; 0 for boxes that were not placed. A force beyond the
-            weight of everything above a box in the plan is an impact, which is over before the box has sunk, so it
-            does not count.
-        enough_m: where no box can sink by more than this, zeros are returned and nothing is looked at closely.
+        top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. A force beyond the weight of
+            everything above a box in the plan is an impact. It is over before the box has sunk, so it does not count.
+        enough_m: if no box can sink by more than this, zeros are returned without the exact computation.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
     box, plate = scene.friction[:, 0].max(), scene.carrier.friction[:, 0].max()
@@ -93,15 +92,15 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes come down so far that it counts (``has_penetrated``) where each bears all that is above it. If none
-    does, a world of this plan sinks by chance alone."""
+    """Whether boxes come down so far that it counts (``has_penetrated``) if each bears everything above it. If not, a
+    world of this plan sinks only by chance."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
     return bool((contact_penetration_m(scene, sim.physics, most_n, enough_m=bound_m) > bound_m).any())
 
 
 class _Stack:
-    """Which boxes of a plan are above which."""
+    """The order of a plan's boxes by height, and which boxes are above which."""
 
     def __init__(self, scene: Scene) -> None:
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
@@ -135,7 +134,7 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """Kept, since in a sweep many worlds have the same scene."""
+    """The ``_Stack`` of a scene, cached: in a sweep many worlds have the same scene."""
     return _Stack(scene)
 
 
@@ -155,8 +154,8 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
 
 
 def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(…, n, n) 1 where the column's box is above the row's, directly or over others; rows from the lowest to the
-    highest."""
+    """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Rows are sorted from
+    the lowest box to the highest."""
     above = np.triu(over, 1).astype(np.float32)
     while True:  # matrices of ones and zeros: each product doubles the number of boxes in between
         further = np.minimum(above + above @ above, 1.0)
@@ -166,20 +165,20 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 _SUM_ERROR = 1e-9
-"""By which two sums of the same numbers may differ, as a share: their order does."""
+"""Relative difference of two sums of the same numbers in different orders."""
 
 _MOST_PAIRS = 1 << 20
-"""Pairs of boxes that are looked at together: arrays of 8 MB."""
+"""Number of pairs of boxes that are computed at once: arrays of 8 MB."""
 
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
 
 def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes, with ``Flag.SINKING`` where contacts gave way so far that a verdict may come from it.
+    """The outcomes, with ``Flag.SINKING`` if contacts gave way so far that the verdict may come from it.
 
-    A world whose boxes sank has no verdict; one that may have tipped over since contacts are soft keeps it, for the
-    case that stiffer ones do not change it. With pyramidal cones, the reference's, all keep it.
+    A world whose boxes sank has no verdict. A world that may have tipped over because contacts are soft keeps its
+    verdict, in case stiffer contacts do not change it. With pyramidal cones, the reference's, all worlds keep it.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     may_lean: list[int] = []
@@ -206,8 +205,8 @@ def _softened_outcome(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outco
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """Of which worlds ``has_penetrated`` says no, for all together: whose boxes did not come down by more than counts,
-    and which did not fail by sinking alone. It is asked about the others, each alone. For elliptic cones."""
+    """The worlds for which ``has_penetrated`` is surely False, computed at once: their boxes did not come down too far,
+    and they did not fail by sinking alone. The other worlds need ``has_penetrated``. For elliptic cones."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     if not len(counts):
         return []
@@ -223,7 +222,7 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether a world did not fail by a shift, or by one that is not straight down alone."""
+    """Whether the reason of a world is not a shift, or a shift that is not only straight down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]
@@ -231,8 +230,8 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) how far the centre of the box that comes down most does so in each world, m, as ``contact_penetration_m``
-    has it but for rounding. Worlds have as many columns as the largest of them."""
+    """(m,) how far the box that comes down most does so in each world, m: the largest ``contact_penetration_m``, but
+    for rounding. Arrays have as many columns as the largest world has boxes."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 

@@ -1,16 +1,16 @@
-"""How near soft contacts bring piles to tipping over, which would stand on hard ones.
+"""Contact tilt: how near soft contacts bring piles to tipping over that would stand on hard contacts.
 
-What bears a box gives way, and more on the side on which the load acts. So a box turns by the difference of the depths
-on its two sides over the width between them, and the load above it, at its height, moves towards the edge. With the
+The supports of a box give way, and more on the side on which the load acts. So the box turns by the difference of the
+depths on its two sides over the width between them, and the load above, at its height, moves towards the edge. With the
 share r of the load on the far side of a base of width w, the load acts r·w from the edge, and
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
-from it if nothing gave way; h is the height of its centre and x the depth of a side that bears a share
-(``petmjx.world.contact_laws``). So a load that acts nearer to the edge than the least of e(r), the *loss*, tips over.
-Boxes below that lean by themselves add to it by their angle times h.
+from the edge if nothing gave way. h is the height of its centre, and x the depth of a side that bears a share
+(``petmjx.world.contact_laws``). So a load tips over if it acts nearer to the edge than the least of e(r), the *loss*.
+If boxes below lean, their angle times h is added to the loss.
 
-A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does; so a world in which
+A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. So a world in which
 this may have decided is simulated again in stiffer contacts (petmjx/engines/attempts.py).
 """
 
@@ -34,7 +34,7 @@ from petmjx.world.supports import Bearing, bearings_of, find_bearings, joined_be
 CONTACTS_PER_SIDE: Final = 2
 
 SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
-"""Shares r for which e(r) is worked out."""
+"""Shares r for which e(r) is computed."""
 
 SAFETY: Final = 10.0
 """A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next
@@ -42,18 +42,19 @@ one is placed on them. Among stacks that stand by statics and fall because of so
 the loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The same in stiffer contacts, in which the loss is a fortieth: the farthest was at 28 times it."""
+"""The multiple in stiffer contacts, in which the loss is a fortieth: the farthest stack was at 28 times the loss."""
 
 SURE: Final = 1.0
-"""The same where the plan has a load of the pile beyond the edge: hard contacts do not hold such a pile either, so that
-soft ones count only where they alone tip a load over."""
+"""The multiple if the plan has a load of the pile beyond the edge. Hard contacts do not hold this pile either, so soft
+ones count only if they alone tip a load over."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""So far beyond an edge a load surely is: half a millimetre of the plan, less what boxes are smaller by."""
+"""From this distance on a load is surely beyond an edge: half a millimetre of the plan, less the size reduction of
+boxes."""
 
 NEAR_M: Final = 0.001
-"""A load that is nearer to the edge, on the inside, may have tipped over in soft contacts, whatever the loss: soft
-contacts let boxes rock by some tenths of a millimetre when the next one comes."""
+"""A load that is inside by less than this may have tipped over in soft contacts, whatever the loss: soft contacts let
+boxes rock by some tenths of a millimetre when the next one comes."""
 
 BOUND_SHARE: Final = 0.25
 """A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of that of shift: 5 mm
@@ -61,12 +62,12 @@ of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):
-    """What soft contacts do to n boxes.
+    """Effects of soft contacts on n boxes.
 
     Attributes:
-        loss_m: (n,) see above.
-        angle_rad: (n,) by which each box leans.
-        shift_m: (n,) by which its centre moves sideways.
+        loss_m: (n,) the loss of each box (see above).
+        angle_rad: (n,) angle by which each box leans.
+        shift_m: (n,) distance by which its centre moves sideways.
     """
 
     loss_m: FloatArray
@@ -75,7 +76,7 @@ class ContactTilt(NamedTuple):
 
 
 def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics) -> ContactTilt:
-    """How far boxes lean under loads that act ``edge_m`` inside the edges of what bears them: upper estimates.
+    """How far boxes lean under loads that act ``edge_m`` inside the edges of their supports: upper estimates.
 
     Args:
         load: (n, 4) as in ``Bearing.loads``.
@@ -116,7 +117,7 @@ def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray
 
 def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[bool]:
     """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
-    the plan may have moved beyond it. There is one at least."""
+    the plan may have moved beyond it. ``outcomes`` is not empty."""
     placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
     bearings = _bearings(jobs, sim.thresholds.shift_m)
     bearing = joined_bearing(bearings)
@@ -134,7 +135,7 @@ def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim:
         beyond = bool((edges < -KNIFE_EDGE_M).any())
         reach = (SURE if beyond else most_safety) * losses
         least = KNIFE_EDGE_M
-        if not (beyond or has_errors):  # of errors each world has others
+        if not (beyond or has_errors):  # each world has other errors
             reach, least = np.maximum(reach, NEAR_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 
@@ -145,12 +146,12 @@ def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim:
 
 
 def _bearings(jobs: Sequence[Job], most_gap_m: float) -> list[Bearing]:
-    """What bears what in each world.
+    """The bearing of each world.
 
     With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
-    the strip that they share. It does not stand there: it tips, and leans on what is beside the strip. So boxes of such
-    worlds are where they are released, and lie on all that is no further below than they may shift. With the strip
-    alone, 75 of 167 unstable worlds with errors would be simulated again; so, few are.
+    the strip that they share. It does not stand there: it tips, and leans on the bodies beside the strip. So boxes of
+    these worlds count at their place of release, and lie on all bodies that are no further below than they may shift.
+    With the strip alone, 75 of 167 unstable worlds with errors would be simulated again; with this rule few are.
     """
     with_errors = [job.scene for job in jobs if job.has_errors]
     released = [np.c_[scene.start_pos[:, :2], scene.target[:, 2]] for scene in with_errors]
@@ -169,7 +170,7 @@ def _supports(bearing: Bearing) -> list[list[int]]:
 
 
 def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
-    """A box and all below it that bear it."""
+    """A box and all boxes below it that bear it, directly or through others."""
     pile, new = {box}, [box]
     while new:
         below = [lower for lower in under[new.pop()] if lower not in pile]

@@ -1,9 +1,10 @@
-"""The cost model: ``auto`` and all estimates of time use it.
+"""The cost model: expected steps and times of runs, for ``auto`` and all estimates of time.
 
-On a CPU thread a step of a pallet at rest takes one iteration of Newton's method, whose cost grows somewhat faster than
-the boxes. While boxes land or slide a step takes more iterations, and each of them costs more the more contacts slide:
-what a landing costs beyond rest grows with the square of the standing boxes. On a device a full stack's step grows with
-that square, too; but of plans with more boxes more steps are at rest, so that their runs take less.
+On a CPU thread a step of a pallet at rest takes one iteration of Newton's method. Its cost grows somewhat faster than
+the number of boxes. While boxes land or slide a step takes more iterations, and an iteration costs more the more
+contacts slide. So the extra cost of a landing grows with the square of the standing boxes. On a device the step of a
+full stack grows with that square, too; but plans with more boxes have a larger share of steps at rest, so that their
+runs take less.
 """
 
 from __future__ import annotations
@@ -24,88 +25,88 @@ STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
 63 third-party ones of 16 to 241 boxes; physics ``reference`` takes three to four times as many."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Steps before the first box of a placement, which are not among the schedule's."""
+"""Steps before the first box of a placement. They are not part of the schedule."""
 
 QUIET_STEPS = 220
-"""Steps until a pallet is quiet with the schedule adaptive, where it need not be placed box by box: in a static check
-(150 to 890 with 45 to 241 boxes), and after a profile (216 after EUMOS's, of pallets that stand)."""
+"""Steps until a pallet is quiet with the adaptive schedule, if it is not placed box by box: in a static check (150 to
+890 with 45 to 241 boxes), and after a profile (216 after EUMOS's, for pallets that stand)."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with it fixed in
 21 s on the same machine. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
-"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the boxes, over whole runs: of plans with
-more boxes more steps are at rest. While boxes come one by one, on ``mjx-warp`` it is the mean of k to this power over
-k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in the model from the beginning."""
+"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes, over whole runs: in
+plans with more boxes more steps are at rest. While boxes come one by one, the cost on ``mjx-warp`` is the mean of k to
+this power over k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in the model from the beginning."""
 
 SHAKEN_FACTOR = 2.5
-"""Cost of a step of a drive on a device, relative to one of the same pallet with the schedule fixed: 6,400 of EUMOS's
-drives at 735 to 786 a second on an H200, when they still went on after the pallet was quiet."""
+"""Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule: 6,400 of
+EUMOS's drives at 735 to 786 a second on an H200, when drives still went on after the pallet was quiet."""
 
 REST_POWER = 1.25
 """The cost of a step at rest on a CPU thread grows with this power of the standing boxes."""
 
 STATIC_LANDINGS = 45
-"""What it costs beyond rest that all boxes of a static check land at once, in landings of one box on the full pallet:
-fitted to checks of 16 to 241 boxes with both schedules."""
+"""Cost beyond rest of the simultaneous landing of all boxes in a static check, in landings of one box on the full
+pallet: fitted to checks of 16 to 241 boxes with both schedules."""
 
 SHAKEN_STEPS = 700
-"""Steps of a drive in which boxes slide or fall, at most: all of EUMOS's profile. Of the 2,970 steps of a tilt most
+"""Largest number of steps of a drive in which boxes slide or fall: all of EUMOS's profile. Most of a tilt's 2,970 steps
 are at rest. Shakes of many seconds in which a pallet does not rest take up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
-"""A drive that accelerates a pallet by more, in units of 9.81 m/s², shakes it down. After any other one it may creep:
-such drives are expected to take so many times as many steps, and begin earlier. Of EUMOS's 4,032 drives of 100
-plans the former take 336 steps in the mean and 1,149 at most, the latter 570 and 6,088."""
+"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker drive
+the pallet may creep: weaker drives are expected to take ``CREEPING`` times as many steps, and begin earlier. Of EUMOS's
+4,032 drives of 100 plans the strong ones take 336 steps in the mean and 1,149 at most, the weak ones 570 and 6,088."""
 
 
 FALL_STEPS = 1350
-"""Steps from the first box that tips over to the drop that ends a world placed box by box: 22 plans of two shelf
-packers, of which all fall, take 1,730 to 1,910 steps in the mean, of which placing takes some 450."""
+"""Steps from the first box that tips over to the drop that ends a world placed box by box. 22 plans of two shelf
+packers, all of which fall, take 1,730 to 1,910 steps in the mean, some 450 of them for placing."""
 
 STATIC_FALL_STEPS = 600
-"""Steps in which boxes of a static check fall until one has dropped, at most: 480 of ten shelf packings, with more
-iterations each than where single boxes fall."""
+"""Largest number of steps in which boxes of a static check fall until one has dropped: 480 for ten shelf packings, with
+more iterations a step than if single boxes fall."""
 
 BOARDS_COST = 1.25
 """Cost of a step on a carrier of boards, relative to a slab: 1.2 to 1.5 times with scores, drives and searches of 5 to
 30 boxes on epal-1 and gma-48x40."""
 
 FALL_BOXES = 7
-"""Boxes that are placed meanwhile, in the same plans."""
+"""Number of boxes that are placed in ``FALL_STEPS``, in the same plans."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What placements with errors cost, or their steps, relative to one as planned.
+    """Cost or steps of placements with errors, relative to a placement without.
 
     Attributes:
         displaced: a placement in which boxes appear at places with errors: they slip into each other's gaps.
-        carried: one in which boxes are carried to their places.
+        carried: a placement in which boxes are carried to their places.
     """
 
     displaced: float
     carried: float
 
     def of(self, job: Job) -> float:
-        """A job's placement, relative to one as planned."""
+        """The factor of a job's placement."""
         if job.scene.placing.carries:
             return self.carried
         return self.displaced if job.has_errors else 1.0
 
 
 ERROR_STEPS = Errors(displaced=1.1, carried=4.0)
-"""Their steps: where boxes are moved apart before they appear, hardly more than as planned; by hand a share of 0.285 of
-the fixed schedule's, for 0.072: 0.45 with few boxes, 0.24 with many."""
+"""Relative steps. If boxes are moved apart before they appear, they take hardly more steps than as planned. By hand
+they take a share of 0.285 of the fixed schedule's instead of 0.072: 0.45 with few boxes, 0.24 with many."""
 
 ON_DEVICE = Errors(displaced=2.8, carried=4.5)
-"""Their cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s, where 10,003 without
+"""Relative cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s; 10,003 without
 errors took 17 s."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
-    """Expected steps after a profile, until the pallet is quiet. rest_s: the time that it has, s."""
+    """Expected steps after a profile, until the pallet is quiet. rest_s: the time to come to rest, s."""
     most = seconds_to_steps(rest_s, sim.physics.timestep_s)
     return min(most, QUIET_STEPS) if sim.schedule is Schedule.ADAPTIVE else most
 
@@ -119,18 +120,18 @@ def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """What a run has to simulate: placements, and drives from their settled states.
+    """The work of a run: placements, and drives from their settled states.
 
     Attributes:
         sim: its check and schedule decide how many steps a placement has.
-        boxes: of each plan.
-        placements, drives: of each plan.
+        boxes: number of boxes of each plan.
+        placements, drives: numbers of placements and drives of each plan.
         displaced: placements in which boxes appear at places with errors, or with other sizes.
         carried: placements in which boxes are carried to their places.
-        drive_steps: of one drive, with ``rest_steps``; mean over profiles.
-        filmed: whether there is film around what is shaken.
-        placed_share: of each plan the share of its boxes that are there when the first comes that tips over at once
-            (petmjx.plans.loose_boxes), 1 where none does; empty: not known, and none is expected to.
+        drive_steps: steps of one drive, with ``rest_steps``; mean over profiles.
+        filmed: whether there is film around shaken pallets.
+        placed_share: for each plan the share of its boxes that are placed when the first box comes that tips over at
+            once (petmjx.plans.loose_boxes); 1 if none does. Empty: not known, and no box is expected to.
     """
 
     sim: Simulation
@@ -164,7 +165,7 @@ class Work:
 
     @property
     def shaken(self) -> FloatArray:
-        """(n,) drives of each plan: what does not stand is not shaken."""
+        """(n,) number of drives of each plan: a pallet that does not stand is not shaken."""
         return np.where(self._falls, 0.0, float(self.drives))
 
     @property
@@ -191,7 +192,7 @@ class Work:
         return self.placements * SOFT_STARTS + placing + self.shaken * self.drive_steps
 
     def as_planned(self, errors: Errors) -> float:
-        """As many placements of each plan without errors as have the cost, or the steps, of all of them."""
+        """Number of placements of each plan without errors that have the same cost, or steps, as all its placements."""
         displaced, carried = (errors.displaced - 1) * self.displaced, (errors.carried - 1) * self.carried
         return self.placements + displaced + carried
 
@@ -203,7 +204,7 @@ class Work:
         return STEP_SHARE[self.sim.schedule] * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
-        """(n,) box^power × steps of one placement, on a device; ``grows``: boxes that are to come cost nothing."""
+        """(n,) box^power × steps of one placement, on a device; ``grows``: boxes not placed yet cost nothing."""
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
@@ -219,12 +220,12 @@ class ThreadCosts:
     Attributes:
         rest_s: time for a step of a world at rest, s per box to the power ``REST_POWER``.
         overhead_s: time that any step takes in addition, s.
-        landing_s: time that it takes in addition until a box has landed, s per box² of those that stand then.
-        driven_s: time that a step of a drive takes in addition, s: forces of each count, and contacts slide.
-        board_s: time that a step takes in addition on a carrier of boards, s per box: all pairs are looked at.
+        landing_s: additional time until a box has landed, s per box² of the boxes that stand then.
+        driven_s: time that a step of a drive takes in addition, s: the forces of each step count, and contacts slide.
+        board_s: time that a step takes in addition on a carrier of boards, s per box: all pairs are checked.
         shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
         fall_s: time that a step takes in addition in which boxes of a placement fall, s per box².
-        errors: what placements with errors cost.
+        errors: relative cost of placements with errors.
         film_s: time that a step takes in addition in which film acts, s.
     """
 
@@ -239,7 +240,7 @@ class ThreadCosts:
     board_s: float = 0.0
 
     def slowed(self, factor: float) -> ThreadCosts:
-        """Those of a thread that takes so many times as long."""
+        """The costs of a thread that takes ``factor`` times as long."""
         times = ("rest_s", "overhead_s", "landing_s", "shaken_s", "fall_s", "film_s", "driven_s", "board_s")
         return replace(self, **{name: factor * getattr(self, name) for name in times})
 
@@ -251,7 +252,7 @@ class ThreadCosts:
         each_s = (self.errors.carried if work.carried else self.errors.displaced if work.displaced else 1.0) * placing_s
         longest_s = float((each_s + np.where(work.shaken > 0, driving_s, 0.0)).max())
         if work.on_boards:
-            # of the boxes half are there, in the mean
+            # half of the boxes are placed, in the mean
             thread_s += 0.5 * self.board_s * float((work.steps * np.asarray(work.boxes)).sum())
             return BOARDS_COST * max(thread_s / threads, longest_s)
         return max(thread_s / threads, longest_s)
@@ -260,7 +261,7 @@ class ThreadCosts:
         """(n,) time of one placement of each plan, s."""
         boxes = np.asarray(work.boxes, dtype=float) * work.share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
-        # sums over the boxes that stand, 1…n, where they come one by one
+        # sums over the standing boxes, 1…n, if they come one by one
         at_rest = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
         landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
         placing_s = (at_rest + self.overhead_s) * (SOFT_STARTS + work.share * work._placing_steps)
@@ -303,7 +304,7 @@ class Costs:
     gpu_start_s: float = 17.0
 
     def slowed(self, factor: float) -> Costs:
-        """Those of a machine whose CPU threads take so many times as long; of GPUs nothing is known."""
+        """The costs of a machine whose CPU threads take ``factor`` times as long. The costs of GPUs are kept."""
         return replace(
             self,
             mujoco=self.mujoco.slowed(factor),
@@ -348,7 +349,7 @@ class Costs:
 
 
 def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
-    """The placement of each job as planned, how many of these it is worth, and (n,) expected steps of its drive."""
+    """The placements of all jobs as planned, (n,) the factor of each for its errors, and (n,) steps of its drive."""
     placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
     work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
@@ -356,7 +357,7 @@ def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tupl
 
 
 MEASURED = Costs()
-"""Records of runs that it was fitted to, within a factor of two: the lines ``estimates`` of
+"""The measured costs, fitted within a factor of two to records of runs: the lines ``estimates`` of
 benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, with which tests compare it, and those of
 tests/unit/test_engine_choice.py.
 

@@ -1,4 +1,4 @@
-"""Engines by name, and the one that ``auto`` stands for: the one that should finish first."""
+"""Engines by name, and the choice of ``auto``: the engine that should finish first."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine", ("lanes",)),
     "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
 }
-"""Engine name → module, class, and which options of a run it has, in the order of its arguments. A module is imported
-only when its engine is used."""
+"""Engine name → module, class, and the options of a run that it has, in the order of its arguments. A module is
+imported only when its engine is used."""
 
 
 def has_option(engine: str, option: str) -> bool:
-    """Whether an engine of petmjx's has an option of a run."""
+    """Whether an engine of petmjx has an option of a run."""
     return option in ENGINES[engine][2]
 
 
@@ -39,7 +39,7 @@ class Choice:
 
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:
-    """The arguments of ``make_engine`` that a run has for an engine. With ``auto`` only those that the engine has."""
+    """The arguments of ``make_engine`` from the options of a run. With ``auto`` only those that the engine has."""
     of_engine = ENGINES[name][2] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
     return {option: getattr(options, option) for option in of_engine}
 
@@ -56,9 +56,9 @@ def choose(
     Args:
         seconds: expected time of each engine, s.
         threads: CPU threads that ``mujoco`` or ``mjx-warp-cpu`` would use.
-        gpus: that ``mjx-warp`` would use.
-        why_no_gpu: tells why ``mjx-warp`` cannot run; None: whether it can run on this machine.
-        why_no_kernel: the same of ``mjx-warp-cpu``.
+        gpus: GPUs that ``mjx-warp`` would use.
+        why_no_gpu: returns why ``mjx-warp`` cannot run, or None; without it this machine is checked.
+        why_no_kernel: as ``why_no_gpu``, for ``mjx-warp-cpu``.
     """
     cpu, gpu = count_text(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
     where = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
@@ -90,7 +90,7 @@ def make_engine(
 
     Args:
         threads: CPU threads of ``mujoco`` or ``mjx-warp-cpu``; None: all.
-        lanes: worlds at once of ``mjx-jax`` or ``mjx-warp``; None: as many as each finds good.
+        lanes: worlds at once of ``mjx-jax`` or ``mjx-warp``; None: the engine's own choice.
         world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:

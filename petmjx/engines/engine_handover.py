@@ -1,8 +1,9 @@
-"""The engine that ``auto`` takes without a GPU for little work: C MuJoCo, which hands worlds over where they take long.
+"""Engine handover: C MuJoCo, which hands worlds over to the kernels if they take long.
 
-``auto`` chooses by an estimate, made of the numbers of boxes. Plans that collapse take many times as long on C MuJoCo,
-and less so in kernels. So the CPU time of worlds that have ended is compared with what was expected of them. Where the
-kernels would be through sooner with what has not begun, compilation included, they take it.
+``auto`` takes this engine for little work without a GPU. It chooses by an estimate from the numbers of boxes. Plans
+that collapse take many times as long on C MuJoCo, and less so in kernels. So the CPU time of finished worlds is
+compared with their expected time. If the kernels would finish the remaining worlds sooner, compilation included, they
+take them.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LEAST_WORLDS: Final = 20
-"""Worlds that have ended before it is asked whether they took as long as expected: single ones vary tenfold."""
+"""Number of finished worlds before their time is compared with the expected one: single worlds vary tenfold."""
 
 SLOWER: Final = 2.0
-"""Estimates hold within this factor. What takes no longer is no reason to change."""
+"""Estimates hold within this factor. Worlds that take no longer are no reason for a handover."""
 
 GAIN: Final = 1.5
-"""The kernels must be so many times as fast with what is left: what they save on other plans is no more exact."""
+"""The kernels must be faster by this factor with the remaining worlds: their estimated time is no more exact."""
 
 Faster = TypeVar("Faster", bound=Engine)
 
@@ -46,9 +47,9 @@ class HandoverEngine(Engine, Generic[Faster]):
 
     Args:
         mujoco: the engine of the run.
-        make_faster: makes the one that takes over. What it raises of ``EngineUnavailable`` and ``InputError`` leaves
-            the run with ``mujoco``.
-        costs: what both take; ``costs.kernel_start_s`` until the other one begins.
+        make_faster: makes the engine that takes over. If it raises ``EngineUnavailable`` or ``InputError``, the run
+            stays with ``mujoco``.
+        costs: costs of both engines; ``costs.kernel_start_s`` is the time until the other engine begins.
     """
 
     name = MujocoEngine.name
@@ -59,7 +60,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         self._mujoco, self._make_faster, self._costs = mujoco, make_faster, costs
         self._faster: Faster | None = None
         self._stays = False
-        """Whether it has proved that there is no other engine."""
+        """Whether the other engine turned out to be unavailable."""
         self._sim: Simulation | None = None
         self._worlds, self._spent_s, self._expected_s = 0, 0.0, 0.0
 
@@ -69,7 +70,7 @@ class HandoverEngine(Engine, Generic[Faster]):
 
     @property
     def threads(self) -> int:
-        """Worlds that are simulated at once."""
+        """Number of worlds that are simulated at once."""
         return self._mujoco.threads
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
@@ -98,14 +99,14 @@ class HandoverEngine(Engine, Generic[Faster]):
             yield from run.on_mujoco() if run.next_is_mujoco else run.on_faster()
 
     def _slower(self) -> float:
-        """How many times as long worlds took as expected."""
+        """Time of finished worlds relative to the expected time."""
         return self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
 
     def _hands_over(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> bool:
-        """Whether the other engine takes what has not begun; then it is there.
+        """Whether the other engine takes the jobs that have not begun. If so, it has been made.
 
         Args:
-            jobs: what has not begun.
+            jobs: the jobs that have not begun.
         """
         slower = self._slower()
         if self._stays or self._worlds < LEAST_WORLDS or slower < SLOWER or not jobs:
@@ -148,7 +149,7 @@ class _Shared(Generic[Faster]):
         self._mujoco, self._faster = deque[int](), deque[int]()
 
     def take(self) -> bool:
-        """Take jobs that have been added; whether any is left."""
+        """Take jobs that have been added; returns whether any job is left."""
         for number in range(self._taken, len(self._jobs)):
             (self._mujoco if self._is_for_mujoco(number) else self._faster).append(number)
         self._taken = len(self._jobs)
@@ -164,7 +165,7 @@ class _Shared(Generic[Faster]):
         return self._engine._faster is None or self._engine._stays or soft or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
-        """Jobs of C MuJoCo, as many at a time as it begins, so that the others can be taken back."""
+        """Run jobs on C MuJoCo. It is given only as many as it begins, so that the remaining ones can be taken back."""
         mujoco, numbers = self._engine._mujoco, list[int]()
         jobs = GrowingJobs()
         answered = 0
@@ -190,7 +191,8 @@ class _Shared(Generic[Faster]):
                 feed()
 
     def _count(self, number: int, seconds: float) -> None:
-        """A world has ended. What starts from a state is not counted where it has been placed anew."""
+        """Count the time of a finished world. A world that should start from a state but was placed anew is not
+        counted."""
         engine = self._engine
         if self._first_attempt:
             engine._worlds += 1
@@ -208,7 +210,7 @@ class _Shared(Generic[Faster]):
             self._mujoco += left
 
     def on_faster(self) -> Iterator[Outcome]:
-        """Jobs of the other engine. After an error of it C MuJoCo takes what it has not answered."""
+        """Run jobs on the other engine. After an error of it C MuJoCo takes the unanswered ones."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
         numbers, jobs = list[int](), GrowingJobs()

@@ -1,4 +1,4 @@
-"""Frames that an engine has taken of a world become its history, on all engines in the same way."""
+"""Makes the history of a world from the frames that an engine has taken, in the same way for all engines."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ def history_of(
     Args:
         step: (f,) steps since the soft start, rising.
         placed: (f,) boxes in the world.
-        pose: (f, n, 7) positions (m) and quaternions; carrier_pose: (f, 7).
-        top_force_n: (f, n).
+        pose: (f, n, 7) positions (m) and quaternions of the boxes.
+        top_force_n: (f, n) force on top of each box, N.
+        carrier_pose: (f, 7) position (m) and quaternion of the carrier.
         time_s: the time after a step.
         driven_from: the step after which the drive began; None: there was none.
     """
@@ -50,7 +51,7 @@ def history_of(
 
 
 def _drive(job: Job, step: NDArray[np.integer], driven_from: int | None) -> FloatArray:
-    """(f, 3) what shook the world during each of these steps; zero before the drive and after its last sample."""
+    """(f, 3) force or acceleration of the drive during these steps; zero before it and after its last sample."""
     acting = np.zeros((len(step), 3))
     if job.drive is None or driven_from is None:
         return acting

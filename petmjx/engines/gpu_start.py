@@ -1,4 +1,4 @@
-"""Starts what an engine needs on a GPU, before it is asked for a world."""
+"""Starts the libraries that an engine needs on a GPU, before its first world."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from petmjx.common.warp_setup import set_up_warp
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load what ``mjx-warp`` consists of: that takes a second or two. If something is wrong,
-    whoever needs it says so."""
+    """Start JAX and Warp, and load the modules of ``mjx-warp``, which takes a second or two. An error is left to the
+    engine that needs them."""
     with suppress(Exception):
         importlib.import_module("petmjx.engines.mjx.jax_setup").set_up_jax()
         set_up_warp()
         importlib.import_module("petmjx.engines.warp.engine")
         importlib.import_module("warp").init()
         jax = importlib.import_module("jax")
-        jax.jit(lambda x: x + 1).lower(0.0).compile()  # loads what the first program needs to be lowered and compiled
+        jax.jit(lambda x: x + 1).lower(0.0).compile()  # loads the modules for lowering and compiling a first program

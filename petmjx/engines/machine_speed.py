@@ -1,6 +1,6 @@
-"""How fast this machine is, for estimates: constants of petmjx/engines/cost_model.py are those of one machine.
+"""Speed of this machine, for estimates: the constants of petmjx/engines/cost_model.py were measured on another one.
 
-It is measured in CPU time of the thread, so that other programs on the machine count little.
+The speed is measured in CPU time of the thread, so that other programs on the machine count little.
 """
 
 from __future__ import annotations
@@ -18,25 +18,26 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 WORTH_S: Final = 2.0
-"""Expected time of a run from which on the machine is measured, s: below it nobody looks at the estimate."""
+"""Expected time of a run from which on the machine is measured, s: for shorter runs nobody looks at the estimate."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
-"""Of the block of boxes that is built to measure the machine: it stands. The fastest round counts: others may have been
-held up."""
+"""Boxes along a side and layers of the block that is built to measure the machine, and number of rounds. The block
+stands. The fastest round counts: the other one may have been held up."""
 
 REFERENCE_S: Final = 0.04
 """CPU time of the block on the machine of ``MEASURED``."""
 
 SLOWEST, FASTEST = 8.0, 0.125
-"""Bounds of what is believed: beyond them something else was measured."""
+"""Bounds of the measured slowness: beyond them something else was measured."""
 
 
 def costs_here(work: Work, threads: int) -> Costs:
-    """``MEASURED``, on this machine where its speed matters: for runs of some seconds.
+    """The costs on this machine if its speed matters, which is for runs of some seconds; else ``MEASURED``.
 
     Args:
-        work: what is to be simulated, by so many CPU threads.
+        work: the work of the run.
+        threads: CPU threads that simulate it.
     """
     seconds = MEASURED.seconds(work, threads)
     if min(seconds["mujoco"], seconds["mjx-warp-cpu"]) < WORTH_S:
@@ -46,7 +47,7 @@ def costs_here(work: Work, threads: int) -> Costs:
 
 @functools.cache
 def slowness() -> float:
-    """How many times as long a CPU thread of this machine takes as one of that of ``MEASURED``."""
+    """Time of a CPU thread of this machine relative to one of the machine of ``MEASURED``."""
     return float(np.clip(min(block_s() for _ in range(ROUNDS)) / REFERENCE_S, FASTEST, SLOWEST))
 
 

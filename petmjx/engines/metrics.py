@@ -1,8 +1,8 @@
-"""The table of all metrics: name, unit, type, meaning, when it is taken, how values of boxes become one of the world.
+"""The table of all metrics: name, unit, type, meaning, time of sampling, and reduction from boxes to their world.
 
 It defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
-(petmjx.results.part_buffer), what is compared between two runs (petmjx.analysis.run_comparison), and the tables of
-docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the files beside this one, in
+(petmjx.results.part_buffer), which values two runs are compared by (petmjx.analysis.run_comparison), and the tables of
+docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the packages of the engines, in
 NumPy and in JAX.
 
 How to add a metric, step by step: docs/extending.md.
@@ -30,9 +30,10 @@ TEXT: Final = ""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
-"""Forces on tops are looked at in all steps that begin with a box faster than the first and in which one is accelerated
-upwards by more than the second, and else at looks for quiet (docs/rules.md, section 7). What is left out is a twentieth
-more than a weight: boxes press by more than their weights while they are accelerated upwards."""
+"""Forces on tops count in all steps that begin with a box faster than ``RESTLESS_M_S`` and in which a box is
+accelerated upwards by more than ``RISING_M_S2``; else only at looks for quiet (docs/rules.md, section 7). Forces of
+other steps exceed a weight by at most a twentieth: boxes press with more than their weight while they are accelerated
+upwards."""
 
 
 class SampleAt(StrEnum):
@@ -94,7 +95,7 @@ class BoxMetric:
             bool for yes or no.
         of_world: the column of ``worlds`` made from it, if there is one.
         driven_only: only runs with profiles have it.
-        compared, relative: as of :class:`Column`. Yes or no is compared only as the number of boxes of a world.
+        compared, relative: as in :class:`Column`. Yes or no is compared only as the number of boxes of a world.
     """
 
     attribute: str
@@ -109,7 +110,7 @@ class BoxMetric:
     relative: bool = False
 
     def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
-        """Values of (…, n) boxes on which it was not measured: NaN, or no."""
+        """Values of (…, n) boxes for which it was not measured: NaN, or False."""
         shape = (*n, len(self.columns)) if len(self.columns) > 1 else n
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
@@ -147,7 +148,8 @@ class WorldMetric:
 def _largest(
     name: str, unit: str, when: SampleAt, definition: str, of_box: str, of_world: str, relative: bool = False
 ) -> BoxMetric:
-    """A metric with one column. ``worlds`` has the largest value under the same name. ``of_…``: the two meanings."""
+    """A metric with one column. ``worlds`` has the largest value under the same name. ``of_box`` and ``of_world`` are
+    the meanings of the two columns."""
     reduced = WorldReduction(name, Reduction.LARGEST, of_world)
     return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
 
@@ -260,7 +262,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "n_steps", DIMENSIONLESS, "simulated steps after the soft start", SampleAt.END, np.int64, compared=False
     ),
 )  # fmt: skip
-"""In the order of the columns. Those with ``driven_only`` come last in ``boxes``."""
+"""All metrics in the order of their columns. Metrics with ``driven_only`` come last in ``boxes``."""
 
 
 @dataclass(eq=False)
@@ -286,7 +288,7 @@ class BoxMetrics:
 
     @classmethod
     def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:
-        """Metrics of n boxes, or of (…, n), from those that an engine has measured; the others have no values.
+        """Metrics of n boxes, or of (…, n), from the values that an engine has measured; other metrics have no values.
 
         Raises:
             TypeError: there is no metric of that name.
@@ -297,14 +299,14 @@ class BoxMetrics:
         return cls(**missing, **values)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled, and copied, as one array of float64: eleven small ones take two and a half times as long. What is no
-        metric is not kept."""
+        """Pickle and copy as one array of float64: eleven small arrays take two and a half times as long. Attributes
+        that are no metrics are lost."""
         values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
         return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
 
 
 def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
-    """Metrics of (…, n) boxes from what they were pickled as."""
+    """Metrics of (…, n) boxes from their pickled array."""
     values: dict[str, NDArray[Any]] = {}
     size, begin = math.prod(shape), 0
     for metric in box_metrics():
@@ -323,7 +325,7 @@ FORCE_INTERVAL: Final = tuple(
     )
     for name, word in (("rest_top_force_low_n", "least"), ("rest_top_force_high_n", "most"))
 )  # fmt: skip
-"""Columns of ``boxes`` in runs that are asked for them, after the metrics (petmjx.analysis.force_intervals)."""
+"""Optional columns of ``boxes``, after the metrics (petmjx.analysis.force_intervals)."""
 
 
 @functools.cache

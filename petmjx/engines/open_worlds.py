@@ -1,4 +1,4 @@
-"""Worlds that stay open: what an engine offers to those who ask about one placement after the other."""
+"""Open worlds: the interface of an engine for packers, which place boxes one after the other and fork worlds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Boxes for which an open world has room by default: those of the smaller worlds of mjx-warp."""
+"""Default capacity of an open world in boxes: that of the smaller worlds of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,13 +27,14 @@ class Reading:
     """An open world as it is now, with its k placed boxes.
 
     Attributes:
-        time_s: since its soft start.
-        ended: it has failed and does not go on: a box has dropped, or the simulation was given up.
-        flags: with ``MOVING`` also where it has paused since its time was up, and boxes still move.
+        time_s: time since its soft start, s.
+        ended: True: it has failed and does not go on: a box has dropped, or the simulation was given up.
+        flags: flags of the world. ``MOVING`` is also set if it has paused because its time was up, and boxes still
+            move.
         pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
         culprit: the first box that has crossed a threshold at a sample; -1: none has.
-        max_tilt_deg, max_top_force_n: (k,) largest ones at samples.
+        max_tilt_deg, max_top_force_n: (k,) largest tilt and force at samples.
         dropped: (k,) whether a box had dropped at a sample.
     """
 
@@ -51,12 +52,12 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """m open worlds as they are now: a ``Reading`` each, in arrays of k boxes, as many as the fullest world has.
+    """The ``Reading`` of each of m open worlds, in arrays of k boxes, as many as the fullest world has.
 
     Beyond a world's placed boxes numbers are NaN, and nothing has dropped.
 
     Attributes:
-        placed: (m,) boxes.
+        placed: (m,) number of placed boxes.
         target, half_size: (m, k, 3) planned middles and half extents, m.
     """
 
@@ -112,13 +113,13 @@ class Readings:
 
 
 def joined_records(parts: Sequence[Any], width: int) -> dict[str, NDArray[Any]]:
-    """The fields of records of worlds, one record after the other, with room for so many boxes."""
+    """The fields of several records of worlds, one record after the other, padded to ``width`` boxes."""
     names = [field.name for field in fields(parts[0])]
     return {name: np.concatenate([widened_rows(getattr(part, name), width) for part in parts]) for name in names}
 
 
 def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
-    """An array of worlds' boxes with room for so many."""
+    """An array of worlds' boxes, padded to ``width`` boxes."""
     if values.ndim == 1 or values.shape[1] == width:
         return values
     fill = False if values.dtype == bool else np.nan
@@ -127,10 +128,10 @@ def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
 
 
 def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -> None:
-    """Whether these are worlds that there are.
+    """Check that these worlds exist.
 
     Raises:
-        ValueError: a world does not exist, or is named twice where each must be different.
+        ValueError: a world does not exist, or occurs twice although worlds must be ``distinct``.
     """
     numbers = np.asarray(worlds)  # thousands of worlds in each call: a loop only finds the one to name
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
@@ -142,16 +143,16 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
 
 
 def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
-    """Raises ValueError unless there is one of these for each world."""
+    """Raises ValueError unless ``others`` has one entry for each world."""
     if len(worlds) != len(others):
         raise ValueError(f"{len(worlds)} worlds need as many {noun}, and there are {len(others)}")
 
 
 def _check_grown(before: Scene, after: Scene) -> None:
-    """Whether a scene has the boxes of another one, on the same carrier, and more.
+    """Check that a scene has the boxes of another one, on the same carrier, and more.
 
     Raises:
-        ValueError: it has not.
+        ValueError: it does not.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
@@ -170,18 +171,18 @@ def _check_grown(before: Scene, after: Scene) -> None:
 class OpenWorlds(ABC):
     """Worlds that go on independently, and keep their states between calls. Called by one thread at a time.
 
-    Worlds are named by their numbers, from 0. What is refused (ValueError: a world that there is not, or is named
-    twice, a scene too few) changes nothing.
+    Worlds are named by their numbers, from 0. A refused call (ValueError: a world that does not exist or occurs twice,
+    a missing scene) changes nothing.
 
     A world goes on by the rules of the placement (docs/rules.md): each of its boxes is placed when those before it
-    rest, and when the last one rests it pauses. Then more boxes can be put into it. What a world does depends on its
-    scene alone: neither on other worlds, nor on how many calls its boxes came in. So once a wait has been in vain a
-    world pauses when a short one is over, since more boxes may come; without more, ``finish`` waits on.
+    rest, and when the last one rests it pauses. Then more boxes can be put into it. The course of a world depends on
+    its scene alone: neither on other worlds, nor on the number of calls in which its boxes came. So after a wait in
+    vain a world pauses when a short wait is over, since more boxes may come; without more, ``finish`` waits on.
 
-    Here is what all engines refuse; each says how it does the rest.
+    This class has the checks that all engines share; engines implement the rest.
 
     Args:
-        scenes: of the worlds, which may have no boxes yet.
+        scenes: the scenes of the worlds, which may have no boxes yet.
 
     Raises:
         ValueError: there are none, or the schedule is fixed: it sets a world's end before its first box is placed.
@@ -207,7 +208,7 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Put boxes into worlds: their scenes, with more boxes behind those that they had.
+        """Put boxes into worlds. ``scenes`` are their scenes with more boxes behind the earlier ones.
 
         Raises:
             ValueError: a world has ended, or has no more boxes.
@@ -222,7 +223,7 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
-        """Put one box into each of these worlds, of which only extents, place and mass are known.
+        """Put one box into each of these worlds. Of the boxes only extents, place and mass are known.
 
         Raises:
             ValueError: a world has ended.
@@ -261,11 +262,11 @@ class OpenWorlds(ABC):
         return self._try_scenes(worlds, scenes, drives or [None] * len(worlds)) if len(worlds) else []
 
     def with_next(self, worlds: Sequence[int], boxes: NextBoxes) -> list[Scene]:
-        """The scenes of worlds with one box more each."""
+        """The scenes of worlds after one more box in each."""
         return [self._blank.with_box(self._scenes[world], boxes, row) for row, world in enumerate(worlds)]
 
     def scene(self, world: int) -> Scene:
-        """Of a world."""
+        """The scene of a world."""
         return self._scenes[world]
 
     def _check_open(self, worlds: Sequence[int]) -> None:
@@ -277,7 +278,8 @@ class OpenWorlds(ABC):
         """Let all worlds go on until they pause or end."""
 
     def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """Give worlds the states of others, of which some may be named more than once; they go on by themselves."""
+        """Copy the states of the worlds ``sources`` into the worlds ``into``. A source may occur several times. Worlds
+        then go on independently."""
         _check_worlds(sources, len(self), distinct=False)
         _check_worlds(into, len(self))
         _check_as_many(sources, into, "worlds to fork into")
@@ -286,12 +288,12 @@ class OpenWorlds(ABC):
             self._scenes.copy(sources, into)
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
-        """How worlds are now."""
+        """The readings of worlds."""
         _check_worlds(worlds, len(self), distinct=False)
         return self._read(worlds)
 
     def readings(self, worlds: Sequence[int]) -> Readings:
-        """How worlds are now, in arrays."""
+        """The readings of worlds, in arrays."""
         _check_worlds(worlds, len(self), distinct=False)
         return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
@@ -318,7 +320,7 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def _ended(self, worlds: Sequence[int]) -> list[bool]:
-        """Which of them have failed and do not go on."""
+        """Which of these worlds have failed and do not go on."""
 
     @abstractmethod
     def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...

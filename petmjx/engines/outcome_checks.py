@@ -1,9 +1,8 @@
-"""What is looked at in the outcomes of an engine, whichever it is: soft contacts, the margin, boxes that came to rest
-otherwise than planned, and how near loads act to the edges of what bears them, which says whether a verdict stands on a
-knife's edge.
+"""Checks of outcomes, the same for all engines: soft contacts, the margin, boxes that came to rest otherwise than
+planned, and distances of loads from the edges of their supports, which show a verdict on a knife's edge.
 
-Where an engine runs in workers they do it, each with its own outcomes: of small worlds it is almost half of what the
-process of the run would have to do.
+If an engine runs in workers, each worker checks its own outcomes: for small worlds the checks are almost half of the
+work of the process of the run.
 """
 
 from __future__ import annotations
@@ -29,31 +28,31 @@ KNIFE_EDGE_M: Final = 0.0005
 simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
-"""Nearer than this to an edge a load sets the flag, too, if the verdict is not what statics says of it: a world stands
-with the load beyond the edge, or falls with it inside. (Small ones that fall are tried in stiffer contacts as well:
+"""A load nearer than this to an edge sets the flag, too, if the verdict contradicts statics: a world stands with the
+load beyond the edge, or falls with it inside. (Small worlds that fall are also tried in stiffer contacts:
 petmjx.engines.contact_tilt.)"""
 
 LEANS_DEG: Final = 2.0
-"""A box of a stable world that is tilted by more at rest leans. A box of half a metre is then 17 mm lower on one side;
-soft contacts alone let no box lean by a tenth of it that has no flag for it."""
+"""A box of a stable world leans if its tilt at rest is larger. A box of half a metre is then 17 mm lower on one side.
+Without a flag for it, soft contacts alone let no box lean by a tenth of this."""
 
 LOWER_M: Final = 0.005
-"""A box that lies lower than planned by more than this does so, too: as much as soft contacts may give way
+"""A box that lies lower than planned by more than this counts as leaning, too: soft contacts may give way by as much
 (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 128
-"""At most so many outcomes are looked at together; one by one, this took longer than the simulation on a GPU. 128 take
-a tenth of a second."""
+"""Largest number of outcomes that are checked at once; 128 take a tenth of a second. One by one, checks took longer
+than the simulation on a GPU."""
 
 _NOT_BUILT: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan)
 
 
 def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes with what follows from them and their jobs. It may change the verdict.
+    """The outcomes with all values that follow from them and their jobs. The verdict may change.
 
     Args:
-        jobs: as the engine had them, one for each outcome.
-        sim: that the engine had.
+        jobs: the jobs of the engine, one for each outcome.
+        sim: the options of the engine.
     """
     noted = note_softness(outcomes, jobs, sim)
     for outcome, job in zip(noted, jobs, strict=True):
@@ -70,7 +69,7 @@ def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simula
 
 def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """The boxes of a world at rest that lean by more than ``LEANS_DEG``, or lie more than ``LOWER_M`` lower than
-    planned. Where contacts gave way so far that the world has a flag for it, lower boxes do not count."""
+    planned. If contacts gave way so far that the world has a flag for it, lower boxes do not count."""
     placed = slice(outcome.n_placed)
     leans = tilt_deg(outcome.boxes.quat[placed]) > LEANS_DEG
     if not outcome.flags & Flag.SINKING:
@@ -79,11 +78,11 @@ def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.i
 
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bool = True) -> None:
-    """Fill in the least distances, by the plan, at rest and while the plan is built, those of boxes, and the flag of a
-    knife's edge, which any box may set.
+    """Fill in the least distances of loads from edges: by the plan, at rest and while the plan is built. Also fill in
+    the distances of boxes, and the flag of a knife's edge, which any box may set.
 
-    At rest: of worlds that stand and were not shaken, whose carrier is where it was. While it is built: of plans whose
-    boxes are placed ``in_order``, without errors.
+    Distances at rest are those of worlds that stand and were not shaken, so that the carrier is at its place. Distances
+    while the plan is built are those of plans whose boxes are placed ``in_order``, without errors.
     """
     scenes = [job.scene for job in jobs]
     valid = [k for k, outcome in enumerate(outcomes) if outcome.verdict is not Verdict.INVALID]
@@ -117,9 +116,14 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
 def _all_edges(
     planned: Sequence[tuple[Scene, int, bool]], at_rest: Sequence[Scene], pos: Sequence[FloatArray]
 ) -> tuple[list[Edges], list[LeastBuildingEdge], list[Edges]]:
-    """Of scenes with so many boxes placed the edges, and the least ones while those are built of which it is asked; and
-    the edges of those that are at rest with their boxes at (n, 3) places. All are computed at once: what takes time
-    is the number of calls."""
+    """The edges of planned scenes, the least edges while they are built, and the edges of scenes at rest.
+
+    All are computed at once: the time depends on the number of calls.
+
+    Args:
+        planned: scene, number of placed boxes, and whether the least edges while it is built are wanted.
+        at_rest: scenes at rest, with their boxes at the (n, 3) places ``pos``, m.
+    """
     if not planned:
         return [], [], []
     scenes, placed, inputs = zip(*planned, strict=True)
@@ -135,7 +139,7 @@ def _all_edges(
 
 
 def _least(edge_m: FloatArray) -> tuple[float, int]:
-    """The least of the distances and whose it is; NaN and -1 if there is none."""
+    """The least of the distances and the number of its box; NaN and -1 if there is none."""
     known = np.where(np.isnan(edge_m), np.inf, edge_m)
     box = int(known.argmin()) if len(known) else -1
     return (float(edge_m[box]), box) if box >= 0 and known[box] < np.inf else (np.nan, -1)

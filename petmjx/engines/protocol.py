@@ -1,4 +1,4 @@
-"""The protocol of engines: jobs in, outcomes out; and how an engine tells its progress."""
+"""The protocol of engines: jobs in, outcomes and progress out."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
-"""Worlds whose states mjx-warp has on its device at the same time by default; with 80 boxes each
-takes 16 kB. And the most jobs that a worker of either engine is given at once."""
+"""Default number of worlds whose states the engine has on its device at the same time; on mjx-warp a world of 80 boxes
+takes 16 kB. It is also the largest number of jobs that a worker of either engine is given at once."""
 
 
 @dataclass
@@ -27,13 +27,12 @@ class Progress:
     """Totals that an engine updates while it runs.
 
     Attributes:
-        thread_s: CPU time of ``mujoco``'s threads for worlds that have ended, s.
-        message: what it is doing (compiling, …).
-        at_hand: so many outcomes follow the last one at once, or more; None where the engine does not say. It is
-            believed where the engine's ``run`` is marked with ``says_at_hand``.
-        pauses: whether the engine may yield None where no world ends for a while, so that whoever asks it sees to the
-            rest of the run.
-        notes: lines for the results, each once: what was done otherwise than asked for.
+        thread_s: CPU time of ``mujoco``'s threads for finished worlds, s.
+        message: what the engine is doing (compiling, …).
+        at_hand: at least this many outcomes follow the last one at once; None if the engine does not report it. It is
+            only used if the engine's ``run`` is marked with ``says_at_hand``.
+        pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
+        notes: lines for the results, each once: deviations from the options.
     """
 
     worlds_done: int = 0
@@ -53,8 +52,7 @@ Run = TypeVar("Run", bound=Callable[..., Iterator[Outcome]])
 def says_at_hand(run: Run) -> Run:
     """Mark a ``run`` that keeps ``Progress.at_hand`` up to date while it waits, and yields None in pauses if asked to.
 
-    It is the method that is marked, not the engine: one that inherits from an engine of petmjx may hold back what that
-    yields, for as long as it likes.
+    The method is marked, not the engine: an engine that inherits from one of petmjx may hold back its outcomes.
     """
     run.says_at_hand = True  # type: ignore[attr-defined]  # a function has room for it
     return run
@@ -63,7 +61,7 @@ def says_at_hand(run: Run) -> Run:
 class RunLock:
     """Allows one run at a time of an engine that keeps data between runs, such as compiled programs.
 
-    Runs are generators. A run begins when its first outcome is asked for, and ends with its last outcome or when the
+    Runs are generators. A run begins when its first outcome is requested, and ends with its last outcome or when the
     generator is closed.
     """
 
@@ -89,30 +87,30 @@ class RunLock:
 class GrowingJobs(list[Job]):
     """Jobs to which more are appended while an engine simulates them, whenever it has yielded an outcome.
 
-    Only engines that take more are given such a list. They simulate these jobs in the same run, as soon as something is
-    free for them; a run ends when none is left.
+    Only engines with ``takes_more`` are given this list. They simulate the added jobs in the same run, as soon as they
+    have capacity. A run ends when no job is left.
     """
 
 
 class JobsInParts(list[Job]):
-    """The first part of a run's jobs. An engine may take the next part while it has this one, so that a device has
-    worlds up to its last ones; its jobs are numbered on. An engine that does not is given it in another run. An engine
-    may clear the list, since worlds that have ended would take memory.
+    """The first part of a run's jobs. An engine may take the next part while it has this one, so that a device is busy
+    up to the end of the run; job numbers continue. Else the next part is given to it in another run. An engine may
+    clear the list, since finished worlds would take memory.
 
     Args:
-        next_part: see below.
+        next_part: returns the next part; see the attribute.
     """
 
     def __init__(self, jobs: Sequence[Job], next_part: Callable[[], Sequence[Job] | None]) -> None:
         super().__init__(jobs)
         self.next_part = next_part
-        """The next part, once; None as long as it is being made, and no jobs where none follows now. May be called from
-        a thread of the engine. It raises nothing: an engine could take that for an error of its own."""
+        """Returns the next part, once; None while it is being made, and no jobs if none follows now. May be called from
+        a thread of the engine. It raises nothing: an engine could take an exception for its own error."""
 
 
 @runtime_checkable
 class MinimalEngine(Protocol):
-    """The least that an engine of the user's own has. Outcomes come in any order, as worlds finish; ``Outcome.job`` is
+    """The smallest interface of a user's own engine. Outcomes come in any order, as worlds finish; ``Outcome.job`` is
     the index of the job."""
 
     name: str
@@ -123,7 +121,7 @@ class MinimalEngine(Protocol):
 
 
 class Engine(MinimalEngine, Protocol):
-    """An engine with all that petmjx asks of it. A class that inherits from it has what it does not say itself.
+    """The full interface of an engine. A class that inherits from it gets defaults for all that it does not define.
 
     Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, makes the
     other threads wait (``RunLock``).
@@ -132,10 +130,10 @@ class Engine(MinimalEngine, Protocol):
         takes_more: whether jobs may be appended while it runs (``GrowingJobs``).
         takes_parts: whether it takes the next part of a run's jobs while it has this one (``JobsInParts``). Then the
             first part is small, so that it begins soon.
-        looks: whether it has looked at its outcomes (petmjx/engines/outcome_checks.py).
-        devices: GPUs that simulate at the same time: it is given so many times as many worlds at once.
-        names_engines: whether it has several engines. Its outcomes then say which made them, and its jobs have the
-            states that they start from with the engines that made these (``KeptState``).
+        looks: whether it checks its outcomes itself (petmjx/engines/outcome_checks.py).
+        devices: number of GPUs that simulate at the same time. The engine is given as many times more worlds at once.
+        names_engines: whether it consists of several engines. Its outcomes then name the engine that made them, and
+            start states of its jobs are ``KeptState``, which names the engine that made the state.
     """
 
     takes_more: bool = False
@@ -158,7 +156,7 @@ class Engine(MinimalEngine, Protocol):
         """Worlds that stay open.
 
         Args:
-            most_boxes: of a world, ever. Engines with tables have room for so many.
+            most_boxes: largest number of boxes that a world will ever have. Engines with tables reserve room for it.
 
         Raises:
             InputError: this engine has none.
@@ -170,8 +168,8 @@ class Engine(MinimalEngine, Protocol):
         """Boxes that are let go, in worlds without rules and with the contacts and steps of all others.
 
         Returns:
-            (n, s, k, 7) their places, m, and orientations after each of ``bodies.steps``; NaN from where on a world's
-            numbers are not finite, or its buffers are too small.
+            (n, s, k, 7) their places, m, and orientations after each of ``bodies.steps``; NaN from the step on at which
+            a world's numbers are not finite, or its buffers are too small.
 
         Raises:
             InputError: this engine cannot.
@@ -179,9 +177,9 @@ class Engine(MinimalEngine, Protocol):
         raise InputError(f"engine {self.name} lets no boxes go; mujoco, mjx-warp, mjx-warp-cpu and mjx-jax do")
 
     def retire(self) -> None:
-        """Nothing is run any more: begin to free what is held between runs, such as workers. Returns at once."""
+        """Begin to free resources that are held between runs, such as workers; no run may follow. Returns at once."""
         return None
 
     def close(self) -> None:
-        """The same, and wait until it is free."""
+        """As ``retire``, and wait until the resources are free."""
         return self.retire()

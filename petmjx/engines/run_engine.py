@@ -1,4 +1,4 @@
-"""The engine of a run: the one that the user gives or names, in workers if asked for, or for ``auto`` the fastest."""
+"""The engine of a run: the user's own or named engine, in workers if asked for, or for ``auto`` the fastest one."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
     from petmjx.engines.remote.worker_choice import WorkerStartup
 
 WORTH_A_GPU: Final = 4 << 20
-"""Bytes of plan files for which ``auto`` will take a GPU that is there: of some 400 plans."""
+"""Bytes of plan files from which on ``auto`` will take an available GPU: some 400 plans."""
 
 
 class UserEngine(Engine):
-    """An engine of the user's own, with what it leaves out of ``Engine``. It is not closed: it stays the user's.
+    """A user's own engine, with defaults for all that it leaves out of ``Engine``. It is not closed: the user owns it.
 
     Args:
-        threads: that the run was given, for the name of a device that the engine does not tell.
+        threads: the option of the run, for the name of the device if the engine does not have one.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
@@ -52,7 +52,7 @@ class UserEngine(Engine):
         return getattr(self._own.run, "says_at_hand", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """Worlds that stay open, of an engine that has them; else as any other."""
+        """The open worlds of the engine, if it has them; else the default of ``Engine``."""
         opens = getattr(self._own, "open", None)
         worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
         return worlds
@@ -67,8 +67,8 @@ class UserEngine(Engine):
 
 @contextmanager
 def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup | None]:
-    """While plans are read, start what the run will need and what Python mostly waits for: JAX and Warp on the GPU,
-    where ``mjx-warp`` will be the engine of this process, or workers, which are for ``resolve_engine``."""
+    """While plans are read, start JAX and Warp on the GPU if ``mjx-warp`` will be the engine of this process, or start
+    workers, which are yielded for ``resolve_engine``. Python mostly waits for these starts."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have none
 
@@ -82,7 +82,7 @@ def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup 
     thread = threading.Thread(target=_start_if_gpu, name="petmjx-start") if _may_be_gpu(options, plans) else None
     if thread is not None:
         thread.start()
-    # what is wrong with plans is told at once: then the thread is waited for where the process ends, if at all
+    # an error in plans is reported at once: the thread is not waited for, except perhaps when the process ends
     yield None
     if thread is not None:
         thread.join()
@@ -96,12 +96,12 @@ def _may_be_gpu(options: RunOptions, plans: object) -> bool:
 
 
 def _start_if_gpu() -> None:
-    if cuda_devices():  # to ask takes the driver its time, too
+    if cuda_devices():  # this call to the driver takes time, too
         start_gpu()
 
 
 def _bytes_of(plans: object) -> int:
-    """Size of plan files, and of what is in folders; 0 of anything else."""
+    """Size of plan files and of the files in folders; 0 for anything else."""
     several = plans if isinstance(plans, list | tuple) else [plans]
     paths = [Path(source) for source in several if isinstance(source, str | PathLike)]
     with suppress(OSError, ValueError):
@@ -118,7 +118,7 @@ def engine_for(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> Iterator[tuple[Engine, Choice]]:
-    """As ``resolve_engine``; what the engine holds, such as workers, is freed at the end, unless it was given."""
+    """As ``resolve_engine``, and closes the engine at the end, unless the user gave it."""
     engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice
@@ -140,10 +140,10 @@ def resolve_engine(
     engine does not have.
 
     Args:
-        costs: of the engines; None: as measured, on a machine as fast as this one.
+        costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
         ahead: workers that have been started already for these options (``engine_warmup``).
         hands_over: whether an engine that ``auto`` takes may hand worlds over to another one (``HandoverEngine``).
-        earlier: the engine that the run had before, which ``auto`` keeps: the machine may be busier than then.
+        earlier: the engine that the run had before it was resumed, which ``auto`` keeps: the machine may be busier now.
 
     Raises:
         InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.

@@ -1,4 +1,4 @@
-"""Steps as times, as MuJoCo counts them."""
+"""Step clock: the time after each step, as MuJoCo counts it."""
 
 from __future__ import annotations
 

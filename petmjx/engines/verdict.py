@@ -1,4 +1,4 @@
-"""The outcome of a world: verdict, reason, flags, metrics per box. And the function that decides, ``judge``."""
+"""The outcome of a world (verdict, reason, flags, metrics of its boxes), and ``judge``, which decides the verdict."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Verdict(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why a world is not stable. Empty for worlds that are."""
+    """Why a world is not stable; empty for stable worlds."""
 
     NONE = ""
     NONFINITE = "nonfinite"
@@ -42,7 +42,7 @@ class Reason(StrEnum):
 
 
 class Flag(IntFlag):
-    """What happened to a world, where the metrics do not tell it. The bits of the column ``flags``."""
+    """Events in a world that the metrics do not show: the bits of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -51,14 +51,14 @@ class Flag(IntFlag):
     EXPLOSION = 8
     EARLY_STOP = 16
     RERUN_AFTER_OVERFLOW = 32
-    """An engine simulated it again with larger buffers. It depends on the worlds beside it, so results never have it
-    (petmjx.engines.outcome_checks)."""
+    """An engine simulated the world again with larger buffers. This depends on the worlds beside it, so the flag is
+    never in results (petmjx.engines.outcome_checks)."""
     OUT_OF_MEMORY = 64
     OTHER_OVERFLOW = 128
     FORKED = 256
     """The world started from a settled state that another world had reached."""
     SINKING = 512
-    """Boxes sank into what bears them, so far that a verdict may come from it (petmjx.engines.contact_penetration)."""
+    """Boxes sank into their supports so far that a verdict may come from it (petmjx.engines.contact_penetration)."""
     FAILED = 1024
     """The simulation ended with an exception; ``Outcome.message`` has its text."""
     TIMEOUT = 2048
@@ -67,11 +67,11 @@ class Flag(IntFlag):
     """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
     depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
-    """A load of any box acts within half a millimetre of the edge of what bears it (petmjx.engines.outcome_checks)."""
+    """The load of a box acts within half a millimetre of the edge of its supports (petmjx.engines.outcome_checks)."""
     TIMESTEP = 16384
-    """At half the timestep the verdict is another one (``Simulation.check_timestep``)."""
+    """With half the timestep the verdict is another one (``Simulation.check_timestep``)."""
     LEANS = 32768
-    """It is stable, but not as planned: a box leans, or lies lower (petmjx.engines.outcome_checks)."""
+    """The world is stable, but not as planned: a box leans, or lies lower (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
     """A hand found no room for a box: it let go further than ``MISSED_M`` from the box's place
     (petmjx.world.approach_paths), before any box crossed a threshold."""
@@ -97,9 +97,9 @@ class Outcome:
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
-    """Which engine made this attempt; filled in where outcomes arrive (petmjx.engines.attempt_runner)."""
+    """The engine that made this attempt; filled in by petmjx.engines.attempt_runner."""
     state: KeptState | EngineState | None = None
-    """The settled state, if the job asked for it: a ``KeptState`` where outcomes have arrived."""
+    """The settled state, if the job asked for it: a ``KeptState`` outside the engine."""
     margin: float = math.nan
     """See :func:`margin_of`; filled in for all engines (petmjx.engines.outcome_checks)."""
     plan_edge_m: float = math.nan
@@ -109,8 +109,9 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """Least distances of loads from edges, m, whose they are, and after which box is placed; -1 for none. Filled in by
-    petmjx.engines.outcome_checks, too, as those of boxes are."""
+    """The fields above: least distances of loads from edges, m; the boxes that have these loads; and the box after
+    whose placement ``build_edge_m`` is reached. -1: none. Filled in by petmjx.engines.outcome_checks, as the distances
+    of boxes are."""
     message: str = ""
     """Why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
@@ -131,7 +132,7 @@ _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
 
 class Signs(NamedTuple):
-    """Of (…, n) boxes what may decide whether they fail, as in ``BoxMetrics``."""
+    """The metrics of (…, n) boxes that may decide whether they fail, as in ``BoxMetrics``."""
 
     shift_m: FloatArray
     max_tilt_deg: FloatArray
@@ -140,7 +141,7 @@ class Signs(NamedTuple):
 
 
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
-    """What makes boxes fail, in the order in which it is looked for, and the (…, n) boxes that fail by it.
+    """The reasons for which boxes fail, in the order of their checks, and (…, n) the boxes that fail for each.
 
     Args:
         boxes: fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
@@ -161,16 +162,16 @@ def judge(
 ) -> tuple[Verdict, Reason]:
     """The verdict of a world and its reason: the only place that decides (docs/metrics.md, section "Verdict").
 
-    An engine asks with what it has measured. Callers that learn more about the world ask again.
+    An engine calls it with its measurements. Callers that learn more about the world call it again.
 
     Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
     20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
 
     Args:
-        sank: whether boxes sank into what bears them, so far that there is no verdict. ``Flag.SINKING`` does not say
-            it: worlds that keep their verdict have that flag, too.
-        placement: of a world that was shaken, what it was before. What did not stand then has not passed, even if it
-            ends where the plan has it.
+        sank: whether boxes sank into their supports so far that there is no verdict. ``Flag.SINKING`` does not show
+            this: worlds that keep their verdict have that flag, too.
+        placement: for a world that was shaken, its outcome before. A world that did not stand then has not passed, even
+            if its boxes end at their planned places.
     """
     for bits, reason in INVALID_FLAGS if int(flags) & _INVALID_BITS else ():
         if flags & bits:
@@ -186,11 +187,11 @@ def judge(
 def judge_all(
     flags: NDArray[np.int64], boxes: Signs | BoxMetrics, thresholds: Thresholds
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """The verdicts and reasons of many worlds, each as ``judge`` says it of one.
+    """The verdicts and reasons of many worlds, the same as by ``judge``.
 
     Args:
-        flags: (m,).
-        boxes: with rows for the m worlds, (m, n) instead of (n,); of boxes that are not placed it has no values.
+        flags: (m,) flags of the worlds.
+        boxes: metrics with rows for the m worlds, (m, n) instead of (n,); no values for boxes that are not placed.
     """
     invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
     unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
@@ -200,8 +201,8 @@ def judge_all(
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Least excess of a box that dropped, so that its margin is -1 at most: where it lies in the end may be near its place,
-but a drop is always beyond."""
+"""Least excess of a box that dropped, so that its margin is at most -1: it may come to lie near its place, but a drop
+is always beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
@@ -210,8 +211,9 @@ _EPSILON: Final = float(np.finfo(np.float64).eps)
 def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
     """How far a world is from the nearest threshold, as a share of it: 1 − the largest excess of a placed box.
 
-    1: nothing moved; 0: on the threshold; negative: beyond it, -1 at most where a box dropped. It is never negative in
-    a stable world and always in an unstable one. NaN for invalid worlds. More: docs/metrics.md, section "Margin".
+    1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. It is never negative in a
+    stable world and always negative in an unstable one. NaN for invalid worlds. More: docs/metrics.md, section
+    "Margin".
     """
     if verdict is Verdict.INVALID or n_placed == 0:
         return math.nan

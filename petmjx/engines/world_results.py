@@ -1,4 +1,4 @@
-"""The worlds of a run, and what became of each."""
+"""The worlds of a run, and their results."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""How boxes come to their places where they do not appear there: from where, along which way, held by what hand.
+"""Approach paths: where a box begins, how it moves to its place, and the hand that holds it on the way.
 
-A box begins above its place and, if it is carried, beside it: away from what stands there. On a straight way it is
-drawn by a spring and a damper to a point that moves smoothly from its beginning to its place. The rules:
-docs/rules.md, section 4.
+A box begins above its place. A carried box also begins beside it, away from its neighbours. The way is straight: a
+spring and a damper draw the box to a point that moves smoothly from the begin to the place. Boxes that appear at their
+places have no path. The rules: docs/rules.md, section 4.
 """
 
 from __future__ import annotations
@@ -21,40 +21,42 @@ from petmjx.world.scene import Scene
 from petmjx.world.stackable_scenes import stacked_values
 
 HAND_RATE_1_S: Final = 50.0
-"""Natural frequency of the hand's spring, 1/s. It is critically damped: a box that is pushed away is back after about
-3 / 50 s. It is 1 / the time constant of the contacts of ``pallet``: a stiffer hand would fight with contacts. The
-stiffness is m · 50² / s²: where a box is 1 mm short of its way it presses with 2.5 N per kg."""
+"""Natural frequency of the hand's spring, 1/s. The spring is critically damped: a box that is pushed away is back after
+about 3 / 50 s. The value is 1 / the time constant of the contacts of ``pallet``: a stiffer hand would fight with
+contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its way is pressed with 2.5 N per kg."""
 
 MOST_RATE_PER_STEP: Final = 0.1
-"""Largest natural frequency × timestep. Forces of the hand are those of a step's beginning; with semi-implicit Euler
-they are stable below 2 (√2 − 1) = 0.83 (Jury's criterion on z² − (2 − 2h − h²) z + 1 − 2h), and follow the continuous
-ones to a tenth at 0.1."""
+"""Largest natural frequency × timestep. The hand's forces are computed at the beginning of a step. With semi-implicit
+Euler they are stable below 2 (√2 − 1) = 0.83 (Jury's criterion on z² − (2 − 2h − h²) z + 1 − 2h). At 0.1 they follow
+the continuous forces to a tenth."""
 
 MOST_WAY_S: Final = 2.0
-"""Time of the longest way: a box that must begin high above its place goes faster than others."""
+"""Longest time of a way. A box that begins so high that its way would take longer moves faster instead."""
 
 MOST_STUCK_S: Final = 0.5
-"""How long a hand holds a box at most after the way's end, if it does not come to rest; and as long while it sets it
-down."""
+"""Longest time for which a hand holds a box after the end of the way, if the box does not come to rest. Setting the box
+down may take as long again."""
 
 AT_PLACE_M: Final = 0.0002
-"""A box that is no further from its way's end is there: the softness of a contact is a tenth of a millimetre."""
+"""A box has arrived if it is within this distance of the end of its way. A contact gives way by a tenth of a
+millimetre."""
 
 MISSED_M: Final = 0.01
-"""A box that a hand lets go further from its place could not be placed. Boxes that find room are within 5 mm of it,
-those that stand on the edges of their neighbours as much too high as these are high, or half as much."""
+"""A box could not be placed if the hand lets it go further than this from its place. A box that finds room is within
+5 mm of its place. A box that stands on the edge of a neighbour is too high by the neighbour's height or half of it."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
-"""A box is set down by a damper of this rate, 1/s, but at most so much per step: semi-implicit Euler is stable below 2.
-It sinks with g / 400 per s, 25 mm/s, at which a contact of ``pallet`` gives way by a quarter of a millimetre."""
+"""A damper of the rate ``LOWERING_RATE_1_S``, 1/s, sets a box down; rate × timestep is at most
+``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks with g / 400 per s, 25 mm/s. At
+this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
-"""Fewest steps of it: without a support a box is then faster than a quiet one."""
+"""Fewest steps of setting down. After these a box without a support is faster than a quiet one."""
 
 FREE_M: Final = 0.0003
-"""Boxes that overlap by no more are free of one another: twice what neighbours that stand flush may have moved by the
-softness of contacts, and less than would push them apart visibly."""
+"""Boxes that overlap by no more than this are free of one another. It is twice the distance by which soft contacts may
+move neighbours that stand flush, and too little to push them apart visibly."""
 
 MOST_TILTED: Final = 0.5
 """Tines tilt a box by at most this share of the threshold of tilt, so that its release is not taken for a first
@@ -67,23 +69,25 @@ ASIDE_SHARE: Final = 2.0
 """How far aside a box goes at most, as a share of how far beside its place it begins: errors of two places may add."""
 
 CLEARANCE_M: Final = 0.001
-"""How far above what is in its way a box begins."""
+"""Height of a box's bottom above the bodies in its way when it begins above them."""
 
 _BESIDE_M: Final = 0.005
-"""Boxes whose planned extents overlap by no more along an axis are beside one another there: sizes and places have
-errors."""
+"""Boxes are beside one another along an axis if their planned extents overlap by no more than this: sizes and places
+have errors."""
 
 
 class ApproachPath(NamedTuple):
-    """How the n boxes of a scene come to their places; of many scenes that are alike, with an axis of these before the
-    others. Places are those of their middles, m.
+    """How the n boxes of a scene come to their places.
+
+    For several stackable scenes every array has a leading axis of the scenes. Places are those of the boxes' middles,
+    m.
 
     Attributes:
-        lift: (n, 3) from where a box would rest to where it is let go.
-        quat: (n, 4) how it is turned on its way.
-        offset: (n, 3) from where it is let go to where it begins, if that is free.
-        steps: (n,) of its way; 0: it is not carried, but falls.
-        falls: (n,) whether it is let go where its way ends, to fall; others are set down first.
+        lift: (n, 3) from the place at which a box would rest to the place at which it is let go.
+        quat: (n, 4) orientation of the box on its way.
+        offset: (n, 3) from the place at which it is let go to the place at which it begins, if that is free.
+        steps: (n,) number of steps of its way; 0: the box is not carried, but falls.
+        falls: (n,) True: the box is let go at the end of its way and falls. False: the hand sets it down first.
     """
 
     lift: FloatArray
@@ -94,7 +98,7 @@ class ApproachPath(NamedTuple):
 
 
 def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
-    """How the boxes of a scene come to their places; None: they appear there."""
+    """The approach paths of the boxes of a scene; None: the boxes appear at their places."""
     placing, n = scene.placing, scene.n_boxes
     if placing.appears or sim.check is Check.STATIC:
         return None
@@ -112,8 +116,8 @@ def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
 
 
 def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath | None:
-    """The courses of plain scenes that are alike (petmjx.world.stackable_scenes), to the last bit as
-    ``approach_path_of`` has each."""
+    """The approach paths of stackable scenes (petmjx.world.stackable_scenes), identical to the last bit with
+    ``approach_path_of`` of each scene."""
     placing = scenes[0].placing
     if placing.appears or sim.check is Check.STATIC:
         return None
@@ -138,15 +142,19 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
 def way_steps(
     length_m: FloatArray | float, mass_kg: FloatArray | float, placing: Placing, timestep_s: float
 ) -> NDArray[np.int64]:
-    """Steps of ways of these lengths: so many that the largest speed, 1.5 × length / time, is that of the options, and
-    that half of the hand's force gives the largest acceleration, 6 × length / time²."""
+    """Number of steps of ways of these lengths.
+
+    The largest speed, 1.5 × length / time, is at most that of the options. Half of the hand's force is enough for the
+    largest acceleration, 6 × length / time². No way takes longer than ``MOST_WAY_S``.
+    """
     seconds = np.maximum(1.5 * length_m / placing.speed_m_s, np.sqrt(12.0 * mass_kg * length_m / placing.force_n))
     steps: NDArray[np.int64] = np.ceil(np.minimum(seconds, MOST_WAY_S) / timestep_s).astype(np.int64)
     return np.maximum(steps, 1)
 
 
 def progress(step: int, steps: int) -> float:
-    """Share of the way after some of its steps: 3t² − 2t³ of the time's share t, at rest at both ends."""
+    """Share of the way that is done after ``step`` of its ``steps``: 3t² − 2t³ with t = step / steps, at rest at both
+    ends."""
     share = min(max(step / steps, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
@@ -167,27 +175,29 @@ def most_aside_m(placing: Placing) -> float:
 
 
 def stuck_steps(timestep_s: float) -> int:
-    """Steps for which a hand holds a box at most after the way's end, or sets it down."""
+    """Largest number of steps for which a hand holds a box after the end of its way, or sets it down."""
     return int(MOST_STUCK_S / timestep_s)
 
 
 def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(k, 3) half extents along x, y and z of the boxes around k turned boxes, m."""
+    """(k, 3) half extents of the axis-aligned bounding boxes of k turned boxes, m."""
     return np.asarray(np.einsum("kij,kj->ki", np.abs(rotations(quat)), half_size))
 
 
 def free_begin(
     begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: float
 ) -> FloatArray:
-    """(3,) where a box begins so that it is in no other, m: there, or as little aside as it must, or above.
+    """(3,) the place nearest to ``begin`` at which a box overlaps no other box, m: ``begin`` itself, aside, or above.
 
-    It goes aside from the first box that it overlaps, along x or y, where it overlaps less, and so on. If it would have
-    to go further than it may, or comes to no end, it goes up instead, from where it was.
+    The box goes aside from the first box that it overlaps, along x or y, whichever overlap is less. This is repeated at
+    most ``MOST_SIDESTEPS`` times. If the box would have to go aside by more than ``most_m``, or is still not free, it
+    goes up from ``begin`` instead.
 
     Args:
-        begin: (3,) where it would begin; its half extents (3,).
-        pos, reaches: (k, 3) of the boxes that stand.
-        most_m: how far it may go aside along x and y each.
+        begin: (3,) planned begin of the box, m.
+        own_reach: (3,) half extents of the box, m.
+        pos, reaches: (k, 3) middles and half extents of the boxes that stand, m.
+        most_m: largest way aside along x and along y.
     """
     aside = begin.copy()
     for _ in range(MOST_SIDESTEPS + 1):
@@ -212,27 +222,27 @@ def free_begin(
 def _overlap(
     place: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(k, 3) lengths that a box and others share along each axis, m, and (k,) whether it is in the other one."""
+    """(k, 3) overlap of a box with k other boxes along each axis, m, and (k,) whether the box is in the other one."""
     shared = reaches + own_reach - np.abs(pos - place)
     return shared, np.asarray((shared > FREE_M).all(axis=1))
 
 
 def _approaches(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """As ``_approaches_of`` of a scene."""
+    """``_approaches_of`` for one scene."""
     return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing), scene.approach)
 
 
 def _approaches_of(beside: NDArray[np.bool_], given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) direction in which each box goes to its place, level, as a share of what the options say, and (…, n, 2)
-    unit vectors towards what it goes to.
+    """(…, n, 2) horizontal directions in which boxes go to their places, and (…, n, 2) unit vectors along an axis.
 
-    Where the plan says nothing it goes, along x and y each, towards the side on which something stands if there is
-    nothing on the other one. So a box beside which nothing stands, or that goes between two others, comes from straight
-    above. The second vector is the first one's nearest axis of the box; without a first one an axis along which nothing
-    stands, +x before +y.
+    The directions are shares of the distance aside of the options. If the plan gives none, a box goes along x, and
+    likewise along y, towards the side with a neighbour, provided that the other side has none. So a box without
+    neighbours, or between two, comes from straight above. The unit vector is the axis of the box that is nearest to the
+    direction. Without a direction it is an axis along which the box has no neighbour, +x before +y.
 
     Args:
-        beside: as ``_neighbour_mask`` has it; ``given``: (n, 2) of the plan.
+        beside: the mask of ``_neighbour_mask``.
+        given: (n, 2) directions of the plan; None: it has none.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if given is not None:
@@ -247,11 +257,12 @@ def _approaches_of(beside: NDArray[np.bool_], given: FloatArray | None) -> tuple
 
 
 def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing) -> NDArray[np.bool_]:
-    """(…, n, 2, 2) whether something stands beside each box before it is placed, by the plan: on its low and its high
-    side along x and y, no further away than the box may go aside.
+    """(…, n, 2, 2) which sides of each box have a neighbour, by the plan, when the box is placed: (low and high side, x
+    and y). A neighbour is no further away than the box may go aside.
 
     Args:
-        place: (…, n, 3) planned middles, m, ``half``: half extents.
+        place: (…, n, 3) planned middles, m.
+        half: (…, n, 3) half extents, m.
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M
@@ -270,10 +281,10 @@ def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing) -> ND
 
 
 def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) lifts and (n, 4) orientations of boxes on the bottom edge behind, with the one ahead at its height.
+    """(n, 3) lifts and (n, 4) orientations of boxes that stand on their rear bottom edge, with the front one raised.
 
     Args:
-        towards: (n, 2) what is ahead of each box: a direction along x or y, as its own axes lie before it is turned.
+        towards: (n, 2) direction ahead of each box: along x or y of its own axes before it is turned.
         tilt_deg: the threshold of tilt.
     """
     yaw = 2.0 * np.arctan2(scene.start_quat[:, 3], scene.start_quat[:, 0])

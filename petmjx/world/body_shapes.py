@@ -1,7 +1,8 @@
-"""What the bodies of a scene are made of: shapes, which are boxes fixed to them.
+"""Bodies of a scene and their shapes. A shape is a solid box that is fixed to its body.
 
-A body's frame has its origin in the centre of mass and the axes of its shapes, which are taken for its principal axes.
-So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of mass.
+The origin of a body's frame is the centre of mass. Its axes are those of the shapes, which are taken for the principal
+axes. So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of
+mass.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Body:
         friction: (s, 3) their sliding, torsional and rolling coefficients.
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
-        surface: (s,) their surfaces (petmjx/world/friction_pairs.py); None: all 0.
+        surface: (s,) numbers of their surfaces (petmjx/world/friction_pairs.py); None: all 0.
     """
 
     pos: FloatArray
@@ -48,9 +49,9 @@ class Body:
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
         """Boards that are solid boxes.
 
-        Their axes are taken for the body's principal ones. Of boards that do not balance, products of inertia are left
-        out: a few per cent of the moments for a pallet without one of its outer deck boards. They would matter only if
-            the carrier turned, and it stands on the floor.
+        Their axes are taken for the principal axes of the body. Products of inertia of boards that do not balance are
+        left out: a few per cent of the moments for a pallet without one of its outer deck boards. They would matter
+        only if the carrier turned, and it stands on the floor.
 
         Args:
             center: (s, 3) of each board, m.
@@ -75,7 +76,7 @@ class Body:
 
     @property
     def low(self) -> FloatArray:
-        """(3,) the lowest corner of all shapes where the body is planned, m."""
+        """(3,) the lowest corner of all shapes with the body at its planned place, m."""
         low: FloatArray = (self.pos + self.shape_pos - self.half_size).min(axis=0)
         return low
 
@@ -88,10 +89,10 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The shapes of a box that is not one solid box.
+    """The shapes of a box that is made of several solid boxes.
 
     Attributes:
-        box: whose they are.
+        box: number of the box.
         half_size: (s, 3) half extents, m.
         pos: (s, 3) their middles, seen from the box's middle, m.
     """
@@ -106,9 +107,9 @@ class Shapes:
     """The shapes of a scene's bodies, body after body: those of the carrier, then those of the boxes in packing order.
 
     Attributes:
-        body: (s,) the box that a shape belongs to, or ``CARRIER``.
+        body: (s,) number of the box to which a shape belongs, or ``CARRIER``.
         half_size, pos, friction: (s, 3) as in ``Body``.
-        surface: (s,) as there.
+        surface: (s,) as in ``Body``.
     """
 
     body: NDArray[np.intp]

@@ -1,7 +1,7 @@
-"""Carriers made of boards: pallets as they are, with gaps between their boards.
+"""Carriers made of boards: pallets with gaps between their boards, as real ones have.
 
-Boards are boxes, written in mm as (place of the front-left-bottom corner, size), with the pallet's front-left corner at
-the origin and its bottom at z = 0.
+Boards are boxes, written in mm as (front-left-bottom corner, size). The pallet's front-left corner is at the origin,
+its bottom at z = 0.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ class Pallet:
     """A pallet of boards.
 
     Attributes:
-        boards: corner and size of each, mm.
-        masses_kg: of each.
-        frictions: coefficient of sliding friction of each; None: that of the physics' carrier, as all have if empty.
-        materials: of each; empty: all are of wood.
+        boards: corner and size of each board, mm.
+        masses_kg: mass of each board.
+        frictions: coefficient of sliding friction of each board; None: that of the physics' carrier. Empty: None for
+            all boards.
+        materials: material of each board; empty: all boards are of wood.
     """
 
     boards: tuple[Board, ...]
@@ -55,13 +56,13 @@ class Pallet:
 
 
 def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
-    """Where boards of these widths begin that lie along a length, mm: the outer ones flush, with equal gaps."""
+    """Begins of boards of these widths along a length, mm: the outer boards are flush, and all gaps are equal."""
     gap = (length - sum(widths)) / (len(widths) - 1)
     return [sum(widths[:k]) + k * gap for k in range(len(widths))]
 
 
 def _by_volume(boards: Sequence[Board], mass_kg: float) -> tuple[float, ...]:
-    """The mass of each board, if all are of one density."""
+    """The mass of each board if all boards have the same density."""
     volume = np.array([size for _, size in boards]).prod(axis=1)
     return tuple((mass_kg * volume / volume.sum()).tolist())
 
@@ -97,8 +98,8 @@ def _gma() -> Pallet:
 
 
 def _pet_eur() -> Pallet:
-    """The pallet of PET-Physics (its ``eur-pallet.xml``, 7031863): 20 boxes of 2 kg, some of which are 4 mm deep in
-    each other. There its deck is 5 mm above z = 0; here it is at z = 0, as everywhere."""
+    """The pallet of PET-Physics (its ``eur-pallet.xml``, 7031863): 20 boxes of 2 kg, some of which overlap by 4 mm. In
+    PET-Physics its deck is 5 mm above z = 0; here the deck is at z = 0, as for all carriers."""
     middle, bottom_mm = np.array([600.0, 400.0, 0.0]), -72.0
     half_and_place: list[tuple[Triple, Triple]] = [((600, 75, 15), (0, y, 62)) for y in (-325, 0, 325)]
     half_and_place += [((600, 60, 15), (0, y, 62)) for y in (-162.5, 162.5)]
@@ -115,8 +116,8 @@ def _pet_eur() -> Pallet:
 def _rollcontainer_grid() -> Pallet:
     """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
 
-    A typical one, of no maker's, with the extents of the target ``rollcontainer``: no source was found for the bars of
-    a certain one. Its castors are blocks, and roll no more than the feet of a pallet do.
+    A typical base, not that of a certain maker: no source was found for the bars of one. Its extents are those of the
+    target ``rollcontainer``. Its castors are blocks, which roll no more than the feet of a pallet.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -135,12 +136,12 @@ PALLETS: Final = {
 
 
 OF_SLABS: Final = ("floor_z_m", "carrier_half_height_m", "carrier_mass_kg")
-"""Fields of ``Physics`` that boards have themselves."""
+"""Fields of ``Physics`` that have no effect if the carrier is made of boards."""
 
 
 @lru_cache(maxsize=16)
 def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
-    """The boards of a carrier; None of those that are slabs."""
+    """The boards of a carrier; None for a slab."""
     if isinstance(carrier, OwnCarrier):
         boards = tuple((board.corner_mm, board.size_mm) for board in carrier.boards)
         return Pallet(boards, carrier.masses_kg, carrier.frictions, carrier.materials)
@@ -183,6 +184,6 @@ def carrier_friction(sim: Simulation) -> float:
 
 
 def floor_z_m(sim: Simulation) -> float:
-    """Height of the floor, m: where pallets of boards stand, else as the physics says."""
+    """Height of the floor, m: the bottom of a pallet of boards, else the value of the physics."""
     board_pallet = pallet(sim.carrier)
     return sim.physics.floor_z_m if board_pallet is None else -board_pallet.height_mm / MM_PER_M

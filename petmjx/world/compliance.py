@@ -1,14 +1,14 @@
-"""Boxes that give: contacts as springs, as stiff as the boxes between which they are.
+"""Compliance of boxes: contacts are springs, as stiff as the two boxes that touch.
 
-A box of stiffness k gives way by F/k between a load F on its top and what it stands on: half of it at either face, as
-in a column, so that it comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler 1867, "Die Lehre
-von der Elasticität und Festigkeit"), 2k/A for each area of the face A. Where two faces press on one another their beds
-are in series; what they share of their areas, as planned, says how stiff the contact is. So a box sinks deeper if less
-of its base is supported, and a narrow box presses deeper into what bears it.
+A box of stiffness k gives way by F/k between a load F on its top and its support. Half of that is at either face, as in
+a column, so that the box comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler 1867, "Die
+Lehre von der Elasticität und Festigkeit"), 2k/A for each area of the face A. If two faces press on one another, their
+beds are in series. Their common area, as planned, determines how stiff the contact is. So a box sinks deeper if less of
+its base is supported, and a narrow box presses deeper into its support.
 
 MuJoCo's contact of impedance d and time constant τ at rest is the spring f = x / (τ²·ζ²·(1 − d)·A), with A the sum of
-the inverse masses (petmjx/world/contact_laws.py). So a stiffness is an impedance; where that would be below
-``LEAST_IMPEDANCE`` the time constant is longer instead. Stiffer than the contacts of ``Physics`` no box can be.
+the inverse masses (petmjx/world/contact_laws.py). So a stiffness is an impedance. If the impedance would be below
+``LEAST_IMPEDANCE``, the time constant is longer instead. No box can be stiffer than the contacts of ``Physics``.
 """
 
 from __future__ import annotations
@@ -27,37 +27,40 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M, bearing_of
 
 LEAST_IMPEDANCE: Final = 0.5
-"""Below it friction would give way: boxes on a slope would creep by tenths of a millimetre a second."""
+"""Smallest impedance. Below it friction would give way: boxes on a slope would creep by tenths of a millimetre a
+second."""
 
 LEAST_SHARE: Final = 0.05
-"""At least this share of the smaller face presses on the other one: a sliver that two boxes share only by an error of
+"""Smallest common area of two faces, as a share of the smaller face. A sliver that two boxes share only by an error of
 their places is no bed of springs."""
 
 
 POINTS_PER_BED: Final = 4
-"""Contacts of two faces that press on one another, one of which gives."""
+"""Number of contacts between two faces that press on one another, if one of them gives."""
 
 EDGE_SHARE: Final = 2 / 3
-"""A face that is pressed on less than this share of what two faces have in common is as stiff as if it were on so much.
-On springs alone a load near an edge would sink in without end. A carton spreads it, and its edges bear more than its
-middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
+"""Smallest pressed share of the common area of two faces that counts for stiffness: less pressed area is as stiff as
+this share. On springs alone a load near an edge would sink in without end. A carton spreads it, and its edges bear more
+than its middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
 
 OUTWARD: Final = 0.6
-"""And its pressure goes outward: by this times ``EDGE_SHARE`` / share − 1 of the way to its deepest line. At a quarter
-of the face it is there, with the lean 12 F / (k·L) at which of Simpson's nine points only those at the edge bear."""
+"""If the pressed share is below ``EDGE_SHARE``, the pressure also goes outward: by this times ``EDGE_SHARE`` / share −
+1 of the way to the deepest line. At a quarter of the face it reaches that line. The lean is then 12 F / (k·L), at which
+only the edge ones of Simpson's nine points bear."""
 
 FACE_COSINE: Final = 0.5
-"""Faces press on one another if their normals are at least so opposite. Else an edge presses on something."""
+"""Two faces press on one another if the cosine between one normal and the reverse of the other is at least this. Else
+an edge presses on a body."""
 
 
 @dataclass(frozen=True)
 class Face:
-    """What the law of a contact needs to know of a shape.
+    """The values of a shape that determine the law of its contacts.
 
     Attributes:
-        give: its face's area for each half stiffness, A/2k, m³/N; 0: it is rigid.
-        middle, half: as planned, m.
-        inverse_mass: of its body, 1/kg; 0: it does not move.
+        give: area of its face over twice the stiffness, A/2k, m³/N; 0: it is rigid.
+        middle, half: planned middle and half extents, m.
+        inverse_mass: 1 / mass of its body, 1/kg; 0: it does not move.
     """
 
     give: float
@@ -67,13 +70,13 @@ class Face:
 
 
 def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(n,) area of a box's top for each half stiffness, m³/N; 0 where it is rigid (stiffness inf)."""
+    """(n,) area of each box's top over twice its stiffness, m³/N; 0 for a rigid box (stiffness inf)."""
     area: FloatArray = 4.0 * half_size[:, 0] * half_size[:, 1]
     return area / (2.0 * stiffness_n_m)
 
 
 def shared_area_m2(one: Face, two: Face) -> float:
-    """Area in which two shapes press on one another, as planned: that of the smaller one where neither is above."""
+    """Planned area in which two shapes press on one another; that of the smaller one if neither is above the other."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)
@@ -84,7 +87,7 @@ def shared_area_m2(one: Face, two: Face) -> float:
 
 
 def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(p, 2) MuJoCo's solref and (p,) impedances of contacts that are springs of these stiffnesses at rest."""
+    """(p, 2) MuJoCo's solref and (p,) impedances of contacts that act at rest as springs of these stiffnesses."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
@@ -98,7 +101,7 @@ def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArr
 
 
 def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's solref and solimp of a contact that is a spring of this stiffness at rest."""
+    """MuJoCo's solref and solimp of a contact that acts at rest as a spring of this stiffness."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
@@ -111,7 +114,7 @@ def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tupl
 
 
 def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple]:
-    """solref and solimp of contacts between two shapes, or between one and the floor (None)."""
+    """MuJoCo's solref and solimp of contacts between two shapes, or between a shape and the floor (``two`` is None)."""
     give = one.give + (two.give if two is not None else 0.0)
     if give == 0.0:
         return physics.solref, physics.solimp
@@ -121,10 +124,10 @@ def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[fl
 
 
 def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
-    """(n,) how deep the beds below boxes give way under the weights on them, as planned, m; 0 where nothing gives.
+    """(n,) how deep the bed of springs below each box gives way under its load, by the plan, m; 0 if nothing gives.
 
     Args:
-        load_n: (n,) of each box with all that it bears, N.
+        load_n: (n,) weight of each box with all that it bears, N.
     """
     if scene.stiffness is None:
         return np.zeros(scene.n_boxes)
@@ -140,8 +143,10 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
-    """(n,) how far each box is meant to come down once all are placed, m: what the boxes below it and its own face give
-    under the loads of the plan. None where no box gives."""
+    """(n,) how far each box should come down once all boxes are placed, m; None if no box gives.
+
+    It is the sum of what its own face and the boxes below give under the planned loads.
+    """
     if scene.stiffness is None:
         return None
     bearing = bearing_of(scene)

@@ -1,7 +1,7 @@
-"""The law of a contact at rest: how deep it is under a load.
+"""The laws of contacts: at rest, in sliding and in landing.
 
-MuJoCo's contacts are springs. At rest (its documentation, chapter Computation, solver parameters) a contact of
-stiffness k and impedance d(x) under the force f is x deep, with
+**At rest.** MuJoCo's contacts are springs. At rest (its documentation, chapter Computation, solver parameters) a
+contact of stiffness k and impedance d(x) under the force f is x deep, with
 
     k · d(x)² · x / (1 − d(x)) = A · f,   k = 1 / (d₁ · τ · ζ)²
 
@@ -9,48 +9,49 @@ and A the sum of the partners' inverse masses, d₁ the impedance beyond the wid
 ratio. Beyond the width that is x = (1 − d₁) · τ² · ζ² · A · f. So a light box gives way under a heavy load, however
 stiff it is meant to be: with the values of ``pallet`` and four contacts a face by 0.003 mm × load / own mass.
 
-Contacts that slide: their friction leaves their pressure alone, and may be smaller than that of contacts that stick.
+**Sliding.** Friction of a sliding contact leaves its pressure alone. It may be smaller than that of a contact that
+sticks.
 
-MuJoCo's friction is associated: of a contact that slides, pressure and friction minimise one cost together (its
+MuJoCo's friction is associated: pressure and friction of a sliding contact minimise one cost together (its
 documentation, chapter Computation, "Constraint model"). With j the acceleration beyond the reference, R the
 regularisation, n and t normal and tangent, the minimum of a sliding contact is
 
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
-instead of 0 on the right, which Coulomb's law has. |j_t| is about the reference acceleration that would end the slip,
-|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force: boxes that slide hop, the faster
-and the shorter that time constant is the higher. De Saxcé's correction takes it out: the reference acceleration along
-the normal is lowered by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The bipotential method", Mathematical and
-Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for Nonsmooth Dynamical Systems", 2008,
-section 3.9),
+Coulomb's law has 0 on the right instead. |j_t| is about the reference acceleration that would end the slip,
+|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force: sliding boxes hop. They hop the
+higher, the faster they slide and the shorter that time constant is. De Saxcé's correction removes this: the reference
+acceleration along the normal is lowered by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The bipotential method",
+Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for Nonsmooth Dynamical
+Systems", 2008, section 3.9),
 
-    aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − ``slack``, 0)
+    aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
-Accelerations and forces depend on the excess e in turn, which is found by iteration. It begins with the accelerations
-of the step before; boxes that slide steadily need no more. While a box lands and slides, friction ends a part of the
-slip, and e is smaller. Without the iteration pressure was too low then, and boxes slid two and three times as far.
+The excess e depends on accelerations and forces, and these depend on e. So e is found by iteration. The iteration
+begins with the accelerations of the step before; boxes that slide steadily need no more. While a box lands and slides,
+friction ends a part of the slip, and e is smaller. Without the iteration the pressure was too low in that case, and
+boxes slid two and three times as far.
 
-The same on all engines: petmjx/engines/mujoco/slip.py, petmjx/engines/mjx/slip.py, and in the kernels
+The correction is the same on all engines: petmjx/engines/mujoco/slip.py, petmjx/engines/mjx/slip.py, and in the kernels
 petmjx/engines/warp/kernels/constraint.py and ``respond`` in petmjx/engines/warp/solver/contact.cuh.
 
-The law of landings: what a contact does to boxes that arrive fast.
+**Landing.** At rest a contact is a spring with a damper (docs/rules.md, section 1). With this law a landing box would
+sink by centimetres into its support and would not bounce. So while a box lands its contacts follow another law.
+MuJoCo's contacts have reference accelerations: the relative accelerations of the two bodies if the contact were hard.
+In ``pallet`` contacts are nearly hard, so that two bodies in contact accelerate relative to one another by the
+reference acceleration, whatever their masses. The law:
 
-At rest a contact is a spring with a damper (docs/rules.md, section 1). Boxes that land would pass by centimetres into
-what they land on, and would not bounce. So while a box lands its contacts follow another law. MuJoCo's contacts have
-reference accelerations: what they would make of the relative motion if they were hard. In ``pallet`` they nearly are,
-so that two bodies in contact accelerate relative to one another by just that, whatever their masses. The law:
-
-- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. What it lands on, if it
-  is a box, lands, too. For ``lasts_steps`` their velocities before that step are remembered.
-- A contact that closes by v, and closed by v₀ with the velocities before, is to open by e·v₀ in the end (Newton's law
-  of impact; e is ``restitution``, or that of the pair of materials), and in addition by as much as takes the box out of
-  the depth that it has reached. It is decelerated by (1 + e)·v₀ / ``landing_s``, or by less if that is enough in this
-  step. So the force is the same in all of a landing, and does not depend on the timestep; and a box comes by
-  v₀·``landing_s`` / 2 / (1 + e) deep, and by what it passes in a step before.
+- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If it lands on a box,
+  that box lands, too. For ``lasts_steps`` the velocities of both before that step are remembered.
+- v is the speed at which a contact closes, v₀ the one with the velocities before. In the end the contact should open by
+  e·v₀ (Newton's law of impact; e is ``restitution``, or that of the pair of materials), plus the speed that takes the
+  box out of the depth that it has reached. The contact is decelerated by (1 + e)·v₀ / ``landing_s``, or by less if that
+  is enough in this step. So the force is constant in a landing and does not depend on the timestep. A box goes
+  v₀·``landing_s`` / 2 / (1 + e) deep, plus the distance that it passes in a step before.
 - Meanwhile all contacts of the world are as stiff as beyond the width of ``solimp``. Else boxes below, whose contacts
   carry little, would be pressed in before these became stiff.
 
-Nothing that rests is changed: its contacts close by less.
+Bodies at rest are not changed: their contacts close more slowly than ``FAST_M_S``.
 """
 
 from __future__ import annotations
@@ -67,29 +68,29 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.friction_pairs import USUAL
 
 CONTACTS_PER_FACE = 4
-"""Contacts that MuJoCo makes between two faces: the corners of their common rectangle."""
+"""Number of contacts that MuJoCo makes between two faces: the corners of their common rectangle."""
 
 MOST_IMPEDANCE = 0.9999
-"""The largest that MuJoCo takes (mjMAXIMP): contacts 10 times as stiff as with 0.999."""
+"""Largest impedance that MuJoCo takes (mjMAXIMP): contacts are 10 times as stiff as with 0.999."""
 
 DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
-"""Depths for which the force is worked out; between them it is interpolated, to 0.02 %."""
+"""Depths for which the force is computed. Between them it is interpolated, to 0.02 %."""
 
 
 def is_stiff(physics: Physics) -> bool:
-    """Whether contacts are as stiff from their onset as beyond it, as in attempts 6 and 7."""
+    """Whether contacts are as stiff at their onset as beyond the width, as in attempts 6 and 7."""
     return physics.solimp[0] >= MOST_IMPEDANCE
 
 
 def depth_m(physics: Physics, pull_m_s2: FloatArray | float) -> FloatArray:
-    """Depth of one contact at rest, m, for each A · f in m/s², ≥ 0."""
+    """Depth of one contact at rest, m, for each value of A · f ≥ 0, m/s²."""
     pulls = pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s)
     return np.asarray(np.interp(pull_m_s2, pulls, DEPTHS_M, left=0.0))
 
 
 @lru_cache(maxsize=16)
 def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -> FloatArray:
-    """A · f, m/s², at which a contact is as deep as each of ``DEPTHS_M``."""
+    """A · f at each of ``DEPTHS_M``, m/s²."""
     time_s, damping = solref
     low, high = np.minimum(solimp[:2], MOST_IMPEDANCE)
     x = np.minimum(DEPTHS_M / solimp[2], 1.0)
@@ -103,7 +104,8 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
 def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | float) -> FloatArray:
     """The factor by which pyramidal cones make contacts with these sliding frictions softer.
 
-    A pyramid's four edges have the regularisation 2μ²(1 + μ²) of the elliptic cone's normal each, and act together.
+    Each of a pyramid's four edges has 2μ²(1 + μ²) times the regularisation of the elliptic cone's normal. They act
+    together.
     """
     if physics.cone is Cone.ELLIPTIC:
         return np.ones(np.broadcast_shapes(np.shape(one), np.shape(two)))
@@ -113,41 +115,44 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 SLACK_M_S2: Final = 5.0
 """Excess that is not corrected: that of a slip of 1 cm/s with friction's time constant of 4 ms. It raises a contact by
-less than the hundredth of a millimetre, within its soft onset; and pallets at rest are what they are without the
-correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
+less than the hundredth of a millimetre, within its soft onset. With this slack pallets at rest are the same as without
+the correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
 
 STICKS_M_S: Final = 0.01
-"""Up to this slip a contact has the whole friction; at twice as much it has the kinetic one. So friction does not leap
-where boxes creep (petmjx.Quiet calls a box quiet at far smaller speeds)."""
+"""Up to this slip a contact has the whole friction; at twice this slip it has the kinetic friction. So friction does
+not jump if boxes creep (petmjx.Quiet calls a box quiet at far smaller speeds)."""
 
 RELAXATION: Final = 0.8
-"""Share of an excess's change that an iteration takes. The whole change converges while μ² times the ratio of the
-inverse masses along tangent and normal is below 1: not for tall boxes on a friction above 0.5. This share does up to
-1.5, and is nearly as quick."""
+"""Share of the change of an excess that an iteration takes. The whole change converges while μ² times the ratio of the
+inverse masses along tangent and normal is below 1, which excludes tall boxes with friction above 0.5. This share
+converges up to 1.5, and nearly as quickly."""
 
 ENOUGH_M_S2: Final = 0.1
-"""Iteration ends where no pressure's reference acceleration changes by more: a hundredth of gravity. With 5 a box that
-tipped against its neighbour slid twice as far; with 1, 3 % less far."""
+"""Iteration ends when no normal reference acceleration changes by more than this: a hundredth of gravity. With 5 a box
+that tipped against its neighbour slid twice as far; with 1, 3 % less far."""
 
 MOST_ROUNDS: Final = 6
-"""Changes of the excess in a step between calls of a solver, at most. Bricks that slide and tip need two in the mean;
-a heap in which everything slides at once has not converged after twenty, by 1 m/s² in the median."""
+"""Largest number of iterations in a step: changes of the excess between calls of a solver. Bricks that slide and tip
+need two in the mean. A heap in which everything slides at once has not converged after twenty, by 1 m/s² in the
+median."""
 
 
 FIRST_SHARE: Final = 1.1
-"""Share of an excess's first change in a step, where each contact has a share of its own after that (``next_share``).
-Bricks that slide and tip are then solved 2.4 times a step; with 0.8 2.6 times, with ``RELAXATION`` alone 3.1 times."""
+"""Share of the first change of an excess in a step that is taken, if later shares are chosen for each contact by
+``next_share``. Bricks that slide and tip are then solved 2.4 times a step; with 0.8 2.6 times, with ``RELAXATION``
+alone 3.1 times."""
 
 LEAST_M_S2: Final = ENOUGH_M_S2 / 10
-"""Smaller changes of an excess say nothing about the next one: the solver's own tolerance is in them."""
+"""Smallest change of an excess from which the next share is estimated. Smaller changes are within the solver's own
+tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""Of a change, after a share of it was taken. Where the excess is worked out as if more were left, other contacts have
-moved it."""
+"""Largest part of a change that may be left after a share of it was taken. If more seems to be left, other contacts
+have moved the excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Excess up to which contacts that slide are not corrected, m/s²; inf: none is."""
+    """Excess up to which a sliding contact is not corrected, m/s²; inf: no contact is corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -159,31 +164,36 @@ def kinetic_share(physics: Physics) -> float:
 
 
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
-    """Shares of an excess's change that the next iteration takes, of contacts by themselves: those with which the last
-    one would have left no change, if the excess is linear (Aitken's delta-squared process).
+    """(k,) shares of the change of an excess that the next iteration takes, for each contact by itself.
+
+    With this share the last iteration would have left no change, if the excess is linear (Aitken's delta-squared
+    process).
 
     Args:
-        share: (k,) taken of the last change. change: (k,) what is left, m/s². last: (k,) the last one, 0 at first.
+        share: (k,) share that was taken of the last change.
+        change: (k,) change that is left, m/s².
+        last: (k,) the last change, m/s²; 0 at first.
     """
     left = np.divide(change, last, out=np.zeros_like(change), where=np.abs(last) > LEAST_M_S2)
     return share / (1.0 - np.clip(left, -1.0, MOST_LEFT))
 
 
 def friction_share(slip_m_s: FloatArray, kinetic: float) -> FloatArray:
-    """What contacts have of their friction at rest, by how fast they slide. ``kinetic``: if they slide fast."""
+    """Friction of contacts at these slips, as a share of that at rest. ``kinetic``: the share of fast contacts."""
     return 1.0 - (1.0 - kinetic) * np.clip(slip_m_s / STICKS_M_S - 1.0, 0.0, 1.0)
 
 
 FAST_M_S: Final = 0.1
-"""A contact that closes faster is a landing: one from a height of 0.5 mm."""
+"""A contact that closes faster than this is a landing: the speed of a fall from 0.5 mm."""
 
 AT_REST: Final = 2.0
-"""How deep contacts are that a rebound leaves behind, as a multiple of the width of ``solimp``: those at rest are 1.3
-times as deep, and press a little while a box rises through them. With this, rebounds from 10 mm are met within 0.03
-for a restitution of 0.1, which lifts a box by a tenth of a millimetre, to 0.3, in whatever part of a step it lands."""
+"""Depth of contacts at the end of a rebound, as a multiple of the width of ``solimp``. Contacts at rest are 1.3 times
+as deep, and press a little while a box rises through them. With this value rebounds from 10 mm are met within 0.03, in
+whatever part of a step the box lands, for restitutions from 0.1, which lifts a box by a tenth of a millimetre, to
+0.3."""
 
 _LONGER: Final = 2.0
-"""A landing is remembered for so many times ``landing_s``: the second corner of a box may come down later."""
+"""A landing is remembered for this multiple of ``landing_s``: the second corner of a box may come down later."""
 
 
 def lasts_steps(sim: Simulation) -> int:
@@ -193,12 +203,12 @@ def lasts_steps(sim: Simulation) -> int:
 
 
 def stiffness_ratio(depth_m: FloatArray, solimp: FloatArray) -> FloatArray:
-    """(k,) by which factor contacts are stiffer at the largest of their impedances than at their depths.
+    """(k,) factors by which contacts are stiffer at their largest impedance than at their depths.
 
     MuJoCo's regularisation is (1 − d)/d times the inverse masses (its documentation, "Modeling", "Solver parameters").
 
     Args:
-        depth_m: (k,).
+        depth_m: (k,) depths of the contacts.
         solimp: (k, 3) impedances at the onset and beyond the width, and the width, m; with MuJoCo's
             midpoint 0.5 and power 2.
     """
@@ -217,12 +227,12 @@ def pull(
     of_pair: FloatArray,
     physics: Physics,
 ) -> FloatArray:
-    """(k,) reference accelerations of contacts in a landing, m/s², positive apart; NaN: that of rest counts.
+    """(k,) reference accelerations of contacts in a landing, m/s², positive apart; NaN: the law of rest applies.
 
     Args:
         closing_m_s: (k,) how fast the contacts close.
-        before_m_s: (k,) how fast they would with the velocities before the landing.
-        depth_m: (k,).
+        before_m_s: (k,) how fast they would close with the velocities before the landing.
+        depth_m: (k,) depths of the contacts.
         normal_z: (k,) z component of the unit normal.
         of_pair: (k, 2) as in ``petmjx.world.scene.Scene.pair_landing``.
     """

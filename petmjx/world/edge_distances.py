@@ -1,17 +1,16 @@
-"""How far loads are from the edges of what bears boxes: by the plan, at rest, and while the plan is built.
+"""Distances of loads from the edges of the boxes' supports, by the plan: when it is complete, and while it is built.
 
-The load of a box is its own weight and all that rests on it. Where the way in which boxes share loads by springs has a
-load beyond an edge, and another way may have it inside, that is looked for (petmjx.world.load_balance): a load is
-beyond an edge only if vertical forces cannot balance the boxes.
+The load of a box is its own weight and all that rests on it. By springs, the shared loads may put a load beyond an edge
+although another balance has it inside. So such a balance is searched for (petmjx.world.load_balance): a load is beyond
+an edge only if vertical forces cannot balance the boxes.
 
-How far loads are from the edges of what bears boxes after each box is placed.
+While the plan is built: a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
+complete, and yet it may fall while it is built. So the load of every box is checked after each placement that changes
+it.
 
-A counterweight that comes too late holds nothing: its plan may have all loads inside when it is complete, and fall
-while it is built. So every box's load is looked at after each placement that changes it.
-
-What a box bears of each box above it does not depend on the others, as long as no support pulls. So own weights go down
-once, each for itself, and a box's load after a placement is the sum of those of boxes that are there. Only boxes that
-pull, and those below them, are gone through placement by placement.
+The part of an upper box's weight that a box bears does not depend on other boxes, as long as no support pulls. So the
+own weight of each box is passed down once. The load of a box after a placement is the sum of the parts of the boxes
+that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by placement.
 """
 
 from __future__ import annotations
@@ -31,16 +30,17 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import Bearing, bearing_of, joined_bearing
 
 ROUNDING_M: Final = 1e-9
-"""A load that is less beyond an edge lies on it: rounding errors of sums of millimetres."""
+"""A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
 
 
 class Edges(NamedTuple):
-    """How far inside the nearest edge of what bears them loads of n boxes act, m; negative: beyond it. NaN: nothing
-    bears the box, or it is not placed.
+    """Distances of n boxes' loads from the nearest edge of their supports, m: positive inside, negative beyond.
+
+    NaN: nothing bears the box, or it is not placed.
 
     Attributes:
-        by_weight: (n,) of their own weights alone.
-        by_load: (n,) of their loads.
+        by_weight: (n,) distances of their own weights alone.
+        by_load: (n,) distances of their loads.
     """
 
     by_weight: FloatArray
@@ -48,18 +48,20 @@ class Edges(NamedTuple):
 
     @property
     def least(self) -> FloatArray:
-        """(n,) the nearer one. A box whose own weight would tip it over, but is held down by what rests on it, has that
-        of its load: how it came to stand is a matter of building."""
+        """(n,) the smaller distance. If a box would tip over by its own weight but its load holds it down, the distance
+        of the load counts: whether it could be built is checked elsewhere (``building_edges``)."""
         held = (self.by_weight < 0) & (self.by_load >= 0)
         nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
         return nearer
 
 
 def edges_of(bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None) -> list[Edges]:
-    """The edges of the boxes of each scene, once so many are placed.
+    """The edges of the boxes of each scene, once its first ``placed`` boxes are placed.
 
     Args:
-        joined: the bearings together, where they are at hand.
+        bearings: one for each scene.
+        placed: number of placed boxes of each scene.
+        joined: all bearings joined, if the caller has that; None: it is computed.
     """
     if not bearings:
         return []
@@ -71,10 +73,12 @@ def edges_of(bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing
 def loads_and_edges(
     bearings: Sequence[Bearing], bearing: Bearing, placed: Sequence[int]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 4) loads of all boxes, as ``Bearing.loads`` has them, and (n,) edges of their own weights and of their loads.
+    """(n, 4) loads of all boxes as of ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
 
     Args:
-        bearing: the others together.
+        bearings: one for each scene.
+        bearing: the bearings joined.
+        placed: number of placed boxes of each scene.
     """
     among, load = bearing.boxes.among(placed), bearing.loads(placed)
     by_weight, by_load = (
@@ -92,25 +96,27 @@ def loads_and_edges(
 
 
 def _scenes(bearing: Bearing, boxes: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Which scenes have one of these boxes."""
+    """Numbers of the scenes that contain at least one of these boxes."""
     return np.unique(np.searchsorted(bearing.boxes.first, np.flatnonzero(boxes), side="right") - 1)
 
 
 def _exact(edge_m: FloatArray) -> FloatArray:
-    """The distances, with 0 for those on the edge but for rounding."""
+    """The distances, with 0 for a load that is beyond the edge only by rounding."""
     return np.where((edge_m < 0) & (edge_m > -ROUNDING_M), 0.0, edge_m)
 
 
 def rebalanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) loads of one scene, and (n,) their edges, where loads seem to be beyond edges: as well inside as forces
-    that balance allow."""
+    """(n, 3) loads of one scene and (n,) their edges, as far inside as balanced forces allow.
+
+    Called if loads seem to be beyond edges.
+    """
     result = balanced_loads(bearing, load, edge_m, placed)
     if result is None:
         return load[:, :3], edge_m
     balancing, beyond = result
-    # what is not beyond an edge either way keeps its distance where there is no balance
+    # without a balance, a load that is inside keeps its distance
     kept = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
     edges = np.where(~placed | kept, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
     edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
@@ -118,8 +124,11 @@ def rebalanced_loads(
 
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) which boxes bear part of a box with several supports, so that their loads depend on how it shares its own,
-    ``among`` these."""
+    """(n,) which boxes bear part of a box with several supports, so that their loads depend on how it shares its load.
+
+    Args:
+        among: (n,) the boxes that count.
+    """
     several = among & (bearing.n_supports > 1)
     below = np.zeros(len(among), bool)
     for between in bearing.levels:
@@ -129,18 +138,19 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 MOST_PROGRAMMES: Final = 2
-"""Placements of a plan for which a linear programme is solved, a few milliseconds each and more for a hundred boxes on
-several supports. Loads that only seem to be beyond edges after others are left out: nothing shows that they are."""
+"""Largest number of placements of a plan for which a linear programme is solved. One takes a few milliseconds, and more
+for a hundred boxes on several supports. Loads that seem to be beyond edges after further placements are left out:
+nothing shows that they are beyond."""
 
 
 class BuildingLoads(NamedTuple):
-    """Loads after placements: p pairs of a box and a box that is placed, sorted.
+    """Loads after placements: p sorted pairs of a box and a placed box that changes its load.
 
     Attributes:
-        box: (p,) whose load it is.
-        step: (p,) the box whose placement makes it so.
+        box: (p,) the box that has the load.
+        step: (p,) the box after whose placement it has this load.
         load: (p, 3) as in ``Bearing.loads``, without the height.
-        edge_m: (p,) how far it is inside; NaN where nothing bears the box.
+        edge_m: (p,) distance of the load from the nearest edge, positive inside; NaN if nothing bears the box.
     """
 
     box: IntArray
@@ -153,10 +163,10 @@ class LeastBuildingEdge(NamedTuple):
     """The load that is nearest to an edge while a plan is built, or furthest beyond one.
 
     Attributes:
-        edge_m: how far inside it is; NaN: there is none.
-        box: whose it is; -1: there is none.
-        step: the box whose placement makes it so.
-        nearest_m: the least distance of a load from an edge on either side.
+        edge_m: distance from the edge, positive inside; NaN: there is no load.
+        box: the box that has the load; -1: there is no load.
+        step: the box after whose placement it has this load; -1: there is no load.
+        nearest_m: the least distance of a load from an edge, on either side.
     """
 
     edge_m: float
@@ -168,10 +178,12 @@ class LeastBuildingEdge(NamedTuple):
 def building_edges(
     bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None
 ) -> list[LeastBuildingEdge]:
-    """The least edges over all placements of the first so many boxes of each scene.
+    """The least edge of each scene over the placements of its first ``placed`` boxes.
 
     Args:
-        joined: the bearings together, and maybe others after them, where they are at hand.
+        bearings: one for each scene.
+        placed: number of placed boxes of each scene.
+        joined: all bearings joined, perhaps with further ones after them; None: it is computed.
     """
     if not bearings:
         return []
@@ -197,8 +209,8 @@ def building_edges(
 
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
-    """From which placement on the load of a box is beyond the edge while a plan is built, and the one after which it is
-    not any more: numbers of boxes; -1 for none."""
+    """The placement after which the load of a box is beyond an edge while a plan is built, and the one after which it
+    is inside again: numbers of the placed boxes, -1 for none."""
     built = building_loads_of(_order_bearing(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -209,8 +221,8 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def _order_bearing(bearing: Bearing) -> Bearing:
-    """A scene's bearing, without boxes that bear others which are placed before them: what hangs in the air until then
-    has fallen."""
+    """The bearing of a scene, without supports that are placed after the box that they bear: until then that box has
+    fallen."""
     before = bearing.lower < bearing.upper
     if before.all():
         return bearing
@@ -223,7 +235,8 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
     """The loads of boxes after all placements that change them.
 
     Args:
-        bearing: of several scenes together, whose boxes lie on earlier ones only.
+        bearing: several scenes joined. No box may lie on a box that is placed later.
+        placed: number of placed boxes of each scene.
     """
     box, step, part = _parts(bearing, bearing.boxes.among(placed))
     begins = np.searchsorted(box, np.arange(len(bearing.boxes.mass) + 1))
@@ -244,7 +257,7 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
 
 
 def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Sorted pairs of a box and a box that it bears a part of, itself too: (p,), (p,) and (p, 3) parts."""
+    """(p,) and (p,) sorted pairs of a box and a box of which it bears a part, itself included, and (p, 3) the parts."""
     n, boxes = len(among), np.flatnonzero(among)
     between = np.flatnonzero(bearing.lower != CARRIER)
     count = np.bincount(bearing.upper[between], minlength=n)
@@ -281,16 +294,16 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
-    """(p, 3) sums from each box's first pair on."""
+    """(p, 3) running sums over the pairs of each box."""
     sums, count = part.copy(), np.diff(begins)
-    for k in range(1, int(count.max(initial=0))):  # each box for itself: its sums do not depend on company
+    for k in range(1, int(count.max(initial=0))):  # box by box, so that sums do not depend on other boxes
         later = begins[:-1][count > k] + k
         sums[later] += sums[later - 1]
     return sums
 
 
 def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
-    """Put right the loads of boxes on which others would pull, and of all below these."""
+    """Correct the loads of boxes on which a support would pull, and of all boxes below them."""
     several = np.flatnonzero(bearing.n_supports > 1)
     contacts = _spans(bearing.n_supports, several)
     times = np.diff(begins)[bearing.upper[contacts]]
@@ -309,7 +322,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     key = np.repeat(np.arange(n), count) * n + step  # in order
-    # the forces at contacts of boxes that are gone through, one for each of their loads
+    # forces at the contacts of corrected boxes, one for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
@@ -339,8 +352,10 @@ def _contact_pushes(
     """(k, 3) the forces at contacts under loads.
 
     Args:
-        owner: (p,) whose loads they are; ``load``: (p, 3).
-        rows: (k,) which load presses at each contact; ``contact``: (k,) the contacts, all of each load's box.
+        owner: (p,) the box that has each load.
+        load: (p, 3) the loads.
+        rows: (k,) number of the load that presses at each contact.
+        contact: (k,) the contacts: all of each load's box.
     """
     under, several = load[rows], (bearing.n_supports[owner] > 1)[rows]
     force = np.where(several[:, None], np.einsum("cij,cj->ci", bearing.shares[contact], under), under)
@@ -355,15 +370,17 @@ def _contact_pushes(
 
 
 def _spans(count: IntArray, chosen: IntArray) -> IntArray:
-    """The numbers of all members of the chosen groups, of which each has so many."""
+    """The numbers of all members of the chosen groups. ``count`` has the number of members of each group."""
     first, times = (np.cumsum(count) - count)[chosen], count[chosen]
     spans: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
     return spans
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The least edge of one scene, where all loads that seem to be beyond edges depend on how other boxes share
-    theirs: a linear programme says of the furthest ones whether they are."""
+    """The least edge of one scene in which all loads that seem to be beyond edges depend on how boxes share loads.
+
+    A linear programme decides whether the furthest of them are.
+    """
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
         if not (edge < 0).any():
@@ -379,8 +396,8 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
-    """The pairs of one scene that have each box's load after a placement, and (n,) edges of these loads, as well inside
-    as forces that balance allow."""
+    """The pairs of one scene that have the load of each box after a placement, and (n,) the edges of these loads, as
+    far inside as balanced forces allow."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
@@ -400,7 +417,7 @@ def _least(built: BuildingLoads) -> LeastBuildingEdge:
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
-    """(p,) which loads depend on how a box with several supports shares its own."""
+    """(p,) which loads depend on how a box with several supports shares its load."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
     np.minimum.at(first, built.box[shares], built.step[shares])

@@ -1,18 +1,18 @@
-"""What stretch film does to the boxes of a pallet: it presses on the outer faces, and holds them by friction.
+"""Forces of stretch film on the boxes of a pallet: it presses on the outer faces, and holds them by friction.
 
 A model with three numbers, for a pallet that is wrapped to its carrier:
 
 - **Tension.** A layer of film pulls across its width with the force of a turn × the number of turns. So a strip of
   the height h has the tension T = force · turns · h / width. Round a corner it pulls along both sides; each side of
   the load is pressed inwards by T at either end, 2·T in all, which is spread over the outer faces of that side.
-  A box that is drawn in, since nothing stands behind it, slackens its film: after ``SLACK_M`` nothing presses on it.
-- **Hold.** Film sticks to an outer face by friction × that pressure. A box that moves against the carrier is held by a
-  spring, as film is one, and by no more than that: then the film slips.
-- **A hat** presses on the tops from which one sees the sky.
+  If nothing stands behind a box, film draws it in and slackens: after ``SLACK_M`` nothing presses on the box.
+- **Hold.** Film sticks to an outer face with a force of at most friction × that pressure. A box that moves against the
+  carrier is held by a spring up to this force. Beyond it the film slips.
+- **A hat** presses on the tops on which nothing stands.
 
-Faces that stand back from the outermost ones of their side by more than ``MOST_BACK_M`` touch no film. Forces act in
-the boxes' centres of mass. Film that stretches, tears or creeps is not in it. Source of the linearity: Sensors 2025,
-25(22), 6883.
+Faces that stand back from the outermost face of their side by more than ``MOST_BACK_M`` touch no film. Forces act in
+the boxes' centres of mass. Stretching, tearing and creeping of the film are not modelled. Source of the linearity:
+Sensors 2025, 25(22), 6883.
 """
 
 from __future__ import annotations
@@ -26,27 +26,28 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.world.scene import Scene
 
 MOST_BACK_M: Final = 0.02
-"""How far an outer face may stand back, m."""
+"""How far a face may stand back from the outermost face of its side and still touch the film, m."""
 
 SLACK_M: Final = 0.005
-"""How far film draws a box in, m: an assumption. Film that is stretched far follows further, and closes wider gaps."""
+"""How far film draws a box in, m: an assumption. Film that is stretched further also follows further, and closes wider
+gaps."""
 
 RATE_1_S: Final = 100.0
-"""Natural frequency of a box on its film, 1/s: a box that is held by its own weight's force gives way by 1 mm."""
+"""Natural frequency of a box on its film, 1/s: a box that is held by a force equal to its weight gives way by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
-"""Of a timestep: above that the spring would not be stable."""
+"""Largest natural frequency × timestep. Above it the spring would not be stable."""
 
 SIDES: Final = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
-"""Axis and direction in which a side of the load looks."""
+"""Axis and sign of the outward normal of each side of the load."""
 
 
 class Film(NamedTuple):
-    """What film does to n boxes.
+    """Forces of film on n boxes.
 
     Attributes:
-        press: (n, 3) force on each, N.
-        hold: (n,) by how much it is held at most, N.
+        press: (n, 3) force on each box, N.
+        hold: (n,) largest force with which the film holds each box, N.
     """
 
     press: FloatArray
@@ -60,7 +61,7 @@ def spring_rate_1_s(timestep_s: float) -> float:
 
 @lru_cache(maxsize=256)
 def film_of(scene: Scene) -> Film:
-    """What the film of a scene does, by the places of the plan."""
+    """The forces of a scene's film, by the places of the plan."""
     wrap, low, high = scene.wrap, scene.target - scene.half_size, scene.target + scene.half_size
     press, hold = np.zeros((scene.n_boxes, 3)), np.zeros(scene.n_boxes)
     pressure_n_m = 2.0 * wrap.force_n * wrap.turns * MM_PER_M / wrap.film_mm
@@ -81,7 +82,7 @@ def film_of(scene: Scene) -> Film:
 
 
 def _hat(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(n,) the share of each box of the tops on which nothing stands."""
+    """(n,) area of each box's top, 0 if a box stands on it, as a share of the sum of these areas."""
     over = (low[:, None, :2] < high[None, :, :2]) & (high[:, None, :2] > low[None, :, :2])
     is_under = (over.all(axis=2) & (low[None, :, 2] >= high[:, None, 2] - 1e-3)).any(axis=1)
     area = np.where(is_under, 0.0, (high - low)[:, :2].prod(axis=1))

@@ -1,4 +1,4 @@
-"""Boxes that are let go with any pose and velocity, in worlds without rules: what ``petmjx.release`` simulates."""
+"""Boxes that are let go with any pose and velocity, in worlds without rules, for ``petmjx.release``."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from petmjx.world.carrier_boards import body_of, floor_z_m, pallet
 from petmjx.world.scene import Scene
 
 _BURIED_M: Final = -100.0
-"""Where the carrier is that every scene has, if the ground is a plane: so deep below it that no box comes near. It is
-held there, so that the floor does not push it out."""
+"""Height of the carrier's centre, m, if the ground is a plane. Every scene has a carrier; it is buried so deep that no
+box comes near. It is held there, so that the floor does not push it out."""
 
 _BURIED_HALF_M: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """What boxes fall on, with its top at z = 0. It is held fast.
+    """The ground on which boxes fall. Its top is at z = 0, and it does not move.
 
     Attributes:
-        carrier: that of a scene.
+        carrier: carrier of each scene.
         floor_z: height of the floor, m.
         friction: the floor's sliding, torsional and rolling coefficients.
-        is_plane: boxes touch the floor alone.
+        is_plane: True: boxes touch the floor alone.
     """
 
     carrier: Body
@@ -65,8 +65,7 @@ class Ground:
 
     @property
     def smooth(self) -> Ground:
-        """The ground with a sliding friction of 0, so that of two coefficients, of which the larger counts, it is the
-        boxes'."""
+        """The ground with a sliding friction of 0. The larger of two coefficients counts, so the boxes' one does."""
         friction = self.carrier.friction.copy()
         friction[:, 0] = 0.0
         return replace(
@@ -76,13 +75,13 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class FreeBodies:
-    """Worlds of as many boxes each, and when one looks at them.
+    """Worlds with equal numbers of boxes, and the steps after which poses are recorded.
 
     Attributes:
-        scenes: n worlds; their boxes are let go at ``start_pos``, turned by ``start_quat``; their carriers are held.
-        velocity: (n, k, 6) m/s along the world's axes, and rad/s about the boxes' own.
-        steps: (s,) rising numbers of steps after which poses are looked at; 0: as boxes are let go.
-        on_plane: boxes touch the floor alone: engines need not look at the carrier.
+        scenes: n worlds. Boxes are let go at ``start_pos``, turned by ``start_quat``; the carriers are held.
+        velocity: (n, k, 6) velocities at release: m/s along the world's axes, and rad/s about the boxes' own.
+        steps: (s,) rising numbers of steps after which poses are recorded; 0: at release.
+        on_plane: True: boxes touch the floor alone, so that engines may ignore the carrier.
     """
 
     scenes: tuple[Scene, ...]
@@ -92,7 +91,7 @@ class FreeBodies:
 
     @property
     def n_boxes(self) -> int:
-        """Of each world."""
+        """Number of boxes of each world."""
         return int(self.velocity.shape[1])
 
     def part(self, worlds: slice) -> FreeBodies:
@@ -101,15 +100,15 @@ class FreeBodies:
 
     @property
     def pose(self) -> FloatArray:
-        """(n, k, 7) where boxes are let go, m, and quaternions (w, x, y, z)."""
+        """(n, k, 7) positions at which boxes are let go, m, and quaternions (w, x, y, z)."""
         return np.array([np.hstack([scene.start_pos, scene.start_quat]) for scene in self.scenes])
 
 
 def inertia_box(inertia: FloatArray, mass: FloatArray) -> FloatArray:
     """(…, 3) half extents of solid boxes with these (…, 3) principal moments, kg·m², and (…) masses, kg.
 
-    A box of half extents a, b, c has I_x = m/3 · (b² + c²), and so on: a² = 3/(2m) · (I_y + I_z − I_x). NaN where no
-    body has such moments: the largest may not exceed the sum of the others.
+    A box of half extents a, b, c has I_x = m/3 · (b² + c²), and likewise for y and z, so a² = 3/(2m) · (I_y + I_z −
+    I_x). NaN if no body has these moments: the largest may not exceed the sum of the other two.
     """
     total = inertia.sum(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore"):

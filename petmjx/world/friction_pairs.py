@@ -1,10 +1,9 @@
-"""Friction by pairs: which coefficient counts between two shapes, where it is not the larger one of the two; and
-landings.
+"""Tables of friction and landings by pairs of surfaces, and the surfaces of a plan's world.
 
-Shapes have surfaces, numbered from 1; a table has the coefficient of sliding friction of each pair of surfaces. Surface
-0 is that of the floor, and of all shapes without a surface of their own.
-
-Which surfaces the shapes of a plan's world have, and the friction between them: by materials, and by boards' own.
+A table is used if the coefficient between two shapes is not the larger one of the two. Shapes have surfaces, numbered
+from 1. The table has the coefficient of sliding friction of each pair of surfaces. Surface 0 is that of the floor, and
+of all shapes without a surface of their own. Surfaces follow from the materials of boxes and boards, and from the
+boards' own friction.
 """
 
 from __future__ import annotations
@@ -27,29 +26,32 @@ MOST_SURFACES: Final = 16
 """Rows of a world's table on devices, surface 0 included."""
 
 LARGER: Final = -1.0
-"""In place of a coefficient: the larger one of the two shapes counts, as everywhere in MuJoCo."""
+"""Entry instead of a coefficient: the larger one of the two shapes counts, as everywhere in MuJoCo."""
 
 
 USUAL: Final = -1.0
-"""In place of a number of a landing: that of the physics counts."""
+"""Entry instead of a restitution or a time of a landing: the value of the physics counts."""
 
 
 def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k, 2) a table of landings that says nothing."""
+    """(k, k, 2) a table of landings without entries."""
     return np.full((n_surfaces, n_surfaces, 2), USUAL)
 
 
 def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k) a table that says nothing."""
+    """(k, k) a table of friction without entries."""
     return np.full((n_surfaces, n_surfaces), LARGER)
 
 
 def scaled_pairs(
     table: FloatArray | None, of_boards: NDArray[np.intp] | None, box_factor: float, carrier_factor: float
 ) -> FloatArray | None:
-    """(k, k) a table with other friction of boxes and carrier, whose boards have surfaces of their own.
+    """(k, k) a table with the friction of boxes and carrier changed by factors.
 
-    Between two the larger factor counts, as the larger coefficient does for a pair without an entry.
+    Between two surfaces the larger factor counts, as the larger coefficient does for a pair without an entry.
+
+    Args:
+        of_boards: the surfaces of the carrier's boards; None: they have none of their own.
     """
     if table is None:
         return None
@@ -60,10 +62,10 @@ def scaled_pairs(
 
 
 def filled_up(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table with rows for all surfaces.
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table, padded with rows without entries.
 
     Raises:
-        ValueError: it has more.
+        ValueError: the table has more rows.
     """
     filled = no_pairs()
     if table is not None:
@@ -74,7 +76,7 @@ def filled_up(table: FloatArray | None) -> FloatArray:
 
 
 def filled_up_landings(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of landings with rows for all surfaces."""
+    """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of landings, padded with rows without entries."""
     filled = no_landings()
     if table is not None:
         filled[: len(table), : len(table)] = table
@@ -92,9 +94,9 @@ class Surfaces(NamedTuple):
     """The surfaces of a world.
 
     Attributes:
-        of_boxes: (n,).
-        of_boards: (s,) of the carrier's.
-        friction: (k, k) between surfaces (petmjx/world/friction_pairs.py).
+        of_boxes: (n,) surface of each box.
+        of_boards: (s,) surface of each board of the carrier.
+        friction: (k, k) coefficients between surfaces, or ``LARGER``.
         landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
     """
 
@@ -105,14 +107,14 @@ class Surfaces(NamedTuple):
 
 
 def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None:
-    """The surfaces of a plan's boxes and its carrier's boards; None where neither boxes have materials nor boards a
-    friction of their own, and with pyramidal cones, whose pairs have none.
+    """The surfaces of a plan's boxes and of its carrier's boards.
 
-    Between a box and a board the board's own friction counts, if it has one, else that of their materials. Where a box
-    has no material the larger coefficient of two shapes counts.
+    None if boxes have no materials and boards have no friction of their own, and with pyramidal cones, which have no
+    friction by pairs. Between a box and a board the board's own friction counts, if it has one, else that of their
+    materials. If a box has no material, the larger coefficient of two shapes counts.
 
     Raises:
-        InputError: friction between two of the materials is not known, or there are too many of them.
+        InputError: friction between two of the materials is not known, or there are too many surfaces.
     """
     boards = _boards(sim, n_boards)
     materials = plan.materials or (_NOT_SAID,) * plan.n_boxes
@@ -150,7 +152,7 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
 
 
 def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
-    """Whether friction between all materials of all plans is known; a line where materials or stiffness have no effect.
+    """Check that friction between all materials of all plans is known; a line if materials or stiffness have no effect.
 
     Raises:
         InputError: as ``find_surfaces``.
@@ -178,13 +180,13 @@ def _boards(sim: Simulation, count: int) -> list[_Board]:
 
 
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:
-    """As in a table; of a pair that is not known no two bodies touch (``check_pairs``)."""
+    """The entry of a table for a pair of materials. Bodies of an unknown pair never touch (``check_pairs``)."""
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if friction is None else friction
 
 
 def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:
-    """As in a table."""
+    """The entry of a table of landings for a pair of materials."""
     if not (one and other):
         return USUAL, USUAL
     restitution, landing_s = landing_between(one, other, sim.landing_pairs)

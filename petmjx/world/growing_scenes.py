@@ -1,7 +1,7 @@
-"""The scenes of worlds to which boxes are added one by one. A scene is made when it is asked for: a packer places
-thousands of boxes at a time, and reads few scenes.
+"""Scenes of worlds to which boxes are added one by one, and arrays of the next box of each world.
 
-The next box of each of some worlds, in arrays: what a packer asks about, thousands at a time.
+A packer adds thousands of boxes at a time and reads few scenes. So boxes are kept in arrays, and a scene is made when
+it is read.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ class OpenScenes:
     """The scenes of n worlds with one carrier.
 
     Args:
-        scenes: at first.
-        blank: what is the same of all boxes that are added.
+        scenes: the scenes at the beginning.
+        blank: the values that all added boxes have in common.
     """
 
     def __init__(self, scenes: Sequence[Scene], blank: EmptyCarrier) -> None:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
         self._made = list(scenes)
-        """Of each world a scene with its first boxes, perhaps all."""
+        """For each world a scene with its first boxes, perhaps with all."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
         self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
@@ -52,7 +52,7 @@ class OpenScenes:
         return scene
 
     def set(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Worlds have these scenes now."""
+        """Replace the scenes of these worlds."""
         for world, scene in zip(worlds, scenes, strict=True):
             self._make_room(scene.n_boxes)
             self._made[world], self._count[world] = scene, scene.n_boxes
@@ -60,7 +60,7 @@ class OpenScenes:
                 table[world, : scene.n_boxes], table[world, scene.n_boxes :] = values, np.nan
 
     def add(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
-        """Each of these worlds has one box more."""
+        """Add one box to each of these worlds."""
         rows, at = np.asarray(worlds, np.intp), self._count[worlds]
         self._make_room(int(at.max(initial=0)) + 1)
         for table, values in zip(self._columns, (boxes.half_size, boxes.target, boxes.mass), strict=True):
@@ -68,14 +68,14 @@ class OpenScenes:
         self._count[rows] += 1
 
     def copy(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """Give worlds the scenes of others."""
+        """Copy the scenes of the worlds ``sources`` into the worlds ``into``."""
         for world, made in zip(into, [self._made[source] for source in sources], strict=True):
             self._made[world] = made
         for table in (self._count, *self._columns):
             table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
 
     def stacks(self, worlds: Sequence[int]) -> Stacks:
-        """The boxes of these worlds, which may be named more than once, in arrays as wide as the fullest needs."""
+        """The boxes of these worlds in arrays as wide as the fullest of them. A world may occur several times."""
         rows = np.asarray(worlds, np.intp)
         width = int(self._count[rows].max(initial=0))
         half_size, target, mass = (table[rows, :width] for table in self._columns)
@@ -88,7 +88,7 @@ class OpenScenes:
         return self._half_size, self._target, self._mass
 
     def _make_room(self, n_boxes: int) -> None:
-        """Columns for so many boxes, and for as many again."""
+        """If the arrays have fewer columns than ``n_boxes``, widen them to twice as many."""
         if n_boxes <= self._mass.shape[1]:
             return
         self._half_size, self._target, self._mass = (_widened_columns(table, 2 * n_boxes) for table in self._columns)
@@ -105,11 +105,11 @@ _ONE_MM: Final = np.full((1, 3), 100.0)
 
 @dataclass(frozen=True, eq=False)
 class NextBoxes:
-    """One box for each of m worlds, as ``Scene`` has them.
+    """One box for each of m worlds, in the units of ``Scene``.
 
     Attributes:
         half_size: (m, 3) half extents, m.
-        target: (m, 3) planned middles, m, where they are also released.
+        target: (m, 3) planned middles, m, at which boxes are also released.
         mass: (m,) kg.
     """
 
@@ -119,10 +119,11 @@ class NextBoxes:
 
     @classmethod
     def of(cls, size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray, sim: Simulation) -> NextBoxes:
-        """As ``build_scene`` makes them of a plan's, to the last bit.
+        """Boxes from extents and corners, identical to the last bit with those of ``build_scene``.
 
         Args:
-            size_mm, corner_mm: (m, 3) as they stand; ``mass_kg``: (m,).
+            size_mm, corner_mm: (m, 3) extents of the boxes as they stand, and their corners.
+            mass_kg: (m,) masses.
         """
         return cls(*half_size_and_target(size_mm, corner_mm, sim), mass_kg)
 
@@ -130,17 +131,19 @@ class NextBoxes:
         return len(self.mass)
 
     def take(self, rows: NDArray[np.intp]) -> NextBoxes:
-        """Some of them."""
+        """The boxes of these rows."""
         return NextBoxes(self.half_size[rows], self.target[rows], self.mass[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class Stacks:
-    """The planned boxes of m worlds of one carrier, k columns; NaN where a world has fewer.
+    """The planned boxes of m worlds with one carrier, in k columns; NaN if a world has fewer boxes.
 
     Attributes:
-        half_size, target: (m, k, 3) m; ``mass``: (m, k) kg.
-        carrier_mass: kg; ``carrier_friction``, ``box_friction``: coefficients of sliding friction.
+        half_size, target: (m, k, 3) half extents and planned middles, m.
+        mass: (m, k) kg.
+        carrier_mass: kg.
+        carrier_friction, box_friction: coefficients of sliding friction.
     """
 
     half_size: FloatArray
@@ -151,7 +154,7 @@ class Stacks:
     box_friction: float
 
     def with_next(self, boxes: NextBoxes) -> tuple[FloatArray, FloatArray]:
-        """(m, k + 1, 3) half extents and planned middles with one box more each, m."""
+        """(m, k + 1, 3) half extents and (m, k + 1, 3) planned middles after one more box for each world, m."""
         m = len(boxes)
         tables = []
         count = np.isfinite(self.mass).sum(axis=1)
@@ -163,7 +166,7 @@ class Stacks:
 
 
 class EmptyCarrier:
-    """The carrier of some options alone, and what is the same of all boxes that are put on it."""
+    """A carrier without boxes, and the values that all boxes added to it have in common."""
 
     def __init__(self, sim: Simulation) -> None:
         plan = Plan("", "", _ONE_MM, np.zeros((1, 3)), np.ones(1), ("",), ("",), np.ones(1, np.int64))
@@ -173,7 +176,7 @@ class EmptyCarrier:
         self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
-        """A scene with one box more, of which only extents, place and mass are known."""
+        """The scene with one more box: ``row`` of ``boxes``, which have only extents, place and mass."""
         place = boxes.target[row]
         box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""What happened in a world over time: frames that an engine recorded, for jobs that ask for it."""
+"""History of a world: the frames that an engine records for a job with ``record``."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ FLOOR = -2
 
 @dataclass(frozen=True)
 class Record:
-    """What an engine is to record of a world.
+    """The frames that an engine should record of a world.
 
     Attributes:
-        interval_s: time between frames, s, rounded to steps. Besides them the moments of placements and the last state
-            are frames.
-        details: also accelerations, penetrations and contacts; engine ``mujoco`` only.
+        interval_s: time between frames, s, rounded to steps. The moments of placements and the last state are
+            additional frames.
+        details: True: record accelerations, penetrations and contacts, too; engine ``mujoco`` only.
     """
 
     interval_s: float
@@ -37,10 +37,10 @@ class Contacts:
     Attributes:
         frame: (c,) the frame.
         body: (c, 2) the two bodies: boxes from 0, ``CARRIER``, ``FLOOR``.
-        point: (c, 3) where, m, world axes.
+        point: (c, 3) place of the contact, m, world axes.
         normal: (c, 3) unit vector from the first body to the second.
         force: (c, 3) force of the first body on the second, N, world axes.
-        distance: (c,) m; negative where the bodies penetrate.
+        distance: (c,) m; negative if the bodies penetrate.
     """
 
     frame: NDArray[np.int32]
@@ -57,7 +57,7 @@ class Contacts:
         return cls(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), vectors, vectors, vectors, np.zeros(0))
 
     def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
-        """Those of the frames that are kept, with frames numbered higher by ``shift``."""
+        """The contacts of the frames that are kept, with ``shift`` added to the frame numbers."""
         rows = kept[self.frame]
         some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
         return Contacts(**some | {"frame": some["frame"] + np.int32(shift)})
@@ -76,19 +76,22 @@ class History:
     """One world's f frames of n boxes, in packing order. Values of boxes that are not placed yet are NaN.
 
     A frame is taken after a step. Its poses are those after the step. Forces, accelerations, contacts and drives are
-    those during the step; MuJoCo evaluates them at its beginning. A box that was placed after the step has none yet: 0.
+    those during the step; MuJoCo evaluates them at the beginning of the step. They are 0 for a box that was placed
+    after the step.
 
     Attributes:
         time_s: (f,) time since the soft start; the first frame is the first placement or, with check ``static``, 0.
-        n_placed: (f,) boxes in the world.
+        n_placed: (f,) number of boxes in the world.
         pos: (f, n, 3) centres, m.
         quat: (f, n, 4) orientations, (w, x, y, z).
         top_force_n: (f, n) force on top of each box, N.
-        carrier_pos: (f, 3) the carrier's centre, m; carrier_quat: (f, 4).
-        drive: (f, 3) what shakes the world: force on the carrier, N, or its acceleration, m/s²; zero without a drive.
-        drive_kind: which of them, "force" or "acceleration"; "" without a drive.
-        lin_acc, ang_acc: (f, n, 3) m/s² and rad/s²; penetration_m: (f, n) greatest depth of any contact of the box.
-            None where details were not recorded, as ``contacts``.
+        carrier_pos: (f, 3) the carrier's centre, m.
+        carrier_quat: (f, 4) its orientation, (w, x, y, z).
+        drive: (f, 3) the drive: force on the carrier, N, or its acceleration, m/s²; zero without a drive.
+        drive_kind: "force" or "acceleration"; "" without a drive.
+        lin_acc, ang_acc: (f, n, 3) m/s² and rad/s²; None if details were not recorded.
+        penetration_m: (f, n) greatest depth of any contact of the box; None if details were not recorded.
+        contacts: all contacts; None if details were not recorded.
     """
 
     time_s: FloatArray
@@ -113,8 +116,8 @@ class History:
     def then(self, later: History) -> History:
         """This history up to the first frame of a later one, and then the later one.
 
-        Of the moment at which both have a frame, this one's counts: the later world began there, and what acted before
-        its beginning is not known to it.
+        At a moment at which both have a frame, the frame of this history counts: the later world began there, and does
+        not know the forces before.
         """
         kept, after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
         joined: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""What an engine simulates: one world, and the drive that shakes it."""
+"""Jobs for engines: one world to simulate, and the drive that shakes it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Excitation:
     """A force or acceleration profile as an array: one vector per step, in the profile's own axes.
 
     Attributes:
-        name: for messages.
+        name: name for messages.
         kind: "force" (on the carrier, samples in units of total mass × 9.81 m/s²) or "acceleration"
             (of the carrier, samples in m/s²; simulated as gravity − a with the carrier clamped).
         samples: (n_steps, 3); row i acts during step i + 1 of the profile; zero beyond its end.
@@ -41,7 +41,7 @@ class Excitation:
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """One excitation as one world feels it: scaled, and turned about the vertical by ``yaw_rad``."""
+    """One excitation as it acts on one world: scaled, and turned about the vertical by ``yaw_rad``."""
 
     excitation: Excitation
     scale: float = 1.0
@@ -49,7 +49,8 @@ class Drive:
     rest_s: float = 1.0
     """Time to come to rest after the last sample of the excitation."""
     allowed_sway_m: float = 0.0
-    """A culprit that tilts too far is not lost until it has swayed by this: a test that allows it may be passed yet."""
+    """A culprit that tilts too far is not lost until it has swayed by this distance. Until then a test that allows this
+    sway may still be passed."""
 
     def unit(self, total_mass: float) -> float:
         """The unit of the excitation's samples, in N for forces and in m/s² for accelerations (1).
@@ -61,10 +62,10 @@ class Drive:
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 
     def rows(self, total_mass: float) -> FloatArray:
-        """(n_steps, 3) what acts in world axes during each of its steps: N or m/s².
+        """(n_steps, 3) the force, N, or the acceleration, m/s², in world axes during each step of the drive.
 
         Args:
-            total_mass: of boxes and carrier, kg.
+            total_mass: mass of boxes and carrier, kg.
         """
         cos, sin = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
         turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
@@ -73,8 +74,8 @@ class Drive:
 
 
 class EngineState(Protocol):
-    """A world whose placement has settled, as an engine keeps it to go on from there. Its other contents belong to the
-    engine."""
+    """State of a world after its placement has settled, from which the engine can continue. All but ``step`` is private
+    to the engine."""
 
     @property
     def step(self) -> SupportsInt:
@@ -84,7 +85,7 @@ class EngineState(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class KeptState:
-    """A settled state and the name of the engine that made it, which alone can start from it."""
+    """A settled state and the name of the engine that made it. Only this engine can start from it."""
 
     engine: str
     state: EngineState
@@ -95,15 +96,15 @@ class Job:
     """One world to simulate.
 
     ``start`` is the ``state`` of an earlier outcome: the world then skips soft start and placement, and begins with its
-    drive. An engine gets a state of its own; before that it is a ``KeptState``. ``keep_state`` asks for such a state,
+    drive. The engine gets its own state; outside the engine it is a ``KeptState``. ``keep_state`` asks for a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
-    window. ``record`` asks for the world's history; it changes nothing else. ``has_errors``: boxes are not quite where
-    the plan has them, and may stand on a neighbour that is a little higher (``petmjx.engines.contact_tilt``).
+    window. ``record`` asks for the world's history; it changes nothing else. ``has_errors``: boxes are not exactly at
+    their planned places, and may stand on a neighbour that is a little higher (``petmjx.engines.contact_tilt``).
 
-    With early stop such a world ends when a box is *lost*, tilted by more than the threshold, and not only when one has
-    dropped. Since the largest tilt counts, its verdict is known then, and what follows is the dearest part of a
-    simulation. A large shift says nothing: a board that tips under one load is level again under the next one. In a
-    drive a world ends when its culprit is lost: then it is also known how the first box failed.
+    With early stop a world with errors ends when a box is *lost*, which means tilted by more than the threshold, and
+    not only when a box has dropped. The largest tilt counts, so the verdict is known then. The rest would be the
+    dearest part of the simulation. A large shift decides nothing: a board that tips under one load is level again under
+    the next one. A world with a drive ends when its culprit is lost: then it is also known how the first box failed.
     """
 
     scene: Scene

@@ -1,13 +1,13 @@
 """Loads that a stack can balance, by a linear programme with vertical forces.
 
-How boxes on several supports share their loads is not determined by statics. Where one way to share them has a load
-beyond the edge of what bears it, another one may have all loads inside: rigid boxes then stand. So forces are looked
-for at the corners of all contact areas of boxes with several supports that push and balance every box, with the load
-that is nearest to an edge as far inside as can be. Where there are none, loads are as little beyond edges as can be.
-(Forces of this kind: Livesley 1978, "Limit analysis of
+Statics does not determine how a box shares its load among several supports. One way to share may have a load beyond the
+edge of its supports, while another has all loads inside: rigid boxes then stand. The unknowns are forces at the corners
+of all contact areas of boxes with several supports. The forces must push and balance every box. Of all feasible forces
+the programme takes those with which the load nearest to an edge is as far inside as possible. If no forces are
+feasible, loads are as little beyond edges as possible. (Forces of this kind: Livesley 1978, "Limit analysis of
 structures formed from rigid blocks", International Journal for Numerical Methods in Engineering 12(12).)
 
-Boxes on one support pass on what they bear, and nothing is unknown about them but their edges.
+Boxes on one support pass on their load to it. They add no unknown forces, only their edges.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ FAR_M: Final = 0.1
 """Loads are not moved further inside than this."""
 
 BEYOND_M: Final = 1e-6
-"""A load that has to be further outside than this is beyond the edge: the solver's own tolerance is a tenth of it."""
+"""A load is beyond the edge if it must be further outside than this. The solver's own tolerance is a tenth of it."""
 
 _OUTSIDE: Final = 10.0
-"""What a metre outside costs beside one inside, and a moment that nothing bears beside a metre outside."""
+"""Cost of a metre outside relative to one inside, and of a moment that nothing bears relative to a metre outside."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-"""Normals of a rectangle's edges: of the lowest corner, then of the highest."""
+"""Normals of a rectangle's edges: two at the lowest corner, then two at the highest."""
 
 
 def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads of one scene's boxes that balance it as well as can be, and (n,) how far they have to be beyond
-    edges at least, m; None where nothing is open.
+    """(n, 3) loads of one scene's boxes that balance it as well as possible, and (n,) how far they must at least be
+    beyond edges, m; None if no load outside an edge can change.
 
     Args:
-        bearing: of one scene.
-        load: (n, 3) or more of one way to share them; 0 for boxes that are not placed.
-        edge_m: (n,) how far they are inside.
+        bearing: the bearing of one scene.
+        load: (n, 3) or more columns: loads by one way to share them; 0 for boxes that are not placed.
+        edge_m: (n,) distances of these loads from the edges, positive inside.
         placed: (n,) which boxes are placed.
     """
     outside = placed & (edge_m < 0)
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # which boxes with several supports may change which loads: themselves, as it were, and those below
+    # the loads that a box with several supports may change: those of boxes below it, and formally its own
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -71,8 +71,11 @@ def balanced_loads(
 
 
 def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], FloatArray]:
-    """(c, n) which loads have the force at a contact in them without any choice: that of the box below, and as long as
-    boxes have one support, of those below; and (n, 3) the part of loads that own weights reach likewise."""
+    """(c, n) which loads always contain the force at a contact, and (n, 3) the part of loads that always is own weight.
+
+    A force at a contact is in the load of the box below and, as long as boxes have one support, in the loads of the
+    boxes further below. Own weights are passed on in the same way.
+    """
     n = len(placed)
     one = placed & (bearing.n_supports == 1)
     below = np.full(n, -1)
@@ -96,10 +99,10 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) the loads with those that are ``changed`` by the forces at contacts.
+    """(n, 3) loads, the ``changed`` ones solved, and (n,) how far they are beyond edges; None: no solution.
 
     Unknowns: the forces at the four corners of each contact; how far each load is outside; moments that nothing bears,
-    of boxes with several supports whose load is beyond their hull; and how far inside all loads are.
+    for boxes with several supports whose load is beyond their hull; and how far inside all loads are.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()
@@ -115,7 +118,7 @@ def _solved_loads(
     reach = np.repeat(passed[contacts].T[changed], 4, axis=1)
     place, normal, offset = _edges_of(bearing, changed)
     offset = offset - normal @ middle
-    # of edges: in metres at the load before, which the solver's tolerance is then of
+    # rows of edges are in metres at the previous load, so that the solver's tolerance is in metres, too
     edges = np.zeros((len(place), least + 1))
     edges[:, :f] = reach[place] * (normal @ corner[1:] - offset[:, None]) / weight[place, None]
     edges[np.arange(len(place)), outside + place], edges[:, least] = 1.0, -1.0
@@ -147,7 +150,7 @@ def _solved_loads(
 
 
 def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """(e,) which of the boxes an edge of what bears it is of, (e, 2) normals and (e,) offsets."""
+    """The edges of the boxes' supports: (e,) number of the box within ``boxes``, (e, 2) normals and (e,) offsets."""
     one, several = (np.flatnonzero(which) for which in (bearing.n_supports[boxes] == 1, bearing.n_supports[boxes] > 1))
     contact, number = bearing.ends[boxes[one]], bearing.number_of_hull[boxes[several]]
     hull, edge = np.nonzero(np.isfinite(bearing.hulls.offset[number]))
@@ -160,8 +163,8 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x of least ``cost @ x`` with least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None where it gives up."""
-    from scipy.optimize import Bounds, LinearConstraint, milp  # a second to load; few plans need it
+    """The x of least ``cost @ x`` with least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it gives up."""
+    from scipy.optimize import Bounds, LinearConstraint, milp  # takes a second to load; few plans need it
     from scipy.sparse import csc_array
 
     result = milp(cost, constraints=LinearConstraint(csc_array(rows), least, most), bounds=Bounds(0.0, bound))

@@ -1,18 +1,18 @@
-"""How boxes share their loads among what bears them, if supports can only push.
+"""Load sharing: the forces by which supports that can only push bear a box.
 
-The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). Where a load is far from the middle
-of the supports, that plane pulls: on a support that lies on the other side the springs would be stretched. Supports
-push. So of all forces that push, each within its own contact area, those are taken that balance the load with the least
-energy of the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques").
-Where the plane pulls nowhere, that is the plane.
+The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). If a load is far from the middle of
+the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. So the solution
+is the forces that push, each within its own contact area, and balance the load with the least energy of the springs
+(Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the plane pulls
+nowhere, it is the solution.
 
 A contact's force F and its moments about the middle of its area A, of half lengths a and b, have the energy
 
     (F² + 3 Mx²/a² + 3 My²/b²) / 2A,   with F ≥ 0, |Mx| ≤ a F and |My| ≤ b F
 
-In the coordinates z = (F, √3 Mx/a, √3 My/b) / √A these are the squared length and a square cone. So the dual of the
-problem has one pressure plane for each box, three numbers, and the forces are the planes' projections onto the cones:
-a piecewise quadratic function, of which Newton's method finds the least value.
+In the coordinates z = (F, √3 Mx/a, √3 My/b) / √A the energy is half the squared length and the constraints are a square
+cone. So the dual problem has one pressure plane for each box, three numbers. The forces are the projections of the
+planes onto the cones. The dual is piecewise quadratic, and Newton's method finds its least value.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ from petmjx.world.rectangle_hulls import HullTable
 IntArray = NDArray[np.intp]
 
 PULL: Final = 1e-9
-"""A support pulls if its force is below this share of the load, or acts by so much beyond its area, m: rounding."""
+"""A support pulls if its force is below minus this share of the load, or acts further beyond its area than this, m.
+Less is rounding."""
 
 ON_EDGE_M: Final = 1e-6
 """A load nearer to the hull's edge than this rests on the edge: the planes get steep without limit there."""
@@ -39,11 +40,11 @@ _MOST_STEPS: Final = 60
 _MOST_HALVINGS: Final = 30
 _EXACT: Final = 1e-11
 _ENOUGH: Final = 1e-8
-"""Of force and moments, as shares of the load and its extent: Newton's steps end at the first, and at the second if
-they do not come nearer, which loads very near an edge do not for rounding."""
+"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. They end at
+``_ENOUGH`` if they come no nearer: with loads very near an edge, rounding prevents it."""
 
 _RIDGE: Final = 1e-13
-"""Added to the diagonal of second derivatives, as a share: they are singular where a single corner bears."""
+"""Share that is added to the diagonal of second derivatives: they are singular if a single corner bears."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:
@@ -52,7 +53,7 @@ def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray
     Args:
         force: (c, 3) force and first moments along x and y of each contact.
         low, high: (c, 2) corners of the areas, m.
-        load: (c,) of the box above.
+        load: (c,) load of the box above.
     """
     slack = -PULL * np.abs(load)
     least = np.minimum(force[:, 1:] - low * force[:, :1], high * force[:, :1] - force[:, 1:]).min(axis=1)
@@ -61,12 +62,12 @@ def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray
 
 
 def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """(c, 3) forces of contacts, and their first moments along x and y, that push and balance loads within the hulls of
-    their contacts.
+    """(c, 3) forces of contacts and their first moments along x and y. The forces push and balance the loads, which are
+    within the hulls of their contacts.
 
     Args:
-        load: (p, 3) of boxes: force and first moments along x and y.
-        owner: (c,) whose each contact is, in the order of the boxes; each box has one at least.
+        load: (p, 3) loads of boxes: force and first moments along x and y.
+        owner: (c,) the box that rests on each contact, in the order of the boxes; each box has at least one contact.
         low, high: (c, 2) corners of the contacts' areas.
     """
     begins = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -90,7 +91,7 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 
 
 def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
-    """(p, 3) the planes of pressure whose projections balance what is wanted."""
+    """(p, 3) the planes of pressure whose projections balance the unit loads."""
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         projected, slope = _cone_projection(np.einsum("cij,cj->ci", to_cone, plane[owner]))
@@ -104,7 +105,7 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
     for _ in range(_MOST_STEPS):
         rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
         off = np.abs(rest).max(axis=1)
-        # each box stops for itself: its forces do not depend on company
+        # each box stops separately, so that its forces do not depend on other boxes
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
         if not goes_on.any():
             break
@@ -160,12 +161,13 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
 def on_edges(
     load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
 ) -> FloatArray:
-    """(c, 3) forces of the contacts of boxes whose loads are at the hull's edge, or beyond: the two outermost corners
-    on the nearest edge bear, as those of a box that begins to tip over.
+    """(c, 3) forces at the contacts of boxes whose loads are at the edge of the hull, or beyond.
+
+    The two outermost corners on the nearest edge bear, as for a box that begins to tip over.
 
     Args:
-        load, owner, low, high: as of ``pushes``.
-        hull: (p,) which of the hulls is that of each box's contacts.
+        load, owner, low, high: as in ``pushes``.
+        hull: (p,) number of the hull of each box's contacts.
     """
     point = load[:, 1:] / load[:, :1]
     nearest = hulls.distances_m(hull, point).argmin(axis=1)

@@ -1,6 +1,6 @@
 """The MuJoCo model of a scene: stepped by the engine ``mujoco``, written by ``petmjx export``, padded for MJX.
 
-A scene's model as text, and with boxes as flex bodies.
+Boxes are rigid bodies or flex bodies. ``to_mjcf`` writes the model as text.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 class HeldCarrier:
     """The pose at which a carrier is clamped. pos (3,) m, quat (4,) (w, x, y, z).
 
-    As a static body; as a mocap body, whose pose is in a world's data, for worlds that share a model.
+    The carrier is a static body. With ``mocap`` it is a mocap body, whose pose is in a world's data, so that worlds can
+    share a model.
     """
 
     pos: FloatArray
@@ -60,7 +61,7 @@ def build_spec(
 
     Bodies in order: world (with the floor), carrier, box_0, box_1, …. A free carrier has the first free joint (qpos
     0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses. Geoms are the
-    floor and the scene's shapes, body after body: ``geom_bodies`` says which is whose.
+    floor and the scene's shapes, body after body: ``geom_bodies`` has the body of each geom.
 
     Args:
         held_carrier: clamp the carrier at this pose instead of giving it a free joint.
@@ -108,10 +109,10 @@ def add_boxes(
     before: Sequence[int] = (),
     held: bool = False,
 ) -> None:
-    """Add boxes, whose bodies then have this order, to a spec that already holds those before them.
+    """Add bodies of ``boxes``, in this order, to a spec that already has the boxes ``before``.
 
     Args:
-        held: the carrier is clamped.
+        held: True: the carrier is clamped.
     """
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics, held)
     others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
@@ -126,10 +127,10 @@ def add_boxes(
 
 
 def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer]) -> NDArray[np.intp]:
-    """(ngeom,) the box that each geom belongs to, ``CARRIER`` or ``FLOOR``.
+    """(ngeom,) the body to which each geom belongs: a box, ``CARRIER`` or ``FLOOR``.
 
     Args:
-        boxes: in the order of their bodies, which are the model's last ones.
+        boxes: the boxes in the order of their bodies, which are the last bodies of the model.
     """
     of_body = np.full(model.nbody, CARRIER, np.intp)
     of_body[0] = FLOOR
@@ -140,14 +141,14 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
 
 @dataclass(frozen=True)
 class _Partner:
-    """What declared pairs need to know of a geom."""
+    """The values of a geom that its declared pairs need."""
 
     name: str
     friction: Triple
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """Where boxes of the scene give (petmjx/world/compliance.py); of the floor None."""
+    """Set if boxes of the scene give (petmjx/world/compliance.py); None for the floor."""
 
 
 def _declare_pairs(
@@ -157,11 +158,11 @@ def _declare_pairs(
     these: Sequence[_Partner],
     other_partners: Sequence[_Partner],
 ) -> None:
-    """Each of these touches each of those.
+    """Declare a contact pair of each geom of ``these`` with each of ``other_partners``.
 
-    Pairs are declared if friction has a time constant of its own: MuJoCo gives it to declared pairs only. All else is
-    what it would be without: MuJoCo takes the larger friction of two geoms, unless the table of their surfaces says
-    another one.
+    Pairs are declared if friction has a time constant of its own: MuJoCo has that for declared pairs only. All other
+    values are those without a declaration: the larger friction of two geoms counts, unless the table of their surfaces
+    has an entry.
     """
     if not physics.has_own_friction:
         return
@@ -186,7 +187,7 @@ def _declare_pairs(
 
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
-    """The shapes of each body and the floor; ``held``: the carrier is clamped."""
+    """The geoms of each body and of the floor; ``held``: the carrier is clamped."""
     partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)
@@ -204,7 +205,7 @@ def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, l
 
 
 def _faces(scene: Scene, held: bool) -> list[Face | None]:
-    """What laws of contacts need to know of each shape of a scene in which boxes give."""
+    """The face of each shape, for the laws of its contacts, if boxes of the scene give; else None for each."""
     if scene.stiffness is None:
         return [None] * len(scene.shapes.body)
     carrier, shapes = scene.carrier, scene.shapes
@@ -229,14 +230,14 @@ def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:
 def _add_shapes(
     body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int, rgba: tuple[float, float, float, float]
 ) -> None:
-    """Give a body its shapes, each larger on all sides by its skin.
+    """Add a body's shapes, each larger on all sides by its skin.
 
-    A contact then begins as deep as the skins of both partners are thick: those of faces where the boxes themselves
-    touch, those of edges and corners up to √2 − 1 and √3 − 1 skins before.
+    A contact then begins at a depth equal to the skins of both partners. For faces this is where the boxes themselves
+    touch; for edges and corners it is up to √2 − 1 and √3 − 1 skins before.
 
-    MuJoCo's collider takes the contact of two edges, one point, instead of a face's if it is less deep by 5 % (3.17:
-    ``engine_collision_box.c``). At the depth of a contact, a tenth of a millimetre, it takes now the one and now the
-    other, and pallets tremble. With a skin faces and edges are both deeper by as much (docs/validation.md).
+    MuJoCo's collider takes the one point of two edges instead of the contact of faces if that point is less deep by 5 %
+    (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, it alternates between the two, and
+    pallets tremble. A skin makes faces and edges deeper by the same amount (docs/validation.md).
     """
     shapes = scene.shapes
     for row, partner in zip(shapes.of(number), _partners(scene, physics)[number], strict=True):
@@ -258,8 +259,8 @@ def _add_shapes(
 
 
 def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
-    """Mass and moments of inertia. MuJoCo works out those of a solid box without a skin, to other last digits, which
-    the physics of the reference implementation has."""
+    """Set mass and moments of inertia. For a solid box without a skin MuJoCo computes the moments. Their last digits
+    differ, and the reference implementation has MuJoCo's."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     solid = scene.inertia_box is None and len(scene.carrier.half_size) == 1 and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
@@ -288,18 +289,18 @@ def _add_geom(
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
     if physics.has_own_friction:
-        geom.contype = geom.conaffinity = 0  # touches what it is declared to touch (_declare_pairs), and that only once
+        geom.contype = geom.conaffinity = 0  # only declared pairs touch (_declare_pairs), and only once
     return geom
 
 
 _MEMORY_BYTES = 1 << 24
-"""For each box: faces of points have up to a hundred contacts each. The system gives what is used."""
+"""Memory for each box: faces of points have up to a hundred contacts each. The system allocates only the used part."""
 
 
 def soft_spec(
     scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
 ) -> mujoco.MjSpec:
-    """As ``petmjx.world.mujoco_model.build_spec``, with soft boxes as flex bodies: 27 bodies each instead of one.
+    """As ``build_spec``, with soft boxes as flex bodies: 27 bodies for each soft box instead of one.
 
     Raises:
         InputError: as ``check_soft``.

@@ -1,4 +1,4 @@
-"""Lines on options that have no effect, and on options and plans that do not mean what they seem to."""
+"""Notes on options that have no effect, and on options and plans that do not mean what they seem to mean."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _USES: Final = {
     Way.HAND: ("height_mm", "side_mm", "speed_m_s", "force_n"),
     Way.TINES: ("height_mm", "side_mm", "speed_m_s", "force_n", "tines_mm"),
 }
-"""Way → the fields of ``PlacementState`` that it uses."""
+"""Way → the fields of ``Placing`` that it uses."""
 
 _AXES: Final = {
     "placing_height_mm": "height_mm",
@@ -35,16 +35,16 @@ _AXES: Final = {
     "placing_force_n": "force_n",
     "tines_height_mm": "tines_mm",
 }
-"""Axis of sweeps → the field of ``PlacementState`` that it changes."""
+"""Axis of sweeps → the field of ``Placing`` that it changes."""
 
 
 def notes_about(
     sim: Simulation, plans: Sequence[Plan], *, axes: Collection[str] = (), errors: bool = False, driven: bool = False
 ) -> list[str]:
-    """All such lines about a run.
+    """All notes about a run, one line each.
 
     Args:
-        axes: of a sweep, by name.
+        axes: names of the axes of a sweep.
         errors: whether places or sizes have errors in some worlds.
         driven: whether worlds are shaken.
 
@@ -90,7 +90,7 @@ def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool) -> Iterator[str
 
 
 def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
-    """Boxes on a carrier of boards whose middles are outside of all that bears them."""
+    """Notes on boxes on a carrier of boards whose middles are outside the hull of their supports."""
     board_pallet = pallet(sim.carrier)
     if board_pallet is None:
         return
@@ -108,7 +108,7 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
-    """Notes on boxes that are too soft for their loads, and on options for soft boxes where there are none."""
+    """Notes on boxes that are too soft for their loads, and on options for soft boxes without soft boxes."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
         raise InputError(
             "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing exact"
@@ -143,7 +143,7 @@ def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
 
 
 def _static_notes(sim: Simulation) -> Iterator[str]:
-    """Of a static check that was given a duration: it ends when the pallet rests."""
+    """A note on a duration that was given to a static check: the check ends when the pallet rests."""
     given = sim.duration_s != Simulation.model_fields["duration_s"].default
     if given and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (
@@ -178,7 +178,7 @@ def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
     low, high = plan.corner_mm[lying, :2], (plan.corner_mm + plan.size_mm)[lying, :2]
     begin, end = np.maximum(low[:, None], deck_mm[None, :, 0]), np.minimum(high[:, None], deck_mm[None, :, 1])
     borne = (end > begin).all(axis=2, keepdims=True)
-    # the hull of what bears a box is no larger than the rectangle around it
+    # the hull of a box's supports is no larger than the rectangle around it
     least, most = np.where(borne, begin, np.inf).min(axis=1), np.where(borne, end, -np.inf).max(axis=1)
     middle = (low + high) / 2
     boxes: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()

@@ -1,4 +1,4 @@
-"""Random numbers that depend on which world it is, never on when or where it is simulated."""
+"""Random streams of worlds: they depend on the identity of a world, never on when or where it is simulated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class WorldKey:
-    """What a world's random numbers depend on, and nothing else.
+    """The identity of a world, on which alone its random numbers depend.
 
     ``replicate`` counts repetitions of the same parameters. Worlds that differ only in their profile, its
     level or its direction share a replicate, so they share a placement too, and can be compared pairwise.
@@ -36,8 +36,8 @@ class WorldKey:
 
 
 def rngs(keys: Iterable[WorldKey], purpose: str) -> Iterator[np.random.Generator]:
-    """The generator of each key for a purpose, good until the next one is asked for: it is one that begins anew, a
-    quarter of the time of making one."""
+    """The generator of each key for a purpose, valid until the next one is taken. One generator is reset for each key,
+    which takes a quarter of the time of making one."""
     bits = np.random.Philox(key=0)
     generator, fresh = np.random.Generator(bits), bits.state
     for key in keys:

@@ -19,10 +19,10 @@ Edge = tuple[float, float, float]
 """A hull's edge: its normal along x and y, which points inwards, and the normal's product with points of the edge."""
 
 LEAST_EDGE_M: Final = 1e-9
-"""Shorter ones are left out: their direction is rounding."""
+"""Shortest edge, m. Shorter ones are left out: their direction is rounding."""
 
 _STRAIGHT_M: Final = 1e-12
-"""A corner that lies outside a line by less lies on it: rounding."""
+"""A corner that lies outside a line by less than this lies on it: rounding."""
 
 _Point = Sequence[float]
 
@@ -52,25 +52,26 @@ class HullTable(NamedTuple):
     offset: FloatArray
 
     def inside_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) how far (p, 2) points are inside the nearest edge of each one's hull, m."""
+        """(p,) how far (p, 2) points are inside the nearest edge of their hulls, m. ``hull``: (p,) numbers of these."""
         nearest: FloatArray = self.distances_m(hull, point).min(axis=1, initial=np.inf)
         return nearest
 
     def distances_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p, e) the same for each edge."""
+        """(p, e) how far (p, 2) points are inside each edge of their hulls, m."""
         normal = self.normal[hull]
         inside: FloatArray = normal[..., 0] * point[:, :1] + normal[..., 1] * point[:, 1:] - self.offset[hull]
         return inside
 
 
 def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
-    """The hulls of rectangles, of many sets at once: the edges of ``hull_edges``.
+    """The hulls of many sets of rectangles at once, with the edges of ``hull_edges``.
 
-    An edge lies along an axis, or joins two rectangles by the same corner of each: from there all others are inside.
+    An edge lies along an axis, or joins the same corner of two rectangles: seen from it all other rectangles are
+    inside.
 
     Args:
         low, high: (c, 2) corners of the rectangles, set after set.
-        count: (s,) how many each set has.
+        count: (s,) number of rectangles of each set.
     """
     begins, size = np.cumsum(count) - count, len(count)
     parts: list[tuple[IntArray, FloatArray, FloatArray]] = []

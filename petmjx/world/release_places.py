@@ -1,15 +1,13 @@
-"""Where boxes are released: as they will rest on what bears them.
+"""Release places of boxes: at rest on their supports, and free of one another.
 
-Contacts are soft. Under the loads so far a pile has come down by up to some tenths of a millimetre, and a box's own
-contacts are a tenth of a millimetre deep once they carry it. A box that appeared where the plan has it would fall by
-both, land with centimetres a second, and might rock over an edge on which it stands. So it is released as deep in what
-bears it as its weight will press it, and it follows how far that has come down since.
+Contacts are soft. A pile has come down by up to some tenths of a millimetre under its loads so far, and a box's own
+contacts are a tenth of a millimetre deep once they carry it. A box released at its planned place would fall by both,
+land with centimetres a second, and might rock over an edge on which it stands. So a box is released as deep in its
+support as its weight will press it, and lower by as much as the support has come down since.
 
-Room for boxes whose places and sizes have errors, where they appear: the nearest places at which none is in another.
-
-Boxes that appeared in one another would be thrown apart by their contacts, the faster the stiffer these are and the
-shorter the timestep is: whether the pallet stands would then depend on numbers that are no property of boxes. So they
-are moved apart before, level, by the least translations.
+If places and sizes have errors, boxes may overlap where they appear. Their contacts would throw them apart, the faster
+the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on numbers that are
+no property of boxes. So overlapping boxes are first moved apart horizontally, by the least translations.
 """
 
 from __future__ import annotations
@@ -32,19 +30,19 @@ from petmjx.world.stackable_scenes import stacked_values
 from petmjx.world.supports import TOUCH_M
 
 NOTHING: Final = -2
-"""In place of a support: the box hangs in the air, or falls into its place."""
+"""Value instead of a support: the box hangs in the air, or falls into its place."""
 
 MOST_FOLLOWED_M: Final = 0.002
 """How far a box follows its support at most, m: a pile that has moved by more no longer bears it as planned."""
 
 
 class Release(NamedTuple):
-    """How n boxes are released; of many scenes that are alike, with an axis of these before the others.
+    """How n boxes are released. For several stackable scenes every array has a leading axis of the scenes.
 
     Attributes:
-        support: (n,) the box that a box follows, ``CARRIER``, or ``NOTHING``: the one with which it shares most area.
-        pos: (n, 3) centres of boxes whose support is where the plan has it, m.
-        most_followed_m: how far a box follows its support: further where supports give.
+        support: (n,) the box that a box follows, the one with which it shares most area; or ``CARRIER`` or ``NOTHING``.
+        pos: (n, 3) centres of boxes whose support is at its planned place, m.
+        most_followed_m: how far a box follows its support at most, m: further if supports give.
     """
 
     support: NDArray[np.intp]
@@ -55,7 +53,7 @@ class Release(NamedTuple):
         """(3,) middle of a box that is released now, m.
 
         Args:
-            boxes_z, carrier_z: heights of the centres of the boxes before it, and of the carrier's, m.
+            boxes_z, carrier_z: heights of the centres of the boxes before it, and of the carrier's centre, m.
         """
         place: FloatArray = self.pos[box].copy()
         support = self.support[box]
@@ -87,8 +85,8 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
 
 
 def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
-    """The releases of plain scenes that are alike (petmjx.world.stackable_scenes), to the last bit as ``release_of``
-    has each."""
+    """The releases of stackable scenes (petmjx.world.stackable_scenes), identical to the last bit with ``release_of``
+    of each scene."""
     start = stacked_values(scenes, "start_pos")
     m, n = start.shape[:2]
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not n:
@@ -111,7 +109,7 @@ def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
 
 
 def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Release:
-    """How one box more is released in each of m worlds: to the last bit the last rows that ``release_of`` has."""
+    """How one more box is released in each of m worlds: to the last bit the last row of ``release_of``."""
     nothing = np.full(len(boxes), NOTHING)
     if sim.physics.falls_into_place or sim.check is Check.STATIC:
         return Release(nothing, boxes.target)
@@ -123,7 +121,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
-    # where nothing bears a box its own mass and friction stand in, and count for nothing
+    # if nothing bears a box, its own mass and friction are filled in; they have no effect
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -136,7 +134,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
 
 
 def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
-    """(…, n) what each box lies on by the planned places, or most of it."""
+    """(…, n) the support of each box by the planned places: the one under most of it."""
     low, high = target - half_size, target + half_size
     length, width = (np.maximum(shared_length(low[..., axis], high[..., axis]), 0.0) for axis in range(2))
     area = length * width * np.triu(meets(low[..., 2], high[..., 2], TOUCH_M), k=1)
@@ -145,14 +143,14 @@ def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
 
 
 CLEAR_M: Final = 0.0002
-"""How far apart boxes are once they were in one another: contacts of edges begin up to 0.14 mm before they touch, 0.7
+"""Distance to which overlapping boxes are moved apart: contacts of edges begin up to 0.14 mm before they touch, 0.7
 times the skins of two boxes (docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
-"""How much of it may be missing: a hundredth of the depth of contacts at rest."""
+"""Tolerance of that distance, m: a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
-"""A row of 12 boxes takes 200; then what is missing is left to contacts."""
+"""Largest number of rounds. A row of 12 boxes takes 200. An overlap that then remains is left to the contacts."""
 
 
 def make_room(
@@ -165,20 +163,22 @@ def make_room(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """(m, n, 2) level places nearest to those of m worlds at which no box is in one beside it, m.
+    """(m, n, 2) horizontal places of m worlds, nearest to the given ones, at which no box overlaps one beside it, m.
 
-    Nearest: the sum of the squares of all translations is the least. Two boxes are kept apart along that axis of one of
-    them along which they overlap least, by ``CLEAR_M``, or by less, or not quite, if the plan has them so. Each pair
-    then bounds the translations by one linear inequality; the least ones are found by Hildreth's method (Hildreth 1957,
-    "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85), pair by pair. A world's places do
-    not depend on the others.
+    Nearest means the least sum of the squares of all translations. Two boxes are kept apart along the axis of one of
+    them along which they overlap least. They are kept ``CLEAR_M`` apart, or as near as in the plan, even if they
+    overlap there. So each pair bounds the translations by one linear inequality. Hildreth's method (Hildreth 1957, "A
+    quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the least translations, pair by
+    pair. The places of a world do not depend on other worlds.
 
     Args:
-        place: (m, n, 2) level places of the boxes' middles, m; half_size: (m or 1, n, 3); yaw: (m or 1, n), rad.
-        planned, planned_half: (n, 2) and (n, 3) of the plan, whose boxes are not turned.
-        beside: (n, n) symmetric: pairs of which neither is above the other.
-        movable: (n,) others stay where they are.
-        reach_m: pairs that are further apart in the plan are not looked at.
+        place: (m, n, 2) horizontal places of the boxes' middles, m.
+        half_size: (m or 1, n, 3) half extents, m.
+        yaw: (m or 1, n), rad.
+        planned, planned_half: (n, 2) places and (n, 3) half extents of the plan, whose boxes are not turned, m.
+        beside: (n, n) symmetric: pairs of which neither box is above the other.
+        movable: (n,) boxes that may be moved.
+        reach_m: pairs that are further apart in the plan are ignored.
     """
     apart = _separation(planned, planned_half)
     first, second = np.nonzero(np.triu(beside & (apart < reach_m) & (movable[:, None] | movable), k=1))
@@ -219,8 +219,7 @@ def make_room(
 
 
 def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(n, n) how far boxes that are not turned are apart along the axis along which they are further; negative: they
-    overlap by that much, m."""
+    """(n, n) gaps between boxes that are not turned, m: the larger one of the gaps along x and y; negative: overlap."""
     along = [
         np.abs(place[:, None, axis] - place[:, axis]) - (half_size[:, None, axis] + half_size[:, axis])
         for axis in range(2)
@@ -231,8 +230,8 @@ def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
 def _widest(
     place: FloatArray, half_size: FloatArray, yaw: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """(m, p, 2) the axis of each pair along which its boxes are furthest apart, from the first one to the second, and
-    (m, p) how far, m: rectangles are apart where one of their four axes separates them."""
+    """(m, p, 2) the axis along which the boxes of each pair are furthest apart, from the first box to the second, and
+    (m, p) that gap, m. Two rectangles are apart if one of their four axes separates them."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     between = place[:, second] - place[:, first]
     widest = np.full(between.shape[:2], -np.inf)
@@ -254,7 +253,7 @@ def _widest(
 
 
 def _independent(first: NDArray[np.intp], second: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Pairs in groups of which none has a box twice, so that a group's can be worked on together."""
+    """Groups of pairs. No box occurs twice in a group, so that all pairs of a group can be computed at once."""
     groups: list[list[int]] = []
     boxes: list[set[int]] = []
     for pair, both in enumerate(zip(first.tolist(), second.tolist(), strict=True)):

@@ -1,7 +1,7 @@
-"""One world's physical description in SI units: bodies with their shapes, and where they are placed.
+"""Scenes: the physical description of one world in SI units, with its bodies, their shapes and their places.
 
-A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans. Nothing else
-counts shapes or bodies: for an index, ask the scene.
+A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans. Only the scene
+numbers shapes and bodies: all other code takes indices from it.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ OF_BOXES: Final = (
     "stiffness",
     "soft",
 )
-"""What of a scene has a row for each box, or is None."""
+"""Fields of a scene that have a row for each box, or are None."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +62,13 @@ class Scene:
     Attributes:
         half_size: (n, 3) half extents, m.
         mass: (n,) kg.
-        target: (n, 3) planned places, m: what shifts are measured from.
+        target: (n, 3) planned places, m, from which shifts are measured.
         start_pos: (n, 3) places at which boxes are released, m; the same as ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
         friction: (n, 3) sliding, torsional and rolling coefficients.
-        carrier: as it is before the soft start; its top is at z = 0.
-        floor_friction: as ``friction``.
-        floor_z: m.
+        carrier: the carrier before the soft start; its top is at z = 0.
+        floor_friction: sliding, torsional and rolling coefficients of the floor.
+        floor_z: height of the floor, m.
         mass_center: (n, 3) centres of mass, seen from the middles along the boxes' axes, m; None: in the middles.
         inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
         surface: (n,) the boxes' surfaces; None: all 0.
@@ -77,14 +77,14 @@ class Scene:
             one of two shapes everywhere.
         pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or
             ``petmjx.world.friction_pairs.USUAL``;
-            None: as the physics says everywhere.
+            None: the values of the physics everywhere.
         placing: how boxes come to their places.
-        approach: (n, 2) level directions in which they do so, of length 1; 0, or None for all: that which follows from
-            what stands there.
+        approach: (n, 2) horizontal directions in which they do so, of length 1. 0, or None for all: the direction
+            follows from the neighbours.
         stiffness: (n,) force on a box's top per compression, N/m; inf: it is rigid. None: all are.
         soft: (n,) which boxes are flex bodies (petmjx/world/soft_boxes.py); None: none is.
-        wrap: film around it when it is shaken (petmjx/world/film.py).
-        pieces: of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py).
+        wrap: film around the pallet when it is shaken (petmjx/world/film.py).
+        pieces: pieces of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py).
     """
 
     half_size: NDArray[np.float64]
@@ -147,7 +147,7 @@ class Scene:
         return middle - rotated_vectors(quat, self.middle[: middle.shape[-2]])
 
     def frame(self, box: int, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) origin of a box's frame when its middle is here and it is turned like this, m."""
+        """(3,) origin of a box's frame if its middle is at ``middle`` and its orientation is ``quat``, m."""
         if self.mass_center is None:
             return middle
         origin: NDArray[np.float64] = middle - rotated_vectors(quat, self.middle[box])
@@ -216,8 +216,8 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
 
 
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
-    """The nominal scenes of plans, in order. The arrays of many are worked out together: to the last bit as
-    ``build_scene`` makes each."""
+    """The nominal scenes of plans, in order. The arrays of many plans are computed at once, identical to the last bit
+    with those of ``build_scene``."""
     slabs, source = pallet(sim.carrier) is None, iter(plans)
     while some := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in some if slabs and _is_plain(plan)]
@@ -227,7 +227,7 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
 
 
 def _is_plain(plan: Plan) -> bool:
-    """Whether a plan has nothing but sizes, places and masses that its scene depends on."""
+    """Whether the scene of a plan depends only on sizes, places and masses."""
     more = plan.mass_center_mm, plan.approach_deg, plan.stiffness_n_mm
     return not plan.kinds and not plan.materials and all(array is None for array in more)
 
@@ -271,8 +271,8 @@ def _of_all(sim: Simulation) -> dict[str, Any]:
 def _slabs(
     corner_mm: NDArray[np.float64], size_mm: NDArray[np.float64], begins: NDArray[np.intp], sim: Simulation
 ) -> Iterator[Body]:
-    """The carriers of plans whose boxes begin at these rows, each one box: as large as a plan's bounding box, or of a
-    fixed size, its front-left corner the origin."""
+    """The slabs that carry the plans whose boxes begin at the rows ``begins``. A slab is one box, as large as the
+    plan's bounding box or of a fixed size, with its front-left corner at the origin."""
     extent, physics, n = extent_m(sim.carrier), sim.physics, len(begins)
     if extent is None:
         low_mm = np.minimum.reduceat(corner_mm[:, :2], begins)

@@ -1,10 +1,10 @@
-"""Interlayer sheets: thin, and no bridges.
+"""Interlayer sheets: thin items that bridge no gaps.
 
-A sheet of cardboard or paper between two layers is an item of its own. As a rigid plate it would carry a box over a
-hole in the layer below, which no sheet does. So it bears only where, by the plan, something bears it: its body has a
-shape for each area in which it lies on a box or a board, or up to a centimetre above one, and none over the gaps. It
-stays one body, which holds these pieces together: it ties boxes of a layer by friction, as sheets do, and it does not
-sag or tear. A sheet that lies on nothing is not divided.
+A sheet of cardboard or paper between two layers is an item of its own. A rigid plate would carry a box over a hole in
+the layer below, which no sheet does. So a sheet bears only where, by the plan, something bears it. Its body has one
+shape for each area in which it lies on a box or a board, or up to a centimetre above one, and none over the gaps. The
+body holds these pieces together: it ties the boxes of a layer by friction, as sheets do, and does not sag or tear. A
+sheet that lies on nothing is not divided.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from petmjx.world.body_shapes import Body, Pieces
 _TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M
 
 FOLLOWED_M: Final = 0.01
-"""A sheet gives way to a top that is lower than it by at most this: layers of cartons are not level to a millimetre."""
+"""Largest distance of a sheet above a top on which it lies, m: layers of cartons are not level to a millimetre."""
 
 _LEAST_OVERLAP_M = 1e-6
 
@@ -32,9 +32,9 @@ def pieces_of(
     """The pieces of sheets.
 
     Args:
-        sheets: (n,) which boxes they are.
-        target, half_size: (n, 3) of all boxes, as planned, m.
-        carrier: whose boards with their tops at z = 0 bear, too.
+        sheets: (n,) which boxes are sheets.
+        target, half_size: (n, 3) planned middles and half extents of all boxes, m.
+        carrier: the carrier. Its boards with tops at z = 0 bear, too.
     """
     pieces = []
     board = carrier.pos + carrier.shape_pos

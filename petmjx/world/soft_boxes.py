@@ -1,17 +1,17 @@
-"""Soft boxes: boxes as MuJoCo flex bodies, 3 × 3 × 3 points whose edges are held by equality constraints.
+"""Soft boxes: boxes as MuJoCo flex bodies of 3 × 3 × 3 points, with equality constraints along the edges.
 
-MuJoCo 3.17 takes no elasticity beside such constraints, so that the constraints are the springs. At rest one of
-impedance d and stiffness k (solref −k, −b) is the spring κ·μ, with κ = d²k / (1 − d) and μ the harmonic mass
-1 / (1/m₁ + 1/m₂) of its two points. The stiffness of the whole network between two plates is then κ·c, where c follows
-from places and masses of the points (``_network_kg``), and a box of stiffness S has κ = S / c.
+MuJoCo 3.17 takes no elasticity in addition to these constraints, so the constraints are the springs. At rest a
+constraint of impedance d and stiffness k (solref −k, −b) is the spring κ·μ, with κ = d²k / (1 − d) and μ the harmonic
+mass 1 / (1/m₁ + 1/m₂) of its two points. The stiffness of the whole network between two plates is then κ·c, where c
+follows from places and masses of the points (``_network_kg``), and a box of stiffness S has κ = S / c.
 
 The points' masses are 1 : 4 : 1 along each axis, Simpson's weights, with which three points have the moments of inertia
 of a solid box. Edges are as stiff as their points are heavy, so that a box also resists tilting as a bed does, with
 S·L²/12, and its own weight presses all its columns alike.
 
-MuJoCo gives an element one point of contact, which on a flat face jumps from step to step, and boxes tremble. So each
-point has a ball of its own, and elements touch a little later than balls: flat faces rest on balls, and the elements
-bear where edges cross.
+MuJoCo gives an element one point of contact. On a flat face it jumps from step to step, and boxes tremble. So each
+point also has a ball, and elements touch a little later than balls: flat faces rest on balls, and elements bear where
+edges cross.
 """
 
 from __future__ import annotations
@@ -47,21 +47,22 @@ BALL_M: Final = 0.0002
 negative margin and rigid shapes as well, and balls have it as a positive one; margins add up."""
 
 MOST_ROUNDING: Final = 0.1
-"""Of the shortest half size."""
+"""Largest rounding as a share of the shortest half size."""
 
 IMPEDANCE: Final = 0.99
-"""Of the edges. Those of 0.95 and as stiff a box tremble four times as much; with 0.999 it takes 0.1 s to give way."""
+"""Impedance of the edges. With 0.95 a box of the same stiffness trembles four times as much; with 0.999 it takes 0.1 s
+to give way."""
 
 MOST_RATE: Final = 0.05
-"""Largest k·dt² of an edge, which is integrated explicitly; boxes that are stiffer have edges of larger impedance."""
+"""Largest k·dt² of an edge, which is integrated explicitly. Stiffer boxes have edges of larger impedance."""
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
-"""Of contacts of soft boxes, whose points weigh a 216th of a box and more: as stiff as the timestep lets them be. Under
-1,000 times its own weight a box's contacts are 0.1 mm deep."""
+"""solimp of contacts of soft boxes, as stiff as the timestep allows: their points weigh a 216th of a box and more.
+Under 1,000 times its own weight a box's contacts are 0.1 mm deep."""
 
 _ALONE: Final = 1e9
-"""MuJoCo's weight of a law; that of rigid shapes is 1."""
+"""MuJoCo's weight for mixing the laws of two partners; that of rigid shapes is 1."""
 
 _ELEMENTS: Final = 2
 _BALLS: Final = 4
@@ -102,22 +103,22 @@ def rounding_m(half_size: FloatArray) -> float:
 
 
 def points_of(half_size: FloatArray) -> FloatArray:
-    """(27, 3) where a box's points are, seen from its middle, m."""
+    """(27, 3) places of a box's points, seen from its middle, m."""
     points_m: FloatArray = POINTS * (half_size - rounding_m(half_size))
     return points_m
 
 
 def shares() -> FloatArray:
-    """(27,) of a box's mass that its points have: Simpson's weights."""
+    """(27,) share of each point in a box's mass: Simpson's weights."""
     along = np.array([1.0, 4.0, 1.0]) / 6.0
     return np.asarray(np.einsum("i,j,k->ijk", along, along, along).ravel())
 
 
 def check_soft(scene: Scene) -> None:
-    """Whether MuJoCo can have a scene's soft boxes.
+    """Check that MuJoCo can simulate the soft boxes of a scene.
 
     Raises:
-        InputError: they cannot be as the scene has them.
+        InputError: it cannot.
     """
     if scene.soft is None:
         return
@@ -138,7 +139,7 @@ class EdgeLaw:
 
 
 def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_s: float) -> EdgeLaw:
-    """For a box between plates to be a spring of this stiffness, or as stiff as the timestep lets it be (inf)."""
+    """The law with which a box between plates is a spring of this stiffness; inf: as stiff as the timestep allows."""
     most = MOST_RATE / timestep_s**2
     kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
     impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
@@ -149,8 +150,8 @@ def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_
 
 @lru_cache(maxsize=1)
 def _mujocos_share() -> float:
-    """What MuJoCo takes for the inverse mass of an edge, as a share of it: 1/2 of points whose bodies have nothing but
-    slides (3.17), so that edges are twice as stiff as by its documentation. It is asked, since that may change."""
+    """MuJoCo's inverse mass of an edge as a share of the real one. It is 1/2 for points whose bodies have only slides
+    (3.17), so that edges are twice as stiff as documented. It is read from a compiled model, since it may change."""
     spec = mujoco.MjSpec()
     mass = shares()
     _add_points(spec, "probe", POINTS, mass)
@@ -164,7 +165,7 @@ def _mujocos_share() -> float:
 
 @lru_cache(maxsize=4096)
 def _network_kg(length: float, width: float, height: float) -> float:
-    """Stiffness of a box of mass 1 kg between two plates on which it does not slide for each κ, kg: half sizes in m."""
+    """Stiffness / κ of a box of mass 1 kg between two plates on which it does not slide, kg. Half sizes in m."""
     points, mass, edges = points_of(np.array([length, width, height])), shares(), _edges()
     along = points[edges[:, 1]] - points[edges[:, 0]]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -240,7 +241,7 @@ def add_soft_box(
 
 
 def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> None:
-    """Contacts of soft boxes have a law of their own in any physics: MuJoCo mixes those of both partners by weights."""
+    """Set the law of contacts of soft boxes, in any physics: MuJoCo mixes the laws of both partners by weights."""
     shape.condim = 3
     shape.friction = np.array(friction)
     shape.solref, shape.solmix = np.array(CONTACT_SOLREF), _ALONE
@@ -248,7 +249,7 @@ def _set_contact(shape: mujoco.MjsGeom | mujoco.MjsFlex, friction: Triple) -> No
 
 
 def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions: SoftFriction) -> None:
-    """What rigid shapes have in a world with soft boxes. Call it when all are there."""
+    """Set the values of rigid shapes in a world with soft boxes. Call it after all boxes are added."""
     for geom in spec.geoms:
         if geom.contype == _BALLS:
             continue
@@ -261,18 +262,18 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
 
 @dataclass(frozen=True, eq=False)
 class SoftFriction:
-    """Sliding friction of shapes in contacts of soft boxes, where MuJoCo takes the larger one of both partners.
+    """Sliding friction of shapes in contacts of soft boxes: MuJoCo takes the larger one of both partners.
 
     Attributes:
-        of_boxes: (n,) of the boxes.
-        of_carrier: of the carrier; None: its own.
+        of_boxes: (n,) friction of the boxes.
+        of_carrier: friction of the carrier; None: its own.
     """
 
     of_boxes: FloatArray
     of_carrier: float | None
 
     def of_geom(self, body: str) -> float | None:
-        """Of the geoms of a body, by its name."""
+        """Friction of the geoms of a body, by its name."""
         if body == "carrier":
             return self.of_carrier
         return float(self.of_boxes[int(body.removeprefix("box_"))]) if body.startswith("box_") else None
@@ -282,7 +283,7 @@ def soft_friction(scene: Scene) -> SoftFriction:
     """Friction of soft boxes by the table of their surfaces.
 
     Raises:
-        InputError: it has frictions of pairs that "the larger of both coefficients" cannot express.
+        InputError: the table has pairs that "the larger of both coefficients" cannot express.
     """
     box_friction = scene.friction[:, 0].copy()
     if scene.pair_friction is None or scene.surface is None or scene.soft is None:

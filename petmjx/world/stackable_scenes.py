@@ -1,4 +1,7 @@
-"""Scenes whose arrays can be stacked: for what is worked out for many worlds at once, to the last bit as for each."""
+"""Stackable scenes: groups of scenes whose arrays can be stacked.
+
+Then many worlds are computed at once, identical to the last bit with each world alone.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +15,12 @@ from numpy.typing import NDArray
 from petmjx.world.scene import Scene
 
 AT_A_TIME: Final = 64
-"""Scenes of a group at most: arrays of all pairs of 43 boxes take 1 MB then."""
+"""Largest number of scenes of a group: arrays of all pairs of 43 boxes then take 1 MB."""
 
 
 def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
-    """Numbers of scenes that are alike, and whether they are plain: boxes alone, that neither give nor lie on sheets.
-    What is not plain has a group of its own. Worlds of a plan are alike."""
+    """Numbers of scenes that can be stacked, and whether they are plain: boxes that neither give nor lie on sheets.
+    A scene that is not plain is a group by itself. Worlds of one plan can be stacked."""
     numbers_by_key: dict[Any, list[int]] = {}
     for number, scene in enumerate(scenes):
         if not is_plain(scene):
@@ -32,7 +35,7 @@ def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]
 
 
 def is_plain(scene: Scene) -> bool:
-    """Whether nothing but places, sizes, masses and friction tells a scene's boxes apart."""
+    """Whether a scene's boxes differ only in places, sizes, masses and friction."""
     more = scene.mass_center, scene.inertia_box, scene.surface, scene.stiffness, scene.soft, scene.carrier.surface
     return not scene.pieces and all(array is None for array in more)
 

@@ -1,10 +1,10 @@
-"""Which boxes of scenes bear which, as planned, and how far the loads of boxes are from the edges of what bears them.
+"""Supports of boxes by the plan, their loads, and the distances of loads from the edges of the supports.
 
-The load of a box is its own weight and all that rests on it. It acts at a point of the box's base, its centre of
-pressure, and the box is in balance if that lies within the convex hull of what bears it. Where a box has several
-supports, statics does not say how they share its load; here as on a bed of equal springs (Winkler 1867, "Die Lehre von
-der Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, which force and moments determine.
-Where springs would pull, supports push with the least energy (petmjx.world.load_sharing).
+The load of a box is its own weight and all that rests on it. It acts at a point of the box's base, the centre of
+pressure. The box is in balance if that point lies within the convex hull of its supports. Statics does not say how
+several supports share a load. Here they share it as on a bed of equal springs (Winkler 1867, "Die Lehre von der
+Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, determined by force and moments. If
+springs would pull, supports push with the least energy (petmjx.world.load_sharing).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from petmjx.world.stackable_scenes import stackable_groups, stacked_values
 IntArray = NDArray[np.intp]
 
 TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
-"""Faces that are no further apart touch, as in the warnings about a plan."""
+"""Faces touch if they are no further apart than this, as in the warnings about a plan."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 
@@ -39,12 +39,12 @@ class Boxes:
     """The boxes of scenes, one scene after the other, n in all.
 
     Attributes:
-        first: (s + 1,) where each scene's begin; the last one is n.
+        first: (s + 1,) first box of each scene; the last entry is n.
         target: (n, 3) planned middles, m.
         half_size: (n, 3) m.
         mass: (n,) kg.
         mass_center: (n, 3) from the middle, m.
-        carrier_mass: (n,) of what the scene's boxes stand on, kg.
+        carrier_mass: (n,) mass of the carrier of each box's scene, kg.
     """
 
     first: IntArray
@@ -56,7 +56,7 @@ class Boxes:
 
     @classmethod
     def of(cls, scene: Scene) -> Boxes:
-        """Those of one scene."""
+        """The boxes of one scene."""
         n = scene.n_boxes
         mass_center = np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
         carrier_mass = np.full(n, scene.carrier.mass)
@@ -64,7 +64,7 @@ class Boxes:
 
     @classmethod
     def together(cls, scenes: Sequence[Boxes]) -> Boxes:
-        """Those of several."""
+        """The boxes of several scenes."""
         counts = [np.diff(boxes.first) for boxes in scenes]
         first = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
         names = [field.name for field in fields(cls) if field.name != "first"]
@@ -77,7 +77,7 @@ class Boxes:
         return low
 
     def among(self, placed: int | Sequence[int]) -> NDArray[np.bool_]:
-        """(n,) which boxes are among the first so many of their scene."""
+        """(n,) which boxes are among the first ``placed`` boxes of their scene."""
         counts = np.diff(self.first)
         number = np.arange(self.first[-1]) - np.repeat(self.first[:-1], counts)
         among: NDArray[np.bool_] = number < np.repeat(np.broadcast_to(placed, len(counts)), counts)
@@ -86,12 +86,12 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Bearing:
-    """Who bears whom in scenes of n boxes together: c rectangles on which a box lies, in the order of the boxes above.
+    """The contacts between boxes and their supports in scenes with n boxes: c rectangles, sorted by the upper box.
 
     Attributes:
-        boxes: whose planned places count, not where boxes are released.
+        boxes: the boxes. Their planned places count, not those at which they are released.
         upper: (c,) the box above.
-        lower: (c,) the box below, whenever it is placed, or ``CARRIER``.
+        lower: (c,) the box below, even if it is placed later, or ``CARRIER``.
         low, high: (c, 2) corners of the rectangles along x and y, m.
     """
 
@@ -115,20 +115,21 @@ class Bearing:
 
     @property
     def weights(self) -> FloatArray:
-        """(n, 4) the boxes' own weights, as ``loads`` has them."""
+        """(n, 4) the boxes' own weights, in the form of ``loads``."""
         boxes = self.boxes
         centre = boxes.target + boxes.mass_center
         weights: FloatArray = boxes.mass[:, None] * np.concatenate([np.ones((len(centre), 1)), centre], axis=1)
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(c, 3) what boxes under loads press on what bears them at each contact: force and first moments along x and
-        y, as ``load`` has them. A box on one support presses on it with its load.
+        """(c, 3) force and first moments along x and y with which the loaded upper box presses on each contact.
+
+        The units are those of ``load``. A box on one support presses on it with its load.
 
         Args:
-            load: (n, 3) or more.
-            together: the contacts of boxes with several supports that are looked at; those of the others have no
-                meaning.
+            load: (n, 3) or more columns.
+            together: the contacts of boxes with several supports to compute. Forces at other contacts of such boxes
+                have no meaning.
         """
         force = load[self.upper, :3]
         if not len(together):
@@ -145,12 +146,12 @@ class Bearing:
     def pushed(
         self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
     ) -> FloatArray:
-        """(k, 3) the forces at contacts, if supports can only push, of boxes that have several.
+        """(k, 3) the forces at contacts of boxes with several supports, if supports can only push.
 
         Args:
             load: (p, 3) one load of each of these ``boxes``.
-            owner: (k,) which of the loads presses at each contact; contacts come in this order.
-            low, high: (k, 2) their rectangles.
+            owner: (k,) number of the load that presses at each contact. Contacts are sorted by it.
+            low, high: (k, 2) corners of the contacts' rectangles.
         """
         force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
@@ -164,8 +165,8 @@ class Bearing:
         return force
 
     def edges_m(self, load: FloatArray) -> FloatArray:
-        """(n,) how far inside the nearest edge of what bears it each box's load acts, m: negative beyond it, NaN where
-        nothing bears the box, or there is no load."""
+        """(n,) distance of each box's load from the nearest edge of its supports, m: positive inside, negative beyond.
+        NaN if nothing bears the box, or it has no load."""
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
         distance_m = np.full(len(load), np.nan)
@@ -178,12 +179,12 @@ class Bearing:
 
     @cached_property
     def hulls(self) -> HullTable:
-        """Of the supports of boxes that have several, in order."""
+        """Hulls of the supports of boxes that have several, in order."""
         several = self.n_supports[self.upper] > 1
         return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
 
     def share_hulls(self, number: int, one: Bearing) -> None:
-        """Let the bearing ``one`` of a scene, the number of which is given, have the hulls of all scenes together."""
+        """Give the bearing ``one`` of scene ``number`` its part of these hulls, so that it does not compute them."""
         begin, end = self.boxes.first[number : number + 2].tolist()
         before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
         hulls = slice(before, before + count)
@@ -191,12 +192,12 @@ class Bearing:
 
     @cached_property
     def number_of_hull(self) -> IntArray:
-        """(n,) which of ``hulls`` is a box's, if it has several supports."""
+        """(n,) number of each box's hull in ``hulls``, if it has several supports."""
         return np.cumsum(self.n_supports > 1) - 1
 
     @cached_property
     def widths_m(self) -> FloatArray:
-        """(n,) extent of what bears each box, along x or y, where it is shorter, m; NaN where nothing does."""
+        """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN if nothing bears it."""
         low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
         np.minimum.at(low, self.upper, self.low)
         np.maximum.at(high, self.upper, self.high)
@@ -205,17 +206,17 @@ class Bearing:
 
     @cached_property
     def n_supports(self) -> IntArray:
-        """(n,) how many rectangles bear each box."""
+        """(n,) number of rectangles that bear each box."""
         return np.bincount(self.upper, minlength=len(self.boxes.mass))
 
     @cached_property
     def ends(self) -> IntArray:
-        """(n + 1,) where each box's contacts begin; the last one is their number."""
+        """(n + 1,) first contact of each box; the last entry is the number of contacts."""
         return np.concatenate([[0], np.cumsum(self.n_supports)])
 
     @cached_property
     def level(self) -> IntArray:
-        """(n,) the most contacts from a box up to one that bears none."""
+        """(n,) largest number of contacts on a way from a box up to one that bears no box."""
         between = np.flatnonzero(self.lower != CARRIER)
         upper, lower = self.upper[between], self.lower[between]
         level = np.zeros(len(self.boxes.mass), int)
@@ -225,7 +226,8 @@ class Bearing:
 
     @cached_property
     def levels(self) -> list[IntArray]:
-        """The contacts between boxes, in groups: once all before are done, nothing is added to the upper boxes."""
+        """The contacts between boxes in groups. Once all groups before are done, the loads of the upper boxes are
+        complete."""
         between = np.flatnonzero(self.lower != CARRIER)
         between = between[np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")]
         level = self.level[self.upper[between]]
@@ -234,7 +236,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes that have several supports, the carrier's too."""
+        """For each group of ``levels`` the contacts of its boxes with several supports, those with the carrier
+        included."""
         groups = []
         for between in self.levels:
             chosen = np.zeros(len(self.boxes.mass), bool)
@@ -272,14 +275,14 @@ class Bearing:
 
 @lru_cache(maxsize=256)
 def bearing_of(scene: Scene) -> Bearing:
-    """``find_bearing``, kept, since in a sweep many worlds have the same scene."""
+    """``find_bearing``, cached: in a sweep many worlds have the same scene."""
     return find_bearing(scene)
 
 
 def bearings_of(
     scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()
 ) -> list[Bearing]:
-    """``bearing_of`` of each scene, and then of those that are at rest with their boxes at (n, 3) places, m."""
+    """``bearing_of`` of each scene, and then of the scenes ``at_rest`` with their boxes at (n, 3) places ``pos``, m."""
     different = list({id(scene): scene for scene in scenes}.values())
     if len(different) == 1:
         return [bearing_of(different[0])] * len(scenes) + find_bearings(at_rest, pos)
@@ -289,7 +292,7 @@ def bearings_of(
 
 
 def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float = TOUCH_M) -> list[Bearing]:
-    """``find_bearing`` of each scene with its boxes at (n, 3) places, m: of those that are alike at once."""
+    """``find_bearing`` of each scene with its boxes at (n, 3) places, m. Stackable scenes are computed at once."""
     if len(scenes) < 2:
         moved = [replace(scene, target=target) for scene, target in zip(scenes, targets, strict=True)]
         return [find_bearing(scene, most_gap_m) for scene in moved]
@@ -307,7 +310,7 @@ def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_g
 
 
 def _stacked_bearings(scenes: Sequence[Scene], target: FloatArray, most_gap_m: float) -> Iterator[Bearing]:
-    """The bearings of plain scenes that are alike, with their boxes at (m, n, 3) places, m."""
+    """The bearings of plain stackable scenes with their boxes at (m, n, 3) places, m."""
     half_size = stacked_values(scenes, "half_size")
     (m, n), low, high = target.shape[:2], target - half_size, target + half_size
     decks = [_deck(scene.carrier) for scene in scenes]
@@ -337,13 +340,14 @@ def _stacked_bearings(scenes: Sequence[Scene], target: FloatArray, most_gap_m: f
 
 
 def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
-    """Who bears whom, by the planned places.
+    """The supports of boxes by the planned places.
 
-    A box lies on a board of the carrier's deck if its bottom is not above its top, and on another box that begins lower
-    if that one's top is at the height of its bottom; both within ``TOUCH_M``, and if they overlap along x and y.
+    A box lies on a board of the carrier's deck if its bottom is not above the deck. It lies on another box that begins
+    lower if the top of that box is at the height of its bottom. Both hold within ``TOUCH_M``, and only if the two
+    overlap along x and y.
 
     Args:
-        most_gap_m: a box lies on what is no further below its bottom than this, too: it leans onto it.
+        most_gap_m: a box also lies on bodies up to this distance below its bottom: it leans onto them.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     deck_low, deck_high = _deck(scene.carrier)
@@ -368,7 +372,8 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
 
 
 def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """(t,) whose the tops of a scene's boxes are, and (t, 2) their corners: a box has one, a sheet those of its pieces.
+    """(t,) boxes to which the tops of a scene belong, and (t, 2) low and high corners of the tops: a box has one top, a
+    sheet one for each piece.
 
     Args:
         low, high: (n, 3) corners of the boxes, m.
@@ -384,7 +389,7 @@ def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, Flo
 
 
 def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
-    """(b, 2) lowest and (b, 2) highest corners of the boards whose tops are the carrier's, m."""
+    """(b, 2) lowest and (b, 2) highest corners of the boards whose tops are the carrier's top, m."""
     center = carrier.pos + carrier.shape_pos
     deck = (center + carrier.half_size)[:, 2] >= -TOUCH_M
     return (center - carrier.half_size)[deck, :2], (center + carrier.half_size)[deck, :2]

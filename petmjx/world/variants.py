@@ -1,14 +1,11 @@
 """Variants: how a world differs from its plan's nominal one.
 
-A variant has two halves. What changes before or while boxes are placed (friction, mass, sizes, placement
-errors) is its *placement*; what shakes the finished pallet (profile, strength, direction) is its *drive*.
-Worlds of a plan with equal ``placement_key`` share one placement, whose settled state is forked. Their scenes:
-petmjx.world.variants.
+A variant has two halves. Changes before or while boxes are placed (friction, mass, sizes, placement errors) are its
+*placement*. The drive that shakes the finished pallet (profile, strength, direction) is its *drive*. Worlds of a plan
+with equal ``placement_key`` share one placement, whose settled state is forked.
 
-Scenes of variants: what a placement change makes of a plan's nominal scene, for many worlds of a plan at once.
-
-A sweep makes a world in a twentieth of a millisecond this way; one by one it takes ten times as long, and as long as a
-GPU simulates a small world.
+The scenes of many variants of a plan are made at once (``apply_all``). A world then takes a twentieth of a millisecond;
+one by one it takes ten times as long, which is as long as a GPU simulates a small world.
 """
 
 from __future__ import annotations
@@ -61,7 +58,7 @@ class Distribution:
         return self.centre == 0 and not self.random
 
     def draw(self, rngs: Iterable[np.random.Generator], shape: tuple[int, ...]) -> FloatArray:
-        """(m, …) samples of each generator, or (1, …) where nothing is random: then none is asked for.
+        """(m, …) samples of m generators; (1, …) without taking a generator if nothing is random.
 
         Standard numbers are drawn and then scaled. So with the same generator, twice the spread gives each box twice
         the error, and levels of a sweep can be compared pair by pair.
@@ -88,7 +85,7 @@ ZERO = Distribution()
 
 @dataclass(frozen=True)
 class PlacementChange:
-    """What is different while boxes are placed. Factors multiply; errors are drawn for each box.
+    """The changes of a variant while boxes are placed. Factors multiply; errors are drawn for each box.
 
     Attributes:
         box_friction_factor, carrier_friction_factor: on all three friction coefficients. MuJoCo takes the
@@ -101,11 +98,11 @@ class PlacementChange:
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
         drop_height_mm: height above its place at which a box is released; negative draws count as 0.
-        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: as the options say.
-        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: instead of those of
-            ``petmjx.options.placing.Placing``; None: those.
-        wrap_turns: of film, instead of those of ``petmjx.options.wrap.Wrap``; None: those.
-        shifts_from_release: shifts are measured from where a box was released instead of from the plan.
+        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: that of the options.
+        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: replace those of
+            ``petmjx.options.placing.Placing``; None: those of the options.
+        wrap_turns: turns of film, replace those of ``petmjx.options.wrap.Wrap``; None: those of the options.
+        shifts_from_release: True: shifts are measured from the place of release instead of from the plan.
     """
 
     box_friction_factor: float = 1.0
@@ -129,7 +126,7 @@ class PlacementChange:
     shifts_from_release: bool = False
 
     def placing(self, placing: Placing, *, errors: bool) -> Placing:
-        """How boxes are placed that would be placed so; ``errors``: their places or sizes have errors."""
+        """The way of placing after this change of ``placing``; ``errors``: places or sizes of boxes have errors."""
         other = {
             "name": Way(self.placing_name) if self.placing_name is not None else None,
             "height_mm": self.placing_height_mm,
@@ -156,7 +153,7 @@ PlacementKey = tuple[PlacementChange, int]
 
 @dataclass(frozen=True)
 class DriveSpec:
-    """What shakes the finished pallet: the name of a profile, its scale or level, and its direction."""
+    """The drive of the finished pallet: the name of a profile, its scale or level, and its direction."""
 
     profile: str
     scale: float = 1.0
@@ -191,7 +188,7 @@ MIN_SIZE_FRACTION = 0.1
 """Smallest size that can be drawn, as a fraction of the planned size: a box must keep a positive extent."""
 
 LARGEST_SIZE_M = 7.0
-"""Nor does any exceed this: boxes that wait for their turn hang 8 m apart."""
+"""Largest size that can be drawn, m: boxes that wait for their turn hang 8 m apart."""
 
 MIN_MASS_FRACTION = 0.1
 """Smallest mass that can be drawn, as a fraction of the nominal one: MuJoCo refuses bodies without mass."""
@@ -200,34 +197,34 @@ MIN_FRICTION_FRACTION = 0.1
 """Smallest friction that can be drawn, as a fraction of the nominal one: it must stay positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""Of two boxes that overlap horizontally, one carries the other if its planned top is at most this far above the
-other's planned bottom: the other one is then set down on it. A box that is higher counts as a wall beside it."""
+"""A lower box carries an upper one that overlaps it horizontally if its planned top is at most this far above the
+planned bottom of the upper box. The upper box is then set down on it. A higher box counts as a wall beside it."""
 
 MOST_SPREADS: Final = 5.0
-"""Errors are taken to be no further from their mean, in standard deviations: one of 2 million normal ones is."""
+"""Largest error that is assumed, in standard deviations from the mean: one of 2 million normal errors exceeds it."""
 
 _SAME_HEIGHT_M = 1e-9
 
 AT_A_TIME: Final = 256
-"""Worlds that are made together: with 43 boxes each the largest arrays take 8 MB."""
+"""Number of worlds that are made together: with 43 boxes each the largest arrays take 8 MB."""
 
 
 def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: int = 0) -> Scene:
     """The scene of a plan under a variant's placement change; its drive is not used here.
 
     When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways. A hand
-    then takes each box to where it finds room; boxes that appear at their places do so at the nearest ones at which
-    none is in another (petmjx.world.release_places). Boxes are set down on the actual tops of those below. Placement
+    then takes each box to a place with room. Boxes that appear do so at the nearest places at which none overlaps
+    another (petmjx.world.release_places). Boxes are set down on the actual tops of the boxes below. Placement
     errors in x, y and yaw change ``start_pos`` and ``start_quat``; a box whose new place is over a slightly higher
     neighbour is released above it. No box starts inside another one vertically. ``target``, from which shifts are
     measured, stays at the planned x and y; its z is the height at which the box really stands, so that a tolerance in
-    height is no shift. With errors of places or sizes boxes are placed as for errors (``PlacementState.for_errors``).
+    height is no shift. With errors of places or sizes the way of placing is ``Placing.for_errors``.
 
     Args:
         standing: this many first boxes stand already and keep their sizes, places and masses.
 
     Returns:
-        The same object where nothing changes.
+        The same object if nothing changes.
     """
     return next(apply_all(scene, plan_id, (variant,), seed, standing=standing))
 
@@ -235,7 +232,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
 def apply_all(
     scene: Scene, plan_id: str, variants: Iterable[Variant], seed: int, *, standing: int = 0
 ) -> Iterator[Scene]:
-    """The scene of each variant, as :func:`apply` makes it: to the last bit, whatever the company."""
+    """The scene of each variant, identical to the last bit with that of :func:`apply`, whatever the other variants."""
     for change, group in itertools.groupby(variants, key=lambda variant: variant.placement):
         for some in _variant_batches(group):
             if change == UNCHANGED:
@@ -252,7 +249,8 @@ def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
-    """The scenes of worlds that differ in their random numbers alone. Arrays have a row a world, or one for all."""
+    """The scenes of worlds that differ only in their random numbers. Arrays have one row for each world, or one for
+    all."""
     n = scene.n_boxes
 
     def drawn(error: Distribution, purpose: str, *shape: int) -> FloatArray:
@@ -296,7 +294,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
     fields = (slippery, half_size, mass, target, start_pos, start_quat)
-    # one and the same object where worlds do not differ: pickles and tables have it once
+    # one shared object if worlds do not differ: pickles and tables then have it once
     columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in fields)
     for _, base, half, kg, planned, place, turn in zip(keys, *columns, strict=False):
         yield replace(
@@ -312,7 +310,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
 
 
 def _with_friction(scene: Scene, change: PlacementChange, factor: float) -> Scene:
-    """The scene with other friction, by the change and by this factor."""
+    """The scene with its friction changed by ``change`` and by this factor."""
     of_boxes, of_carrier = change.box_friction_factor * factor, change.carrier_friction_factor * factor
     if of_boxes == 1 and of_carrier == 1:
         return scene
@@ -359,7 +357,7 @@ def _overlap_mask(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
 def _with_room(
     scene: Scene, change: PlacementChange, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray, standing: int
 ) -> FloatArray:
-    """(m, n, 2) level places of boxes that appear there, none in another one."""
+    """(m, n, 2) horizontal places at which boxes appear without overlapping."""
     above = _lower(scene)[0]
     beside = ~(above | above.T)
     movable = np.arange(scene.n_boxes) >= standing
@@ -369,7 +367,7 @@ def _with_room(
 
 
 def _farthest_m(scene: Scene, change: PlacementChange) -> float:
-    """How far apart in the plan two boxes may be that meet because of their errors, m."""
+    """Largest planned distance of two boxes that may meet because of their errors, m."""
     x, y, size, share, yaw = (
         abs(error.centre) + MOST_SPREADS * error.spread
         for error in (change.x_mm, change.y_mm, change.size_mm, change.size_rel, change.yaw_deg)
@@ -379,8 +377,8 @@ def _farthest_m(scene: Scene, change: PlacementChange) -> float:
 
 
 def _lower(scene: Scene) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-    """(n, n) whether the column's box is one on which the row's could be set down, by their planned heights, and (n,)
-    the boxes from the bottom up."""
+    """(n, n) whether the row's box could be set down on the column's box, by their planned heights, and (n,) the boxes
+    from the bottom up."""
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
     order = np.argsort(planned_bottom, kind="stable")

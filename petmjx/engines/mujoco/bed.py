@@ -1,4 +1,4 @@
-"""Faces of boxes that give, pressed on one another, in MuJoCo's data. The law: petmjx/world/compliance.py."""
+"""Contacts between faces of boxes that give, as beds of springs in MuJoCo's data. Law: petmjx/world/compliance.py."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from petmjx.world.compliance import (
 from petmjx.world.scene import Scene
 
 PARALLEL: Final = 1e-6
-"""Sine below which two edges are parallel; their distance is then that at their middles."""
+"""Sine below which two edges are parallel; their distance is then the one at their middles."""
 
 _LEVEL: Final = 1e-12
 """Slope below which depth is the same everywhere."""
 
 _FAR_M: Final = 1e3
-"""How far off the line of depth 0 then is."""
+"""Distance of the line of depth 0 if depth is the same everywhere."""
 
 _LEAST_MOMENT_M2: Final = 1e-18
 """Second moment below which an area is a line."""
@@ -40,7 +40,7 @@ _EAST: Final = np.array([1.0, 0.0, 0.0])
 _NEXT: Final = [1, 2, 0]
 _LAST: Final = [2, 0, 1]
 _FACES: Final = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-"""The axis of a face, and those of its edges."""
+"""For each axis of a box: the normal of a face, and the axes of its edges."""
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 _ASIDE: Final = np.array([1.0, -1.0])
 _WAYS: Final = np.array([-1.0, 1.0])
@@ -66,14 +66,14 @@ _FIELDS: Final = (
     "exclude",
     "efc_address",
 )
-"""Of a contact in MuJoCo's data."""
+"""Fields of a contact in MuJoCo's data."""
 
 
 class Beds:
-    """Puts contacts of faces of boxes that give in the places where they have the forces and moments of a bed.
+    """Moves contacts of faces of boxes that give to points at which they have the forces and moments of a bed.
 
     Args:
-        bodies: (ngeom,) of the geoms, as ``petmjx.world.mujoco_model.geom_bodies`` gives them.
+        bodies: (ngeom,) body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
     """
 
     def __init__(self, scene: Scene, physics: Physics, model: mujoco.MjModel, bodies: NDArray[np.intp]) -> None:
@@ -85,7 +85,7 @@ class Beds:
         self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
 
     def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """As ``mj_step1``, to the last bit but for the beds."""
+        """As ``mj_step1``, identical to the last bit except for the beds."""
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)
         mujoco.mj_kinematics(model, data)
@@ -100,12 +100,12 @@ class Beds:
         mujoco.mj_fwdVelocity(model, data)
 
     def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Replace the collider's contacts of faces, one of which gives, by those of a bed."""
+        """If one of two faces gives, replace the collider's contacts between them by those of a bed."""
         count = data.ncon
         if not count:
             return
         geom = data.contact.geom
-        # the collider gives a pair's contacts one after the other
+        # the collider lists the contacts of a pair one after the other
         begin = np.flatnonzero(np.concatenate([_TRUE, (geom[1:] != geom[:-1]).any(axis=1)]))
         length = np.diff(begin, append=count)
         one, two = geom[begin].T
@@ -139,7 +139,7 @@ class Beds:
 
 
 def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) -> bool:
-    """Let contacts be those of these numbers; returns whether there is room for them."""
+    """Replace the contacts by those with these numbers; returns whether the buffer has room for them."""
     values = {name: np.array(getattr(data.contact, name))[source] for name in _FIELDS}
     for _ in range(len(source) - data.ncon):
         if mujoco.mj_addContact(model, data, mujoco.MjContact()):
@@ -151,7 +151,7 @@ def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) 
 
 
 def frames(normal: FloatArray) -> FloatArray:
-    """(p, 9) frames of contacts with these unit normals (p, 3), as MuJoCo's ``mju_makeFrame`` has them."""
+    """(p, 9) frames of contacts with these (p, 3) unit normals, equal to those of MuJoCo's ``mju_makeFrame``."""
     other = np.where(np.abs(normal[:, 1:2]) < 0.5, _Y, _Z)
     one = _unit(other - (other * normal).sum(axis=1, keepdims=True) * normal)
     return np.concatenate([normal, one, _cross(normal, one)], axis=1)
@@ -165,18 +165,18 @@ def face_pressure(
     two: NDArray[np.integer],
     normal: FloatArray,
 ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Where faces of boxes press on one another, for p pairs.
+    """The pressure of p pairs of faces on one another, as four contact points each.
 
     Args:
         pos: (n, 3) middles, m.
         turn: (n, 9) rotations, row by row.
         half: (n, 3) half sizes, m.
         one, two: (p,) boxes.
-        normal: (p, 3) of the collider, from the first to the second.
+        normal: (p, 3) normals of the collider, from the first box to the second.
 
     Returns:
-        (p,) whether they are faces; (p, 3) unit normals; (p, 4, 3) points, m; (p, 4) depths, m; (p,) area that is
-        pressed, m²; (p,) area as on which the faces are stiff at least, m².
+        (p,) whether two faces meet; (p, 3) unit normals; (p, 4, 3) points, m; (p, 4) depths, m; (p,) pressed area, m²;
+        (p,) least area that counts for stiffness, m².
     """
     count = len(one)
     boxes, toward = np.concatenate([one, two]), np.concatenate([normal, -normal])
@@ -185,7 +185,7 @@ def face_pressure(
     rows = np.arange(2 * count)[:, None]
     order = _FACES[np.abs(along).argmax(axis=1)]
     reach = half[boxes][rows, order]
-    # half axes of the face that looks most this way: out of the box, and along both edges
+    # half axes of the face whose normal is nearest to this direction: out of the box, and along both edges
     directions = columns[rows, order]
     directions[:, 0] *= np.copysign(1.0, along[rows, order[:, :1]])
     axes = directions * reach[:, :, None]
@@ -241,11 +241,11 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
-    """Fill in the sides of two parallelograms as lines: what x, y and 1 are multiplied by is the distance inside one.
+    """Fill in the sides of two parallelograms as lines: coefficients of x, y and 1 whose sum is the distance inside.
 
     Args:
         edges: (p, 2, 2, 2) half edges: parallelogram, edge, coordinate.
-        at: (p, 2) middle of the first one; that of the second one is the origin.
+        at: (p, 2) middle of the first parallelogram; that of the second is the origin.
         lines: (p, 9, 3), of which eight are filled in.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
@@ -260,13 +260,13 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
 
 def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The common inside of lines: (p,) area, (p,) area without the last line, (p,) how far from the last line it
-    reaches, (p, 2) centroid and (p, 2, 2) root of the second moments for each area.
+    """The region inside all lines: (p,) area, (p,) area without the last line, (p,) how far the region reaches from the
+    last line, (p, 2) centroid and (p, 2, 2) root of the second moments per area.
 
     Each edge is a line cut off by all others; area and moments are sums over edges (Green's theorem).
 
     Args:
-        lines: (p, k, 3) as ``_sides`` gives them.
+        lines: (p, k, 3) in the form of ``_sides``.
     """
     across, offset = lines[:, :, :2], lines[:, :, 2]
     along = across[:, :, ::-1] * _ASIDE
@@ -275,7 +275,7 @@ def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     parallel = np.abs(sine) < PARALLEL
     inside = offset[:, None, :] - offset[:, :, None] * np.where(parallel, np.rint(cosine), cosine)
     cut = -inside / np.where(parallel, 1.0, sine)
-    # of two lines in the same place the first one is an edge
+    # if two lines coincide, the first one is an edge
     outside = parallel & ((inside < 0) | ((inside == 0) & _LATER))
     low = np.where(sine >= PARALLEL, cut, -_FAR_M)
     high = np.where(sine <= -PARALLEL, cut, np.where(outside, -np.inf, _FAR_M))

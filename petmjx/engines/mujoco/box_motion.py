@@ -1,4 +1,4 @@
-"""Shift, tilt, drop, excess and speed of boxes (NumPy). Twin of ``motion_jax``, without shared arithmetic."""
+"""Shift, tilt, drop, excess and speed of boxes (NumPy). Twin: petmjx/engines/mjx/box_motion.py, without shared code."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArr
     """(…, n, 3) displacement from the planned centre, m; components under ``floor_m`` count as 0.
 
     Args:
-        sinks_m: (n,) how far boxes are meant to come down, which is no displacement; None: not at all.
+        sinks_m: (n,) how far boxes should come down, which is no displacement; None: not at all.
     """
     delta = pos - target
     if sinks_m is not None:
@@ -63,7 +63,7 @@ def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
 
 
 def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) how far a point of each box has moved at most, m: ‖Δc‖ + r·2·‖Δq‖, for small turns.
+    """(n,) largest distance by which a point of each box has moved, m: ‖Δc‖ + r·2·‖Δq‖, for small turns.
 
     Args:
         before, after: (n, 7) centres, m, and unit quaternions.

@@ -1,4 +1,4 @@
-"""How long a world on C MuJoCo may take: a step has no bound of its own where boxes are in one place, or collapse."""
+"""Time budget of a world on C MuJoCo: steps may take any time if boxes are in one place, or collapse."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
 """CPU time that any world may take, s. Static checks of third-party plans of up to 241 boxes take up to 6 s."""
 
 MOST_TIMES: Final = 20.0
-"""How many times as long as expected a world may take. Of plans that collapse the slowest take five times as long."""
+"""Largest time of a world as a multiple of the expected one. The slowest plans that collapse take five times it."""
 
 LONG_S: Final = 5.0
-"""Wall-clock time after which it is shown how far a world is, s."""
+"""Wall-clock time after which the progress of a world is shown, s."""
 
 SLOW_S: Final = 0.05
-"""Time between two looks from which on each step is looked at, s."""
+"""Time between two checks of the budget from which on it is checked after each step, s."""
 
 
 class Budget:
-    """The time of one attempt at a world. Made, and asked, in the thread that simulates it.
+    """The time of one attempt at a world. Made and checked in the thread that simulates it.
 
     Args:
-        timeout_s: wall-clock time, s; None: the CPU time that ``LEAST_S`` and ``MOST_TIMES`` allow. Soft boxes have no
-            end then, since their time is not estimated.
+        timeout_s: wall-clock time, s; None: the CPU time that ``LEAST_S`` and ``MOST_TIMES`` allow. Worlds with soft
+            boxes then have no limit, since their time is not estimated.
 
     Attributes:
-        slow: whether the time between the last two looks was ``SLOW_S`` or more.
+        slow: whether the time between the last two checks was ``SLOW_S`` or more.
     """
 
     def __init__(self, job: Job, sim: Simulation, timeout_s: float | None = None) -> None:
@@ -45,7 +45,7 @@ class Budget:
         self.slow = False
 
     def is_spent(self, steps: int, placed: int) -> bool:
-        """Whether the time is up. steps: of the world so far; ``placed``: boxes that are there."""
+        """Whether the time is up. ``steps``: of the world so far; ``placed``: number of placed boxes."""
         self._steps, self._placed = steps, placed
         now_s = self._clock()
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
@@ -60,7 +60,7 @@ class Budget:
 
     @property
     def so_far(self) -> str:
-        """How far a world is that takes long, for those who wait; empty before. Any thread may ask."""
+        """Progress of a world that takes long, as text for the user; empty before. Any thread may call it."""
         seconds = time.monotonic() - self._made_s
         if seconds < LONG_S:
             return ""
@@ -68,7 +68,7 @@ class Budget:
 
     @property
     def words(self) -> str:
-        """That it is spent, in one line."""
+        """One line that says that the budget is spent."""
         kind = "" if self._timeout_s is not None else " of CPU time"
         return f"no verdict within {duration(self._most_s)}{kind}: {self._reach}; world_timeout_s allows more"
 

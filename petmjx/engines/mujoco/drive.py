@@ -1,4 +1,4 @@
-"""What shakes a world on C MuJoCo: a drive's rows of force or acceleration, and when they change."""
+"""The drive of a world on C MuJoCo: rows of force or acceleration, and the steps at which they change."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class ActingDrive:
     """A drive that begins after a step.
 
     Args:
-        begin: the step.
+        begin: the step after which it begins.
         gravity: (3,) m/s².
 
     Attributes:
-        holds_carrier: whether it accelerates the carrier, which is then held fast.
+        holds_carrier: whether it is an acceleration of the carrier, which is then clamped.
     """
 
     def __init__(self, drive: Drive, begin: int, total_mass: float, gravity: FloatArray) -> None:
@@ -32,19 +32,19 @@ class ActingDrive:
         self._changes = begin + np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
 
     def wrap(self, scene: Scene, timestep_s: float, live: LiveWorld) -> None:
-        """Put film around the boxes where they are."""
+        """Put film around the boxes at their present places."""
         if scene.wrap.holds:
             self._film = ActingFilm(scene, timestep_s, live.from_carrier()[0])
 
     def next_change(self, step: int) -> int:
-        """The first step after this one before which another row begins to act, or film."""
+        """The first step after this one before which another row, or film, begins to act."""
         if self._film is not None:
             return step + 1
         place = int(np.searchsorted(self._changes, step, side="right"))
         return int(self._changes[place]) if place < len(self._changes) else NEVER
 
     def acts(self, step: int) -> bool:
-        """Whether one of its rows acts during the step after this one."""
+        """Whether a row acts during the step after this one."""
         return step - self.begin < len(self._rows) - 1
 
     def act(self, step: int, live: LiveWorld) -> None:

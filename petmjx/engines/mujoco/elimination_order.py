@@ -1,11 +1,11 @@
-"""In which order the boxes of a world are eliminated when its Hessian is factorised.
+"""Elimination order of the boxes of a world in the factorisation of its Hessian.
 
 Newton's method factorises M + JᵀDJ in every iteration, and updates the factor for each contact that slides. Two boxes
-that touch share an entry of it, and eliminating a box joins all its neighbours (fill-in). In packing order whole layers
-are joined. In the order of *minimum degree* (Tinney and Walker, "Direct solutions of sparse network equations by
-optimally ordered triangular factorization", 1967; George and Liu, "The evolution of the minimum degree ordering
-algorithm", 1989) the factor of a full pallet of 150 boxes has a third of the blocks, and a tenth of the operations. The
-order changes nothing but the last digits of a step.
+that touch share an entry of the matrix, and eliminating a box joins all its neighbours (fill-in). In packing order
+whole layers are joined. In the order of *minimum degree* (Tinney and Walker, "Direct solutions of sparse network
+equations by optimally ordered triangular factorization", 1967; George and Liu, "The evolution of the minimum degree
+ordering algorithm", 1989) the factor of a full pallet of 150 boxes has a third of the blocks, and a tenth of the
+operations. The order changes only the last digits of a step.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from petmjx.common.units import FloatArray
 from petmjx.world.scene import Scene
 
 NEAR_M = 0.005
-"""Boxes that are nearer than this at their release may come to touch: neighbours of a plan are a size reduction of
+"""Boxes that are nearer than this at their release may come to touch. Neighbours of a plan are a size reduction of
 0.1 mm apart, and a few of them stand on boxes of different heights."""
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) the first boxes in the order in which their bodies cost least.
+    """(n_boxes,) the first boxes in the cheapest order of their bodies.
 
     MuJoCo eliminates the last body first. The carrier, which touches a whole layer, is the first body in any case.
 
     Args:
         contacts: (m, 2) pairs of boxes that touch now, carrier and floor left out.
-        shaken: boxes will touch their neighbours at the sides. Else only boxes that stand on one another count, since a
-            pallet that stands has few other contacts, and they would cost half as many operations again.
+        shaken: True: boxes will touch their neighbours at the sides. False: only boxes that stand on one another count.
+            A pallet that stands has few other contacts, and counting these would cost half as many operations again.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)
     first, second = contacts.T
@@ -49,7 +49,8 @@ def _may_touch(centre: FloatArray, half: FloatArray, beside_m: float) -> NDArray
 
 
 def minimum_degree(joined: NDArray[np.bool_]) -> list[int]:
-    """Nodes of a graph, each time the one that has the fewest neighbours then; the lowest number where several have.
+    """The nodes of a graph in order of minimum degree: next comes the node with the fewest neighbours then; of several
+    the one with the lowest number.
 
     Args:
         joined: (k, k) symmetric; the diagonal does not count.

@@ -27,7 +27,7 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S: Final = 0.25
-"""Longest wait for a world, s: a signal that comes in the moment before it is noticed after it."""
+"""Longest wait for a world, s: a signal that arrives just before the wait is noticed only after it."""
 
 
 class MujocoEngine(Engine):
@@ -36,12 +36,12 @@ class MujocoEngine(Engine):
     ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
     does not depend on the number of threads.
 
-    A world whose simulation raises (a model that does not compile, no memory, an error of MuJoCo) is invalid; the
-    others go on.
+    A world whose simulation raises (a model that does not compile, no memory, an error of MuJoCo) is invalid; other
+    worlds go on.
 
     Args:
         threads: number of worlds simulated at once; None: as many CPU threads as this process may use.
-        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: by what is expected of it
+        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: a limit from its expected time
             (petmjx/engines/mujoco/cpu_budget.py).
     """
 
@@ -89,7 +89,7 @@ class MujocoEngine(Engine):
                     finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
                     last_line = _say(progress, last_line, "" if finished else _oldest(running))
                     if not finished and progress.pauses:
-                        yield None  # type: ignore[misc]  # who asked for pauses takes it
+                        yield None  # type: ignore[misc]  # only with ``Progress.pauses``
                     outcomes = [future.result() for future in finished]
                     for more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
                         progress.at_hand = more
@@ -103,17 +103,18 @@ class MujocoEngine(Engine):
 
 
 def _oldest(running: Mapping[int, Budget]) -> str:
-    """How far the world is that began first, if it takes long; empty: none does."""
+    """Progress of the world that began first, if it takes long; else empty."""
     with suppress(ValueError, KeyError, RuntimeError):  # worlds begin and end meanwhile
         return running[min(running)].so_far
     return ""
 
 
 def _say(progress: Progress, last_line: str, words: str) -> str:
-    """Show how far a world is, unless something else is to be said. Returns what is shown.
+    """Show the progress of a world, unless another message is shown. Returns the line that is shown.
 
     Args:
-        said: what was shown before; ``words``: what there is to show now.
+        last_line: the line that was shown before.
+        words: the line to show now.
     """
     if progress.message != last_line:
         return last_line
@@ -129,7 +130,7 @@ def _simulate(
     timeout_s: float | None,
     running: dict[int, Budget],
 ) -> tuple[Outcome, float]:
-    """A world's outcome, and the CPU time of this thread that it took, s. running: times of worlds that run, by job."""
+    """A world's outcome, and the CPU time of this thread for it, s. ``running``: budgets of running worlds, by job."""
     begin_s = time.thread_time()
     try:
         running[index] = budget = Budget(job, sim, timeout_s)

@@ -13,7 +13,7 @@ from petmjx.world.scene import Scene
 
 
 class ActingFilm:
-    """Film that holds boxes where they are now.
+    """Film that holds boxes at the places at which it was put on.
 
     Args:
         pos: (n, 3) centres of mass of the boxes, less that of the carrier, m.
@@ -25,10 +25,10 @@ class ActingFilm:
         self._home, self._anchor = pos.copy(), pos.copy()
 
     def forces(self, pos: FloatArray, vel: FloatArray) -> FloatArray:
-        """(n, 3) forces on boxes during the step to come, N. Where the film slips it holds from another place on.
+        """(n, 3) forces on boxes during the next step, N. If film slips, the place at which it holds the box moves.
 
         Args:
-            pos, vel: (n, 3) of centres of mass, less those of the carrier, m and m/s.
+            pos, vel: (n, 3) positions and velocities of centres of mass, less those of the carrier, m and m/s.
         """
         rate, hold = self._rate_1_s, self._film.hold[:, None]
         spring = self._mass * rate**2 * (self._anchor - pos)

@@ -1,4 +1,4 @@
-"""Takes the frames of one world on C MuJoCo: poses after a step, and what acted on the boxes during it."""
+"""Records the frames of one world on C MuJoCo: poses after a step, and forces and accelerations during it."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class WorldRecorder:
     """The frames of one world.
 
     Args:
-        record: which frames, and whether with details.
-        timestep_s: of the simulation, s.
+        record: the frames to take, with or without details.
+        timestep_s: timestep of the simulation, s.
     """
 
     def __init__(self, record: Record, job: Job, timestep_s: float) -> None:
@@ -46,7 +46,7 @@ class WorldRecorder:
         self._begun = False
 
     def is_due(self, step: int) -> bool:
-        """Whether a frame is taken after this step, whatever happens. There is none before the first placement."""
+        """Whether a frame is surely taken after this step. There is none before the first placement."""
         return self._begun and step % self._every == 0
 
     def next_after(self, step: int) -> int:
@@ -56,18 +56,18 @@ class WorldRecorder:
         return step + self._every - step % self._every
 
     def look(self, step: int, live: LiveWorld) -> None:
-        """Take a frame after a step, unless there is one. It must be taken before the world is changed: what acted
-        during the step is then gone."""
+        """Take a frame after a step, unless it has been taken. This must happen before the world is changed: the forces
+        during the step are lost then."""
         if self._frames and self._frames[-1].step == step:
             return
         self._take(step, live, acted=True)
 
     def begin(self, step: int, live: LiveWorld) -> None:
-        """Take the first frame of a world that starts from a settled state. What acted then is not known any more."""
+        """Take the first frame of a world that starts from a settled state. Its forces are not known any more."""
         self._take(step, live, acted=False)
 
     def place(self, live: LiveWorld) -> None:
-        """Put a box that was just placed into the frame of this step. Nothing has acted on it yet."""
+        """Put a box that was just placed into the frame of this step. No force has acted on it yet."""
         frame, box = self._frames[-1], live.n_placed - 1
         frame.placed = live.n_placed
         frame.pose[box] = live.pose[box]
@@ -122,8 +122,8 @@ def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: b
     """All contacts of the last step.
 
     Args:
-        bodies: (ncon, 2) the partners of each, as ``LiveWorld.contact_bodies`` gives them.
-        frame: the number that these contacts get.
+        bodies: (ncon, 2) the partners of each contact (``LiveWorld.contact_bodies``).
+        frame: frame number of these contacts.
     """
     body = bodies.astype(np.int32)
     axes = np.array(data.contact.frame).reshape(-1, 3, 3)
@@ -142,7 +142,7 @@ def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: b
 
 
 def _penetration(contacts: Contacts, n_placed: int) -> FloatArray:
-    """(n_placed,) greatest depth of any contact of each box, m; 0 where it touches nothing."""
+    """(n_placed,) greatest depth of any contact of each box, m; 0 if it touches nothing."""
     depth = np.zeros(n_placed)
     for side in range(2):
         box = contacts.body[:, side]

@@ -31,10 +31,11 @@ class Hand:
     Attributes:
         begin, end: (3,) origins of its frame at the way's ends, m.
         quat: (4,) how it is held.
-        steps: of the way; ``taken``: steps since it began.
-        falls: whether it is let go at the way's end, to fall.
-        lowered_from: as ``taken``, from when on it is set down.
-        short_m: how far from the way's end the box was after the last step.
+        steps: number of steps of the way.
+        taken: steps since the way began.
+        falls: whether the box is let go at the end of the way, to fall.
+        lowered_from: value of ``taken`` from which on the box is set down.
+        short_m: distance of the box from the end of the way after the last step, m.
     """
 
     scene: Scene
@@ -52,15 +53,15 @@ class Hand:
 
     @property
     def missed(self) -> bool:
-        """Whether the box is so far from its place that it could not be placed, once the hand has let go."""
+        """Whether the box is too far from its place to count as placed, once the hand has let go."""
         return self.short_m > MISSED_M
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
-        """Whether it lets go after a step in which it has carried the box: when that has arrived and rests. Unless it
-        is to fall from there, the box is set down first.
+        """Whether the hand lets go after a step in which it carried the box: once the box has arrived and rests. A box
+        that does not fall from there is set down first.
 
         Args:
-            pose: (7,) of its frame, m and quaternion.
+            pose: (7,) of the box's frame, m and quaternion.
             slow: whether the box is as slow as those of a quiet pallet.
         """
         self.taken += 1
@@ -77,11 +78,11 @@ class Hand:
         return False
 
     def wrench(self, pose: FloatArray, velocity: FloatArray) -> FloatArray:
-        """(6,) force, N, and moment, N·m, in world axes, that act during the step to come.
+        """(6,) force, N, and moment, N·m, in world axes, of the hand during the next step.
 
-        The spring and the damper are between the box and the point that it should follow. To them comes the force that
-        moves a free box along with that point to the last digit; together they are limited, and so is the moment. The
-        weight comes on top. A box that is being set down only has a damper, which may also bear its weight.
+        The spring and the damper are between the box and the point that it should follow. A third force moves a free
+        box along with that point to the last digit. Their sum is limited, and so is the moment. The weight is added
+        after that. A box that is being set down has only a damper, which may also bear its weight.
 
         Args:
             pose: (7,) of its frame, m and quaternion.
@@ -110,7 +111,7 @@ class Hand:
 
 
 def _limited(vector: FloatArray, most: float) -> FloatArray:
-    """A vector, or one of the same direction that is not longer than this."""
+    """The vector, shortened to the length ``most`` if it is longer."""
     length = float(np.linalg.norm(vector))
     return vector if length <= most else vector * (most / length)
 

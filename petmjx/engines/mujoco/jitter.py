@@ -1,4 +1,4 @@
-"""Which boxes tremble (docs/rules.md, section 5), for a world of the C engine. Twin: petmjx/engines/mjx/jitter.py."""
+"""Finds trembling boxes (docs/rules.md, section 5) in a world of the C engine. Twin: petmjx/engines/mjx/jitter.py."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def _no_boxes() -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Jitter:
-    """What is known of the boxes that tremble after a look; each look makes another one.
+    """State of the search for trembling boxes after a look; each look makes a new one.
 
     Attributes:
-        boxes: (n,) which do, of those that have been looked at since the last one was placed.
-        looks: at as many boxes.
-        home: (n, 7) poses at the beginning of the period that is measured.
-        path_m, away_m: (n,) the way that each box has gone since, and how far it has been from its pose there, m.
+        boxes: (n,) which of the boxes seen at looks since the last placement tremble.
+        looks: number of looks at this number of boxes.
+        home: (n, 7) poses at the beginning of the measured period.
+        path_m, away_m: (n,) length of each box's way since then, and its largest distance from ``home``, m.
     """
 
     boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
@@ -35,7 +35,7 @@ class Jitter:
     away_m: FloatArray | float = 0.0
 
     def which(self, n: int) -> NDArray[np.bool_]:
-        """(n,) which of the n placed boxes tremble. Once another one has been placed, that is not known."""
+        """(n,) which of the n placed boxes tremble. After another placement this is not known."""
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:

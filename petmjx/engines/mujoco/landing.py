@@ -1,4 +1,4 @@
-"""Landings on C MuJoCo: what stops boxes that arrive fast, and how they bounce. The law:
+"""Landings on C MuJoCo: contacts that stop boxes that arrive fast, and let them bounce. The law:
 petmjx/world/contact_laws.py."""
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
-"""Root of the sum of squares of all accelerations, m/s² and rad/s², up to which steps are taken many at a time: in five
-steps a box becomes faster by at most 5 mm/s."""
+"""Largest root of the sum of squares of all accelerations, m/s² and rad/s², with which many steps are taken at a time:
+in five steps a box becomes faster by at most 5 mm/s."""
 
 
 class MovingWorld(Protocol):
-    """What of a ``petmjx.engines.mujoco.live_world.LiveWorld`` landings need."""
+    """The part of ``petmjx.engines.mujoco.live_world.LiveWorld`` that landings need."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -38,10 +38,10 @@ class MovingWorld(Protocol):
 
 
 class Landings:
-    """Which boxes of a world land, and how fast all were before.
+    """The boxes of a world that land, and their velocities before.
 
     Attributes:
-        left: (n,) steps for which each box counts as landing; 0: it does not.
+        left: (n,) remaining steps for which each box counts as landing; 0: it does not land.
         before: (n, 6) velocities of boxes that land, before they touched.
     """
 
@@ -55,13 +55,13 @@ class Landings:
         self._placed = 0
 
     def fork(self) -> Landings:
-        """The same for a twin of the world."""
+        """A copy for a fork of the world."""
         twin = Landings(self._scene, self._sim)
         twin.left[:], twin.before[:], twin._placed = self.left, self.before, self._placed
         return twin
 
     def extended(self, scene: Scene) -> Landings:
-        """The same for a world of more boxes."""
+        """A copy for the world after boxes were added."""
         twin = Landings(scene, self._sim)
         twin.left[: len(self.left)], twin.before[: len(self.left)] = self.left, self.before
         return twin
@@ -77,7 +77,7 @@ class Landings:
         return _is_slow(data.qvel) and bool(acceleration.dot(acceleration) < CALM_M_S2**2)
 
     def act(self, live: MovingWorld) -> None:
-        """Between collision and solver: find boxes that begin to land, and change the contacts while any does."""
+        """Between collision and solver: find boxes that begin to land, and change the contacts while any box lands."""
         data, left = live.data, self.left
         landing = bool(left.any())
         if landing:

@@ -1,4 +1,4 @@
-"""A MuJoCo world that grows while boxes are placed: model, data, and the array views that the rules need."""
+"""Live worlds: a MuJoCo world that grows while boxes are placed, with model, data and array views for the rules."""
 
 from __future__ import annotations
 
@@ -56,21 +56,21 @@ class LiveWorld:
     Boxes that are in the model but not placed yet hang far apart in the air, each held by a force equal to its weight.
     They touch nothing, so they do not influence the pallet.
 
-    With pyramidal cones another body represents them (``petmjx.engines.mujoco.waiting_boxes``).
+    With pyramidal cones another body represents waiting boxes (``petmjx.engines.mujoco.waiting_boxes``).
 
-    The bodies of a large plan are in an order of their own (``petmjx.engines.mujoco.elimination_order``), those of
-    others in packing order, and all with pyramidal cones, as in the reference implementation, to the last bit. All that
-    this class gives and takes has rows in packing order.
+    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``). Those of smaller
+    plans are in packing order. With pyramidal cones all are in packing order, as in the reference implementation, to
+    the last bit. All arrays that this class takes and returns have rows in packing order.
 
     Args:
-        templates: for worlds that stay open, whose models are filled in instead of compiled.
-        held: the carrier is clamped there from the beginning.
+        templates: for open worlds, whose models are filled in instead of compiled.
+        held: pose at which the carrier is clamped from the beginning; None: it is free.
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
-        hand: carries the last of the placed boxes; None: all are let go.
-        geom_bodies: (ngeom,) the box that each geom belongs to, or ``CARRIER`` or ``FLOOR``.
-        pyramidal: whether friction cones are.
+        hand: carries the last of the placed boxes; None: all boxes are let go.
+        geom_bodies: (ngeom,) the body to which each geom belongs: a box, ``CARRIER`` or ``FLOOR``.
+        pyramidal: whether friction cones are pyramidal.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class LiveWorld:
         self._take(ModelInstance(model, mujoco.MjData(model)))
 
     def _take(self, made: ModelInstance) -> None:
-        """Use this model and data, which have the boxes in their order."""
+        """Use this model and data, whose bodies are in ``order``."""
         self.model, self.data = made
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
@@ -143,17 +143,17 @@ class LiveWorld:
 
     @cached_property
     def release(self) -> Release:
-        """Where boxes are released; worlds that start from a settled state release none."""
+        """The release places of boxes; worlds that start from a settled state release none."""
         return release_of(self.scene, self._sim)
 
     @cached_property
     def course(self) -> ApproachPath | None:
-        """How boxes come to their places; None: they appear there."""
+        """The approach paths of the boxes; None: they appear at their places."""
         return approach_path_of(self.scene, self._sim)
 
     @property
     def n_free(self) -> int:
-        """Boxes that were released: all placed boxes except one that is still carried."""
+        """Number of released boxes: all placed boxes except one that is still carried."""
         return self.n_placed - (self.hand is not None)
 
     @property
@@ -195,19 +195,19 @@ class LiveWorld:
             self._forces(box)[2] = self.scene.mass[box] * self._sim.physics.gravity_m_s2
 
     def extend(self, scene: Scene) -> None:
-        """The scene has more boxes behind those that it had."""
+        """Replace the scene by one with more boxes behind its earlier ones."""
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
-        for name in ("release", "course"):  # are worked out anew
+        for name in ("release", "course"):  # are computed again
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
-        """A world of its own in the same state, to the last bit.
+        """An independent world in the same state, to the last bit.
 
         Args:
-            grows: a box is placed in it before anything else. Where that makes a new model, the old one's data are only
-                read, and are not copied.
+            grows: True: a box is placed in it first. If this makes a new model, the data of the old one are only read
+                and not copied.
         """
         twin = copy.copy(self)
         twin._landings = self._landings and self._landings.fork()
@@ -220,7 +220,7 @@ class LiveWorld:
         return twin
 
     def give_back(self) -> None:
-        """Lend the model and its data to other worlds. This one is not used any more."""
+        """Return the model and its data to the templates, for other worlds. This world must not be used any more."""
         if self._templates is not None and self._templates.fits(self.scene):
             self._templates.give_back(ModelInstance(self.model, self.data), self.scene, self.capacity)
 
@@ -234,7 +234,7 @@ class LiveWorld:
         return row
 
     def place_next(self) -> None:
-        """Put the next box where it is released, at rest; or where it begins to fall, or is carried from."""
+        """Place the next box: at rest at its release place, or at the begin of its fall or of its approach path."""
         if self.n_placed == self.capacity:
             self._grow()
         box = self.n_placed
@@ -255,10 +255,10 @@ class LiveWorld:
             press_waiting(self.model, self.data, waiting_kg, self._sim.physics.gravity_m_s2)
 
     def _take_up(self, course: ApproachPath, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) where a box begins, m, and (4,) how it is turned; a hand may then have it.
+        """(3,) the place at which a box begins, m, and (4,) its orientation. A carried box then has a hand.
 
         Args:
-            rest: (3,) where it would rest, m.
+            rest: (3,) the place at which it would rest, m.
         """
         scene, physics = self.scene, self._sim.physics
         end, quat = rest + course.lift[box], course.quat[box]
@@ -277,7 +277,7 @@ class LiveWorld:
         return begin, quat
 
     def carry_on(self, slow: bool) -> bool:
-        """After a step in which a box was carried: whether it is let go now. ``slow``: as in ``Hand.has_let_go``."""
+        """After a step in which a box was carried: whether it is let go now. ``slow``: see ``Hand.has_let_go``."""
         hand = self.hand
         if hand is None or not hand.has_let_go(self._poses[self._row[hand.box]], slow):
             self._carry()
@@ -293,9 +293,9 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released; step by step where boxes give, land, or may slide.
+        """Advance by ``count`` steps in C, with the GIL released; step by step if boxes give, land, or may slide.
 
-        Looks whether anything moves come after every few steps of the world, however many each call takes.
+        Motion is checked after every few steps of the world, however many steps a call takes.
         """
         while count > 0:
             if self._looked == 0:
@@ -377,7 +377,7 @@ class LiveWorld:
         return np.array(self.data.qpos[:7])
 
     def hold_carrier(self) -> None:
-        """Clamp the carrier where it is. The boxes keep their poses and velocities."""
+        """Clamp the carrier at its present pose. The boxes keep their poses and velocities."""
         state, time_s = self.body_state(), self.data.time
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
@@ -404,7 +404,7 @@ class LiveWorld:
 
     @classmethod
     def let_go(cls, scene: Scene, sim: Simulation, velocity: FloatArray) -> LiveWorld:
-        """A world whose carrier is clamped, and whose boxes are at their start with (n, 6) these velocities."""
+        """A world with a clamped carrier, whose boxes are at their start with these (n, 6) velocities."""
         held = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT))
         live = cls(scene, sim, n_boxes=scene.n_boxes, held=held)
         live._velocities[live._row] = velocity
@@ -421,7 +421,7 @@ class LiveWorld:
         self.data.time = time_s
 
     def trouble(self) -> Flag:
-        """What is wrong with this world, by MuJoCo's warnings and by its numbers."""
+        """Flags of errors in this world, from MuJoCo's warnings and from its numbers."""
         flags = Flag.NONE
         count = self._warnings
         if count.any():

@@ -1,7 +1,7 @@
-"""Models of worlds that stay open: compiled once for each number of boxes, then filled in with boxes.
+"""Model templates of open worlds: compiled once for each number of boxes, then filled in with boxes.
 
-To compile a model of 30 boxes takes 2 ms, as long as ten steps, and a candidate is answered within a few dozen. A model
-that is filled in is the one that MuJoCo would compile, in every number that a step depends on.
+Compiling a model of 30 boxes takes 2 ms, as long as ten steps, and a candidate takes only a few dozen steps. A filled
+model equals the one that MuJoCo would compile, in every number on which a step depends.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from petmjx.world.scene import Scene
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
 MOST_KEPT: Final = 64
-"""Templates kept, the last ones used. One of 31 boxes takes 0.2 MB, and each of its spare worlds 0.7 MB in use."""
+"""Number of templates that are kept, the last ones used. A template of 31 boxes takes 0.2 MB, and each of its spare
+worlds 0.7 MB in use."""
 
 MOST_SPARE: Final = 16
-"""Models with data that a template keeps for the next worlds: at least one for each thread of most machines."""
+"""Number of models with data that a template keeps for the next worlds: at least one for each thread of most
+machines."""
 
 
 class ModelInstance(NamedTuple):
@@ -38,7 +40,7 @@ class ModelInstance(NamedTuple):
 
 
 def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
-    """What a world's model has beside its physics."""
+    """Set the options of a model that are not part of its physics."""
     model.opt.solver = _SOLVER[sim.solver]
     if sim.solver_iterations is not None:
         model.opt.iterations = sim.solver_iterations
@@ -62,13 +64,13 @@ class Templates:
 
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
-        """For these options; None where models have to be compiled: MuJoCo works out the inertia of boxes without a
-        skin, and with pyramidal cones boxes that wait are in the model."""
+        """The templates for these options; None if models must be compiled: MuJoCo computes the inertia of boxes
+        without a skin, and with pyramidal cones waiting boxes are in the model."""
         physics = sim.physics
         return cls(sim) if physics.has_own_friction and physics.skin_m > 0 else None
 
     def fits(self, scene: Scene) -> bool:
-        """Whether a scene's boxes are of one shape each, and rigid: others have contacts of their own."""
+        """Whether each box of a scene has one shape and is rigid: other boxes have contacts of their own."""
         return scene.stiffness is None and not scene.pieces
 
     def filled(self, scene: Scene, order: NDArray[np.intp]) -> ModelInstance:
@@ -91,7 +93,7 @@ class Templates:
         return template.filled(scene, order)
 
     def give_back(self, filled: ModelInstance, scene: Scene, count: int) -> None:
-        """Model and data that no world uses any more are lent to the next one."""
+        """Take back model and data that no world uses any more, for the next world."""
         with self._lock:
             template = self._made.get(_key(scene, count))
         if template is not None:
@@ -99,7 +101,7 @@ class Templates:
 
 
 def _key(scene: Scene, count: int) -> tuple[object, ...]:
-    """What models with the same template share."""
+    """The key of a template: properties that all its models share."""
     carrier = scene.carrier
     arrays = (carrier.pos, carrier.half_size, carrier.shape_pos, carrier.inertia_box)
     return (count, carrier.mass, scene.floor_z, *(values.tobytes() for values in arrays))
@@ -136,7 +138,7 @@ class _Template:
         self._spare.append(filled)
 
     def _fill(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write all that depends on boxes and on friction; what follows from it MuJoCo works out."""
+        """Write all values that depend on boxes and friction. MuJoCo computes the values that follow from these."""
         physics, body, geom = self._physics, self._first_body, self._first_geom
         model.opt.gravity[:] = (0.0, 0.0, -physics.gravity_m_s2)
         half = scene.half_size[order] + physics.skin_m
@@ -156,8 +158,8 @@ class _Template:
         self._fill_friction(model, scene, order)
 
     def _fill_friction(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """As ``petmjx.world.mujoco_model`` declares pairs: the larger friction of two geoms, or that of their
-        surfaces."""
+        """Write the friction of pairs as ``petmjx.world.mujoco_model`` declares it: the larger friction of two geoms,
+        or that of their surfaces."""
         boards = len(scene.carrier.half_size)
         shapes = scene.shapes
         geoms = np.concatenate([np.arange(boards), boards + order])

@@ -1,6 +1,6 @@
-"""One world on C MuJoCo that stays open: boxes are put into it one after the other, and it can be forked.
+"""Open worlds on C MuJoCo: boxes are put into them one after the other, and they can be forked.
 
-Many open worlds on threads of C MuJoCo.
+``OpenWorld`` is one world; ``MujocoWorlds`` has many worlds on CPU threads.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class OpenWorld(WorldRun):
         """Place the boxes that are not placed yet, and wait until they rest, by the rules of the placement.
 
         Raises:
-            Cancelled: the run was interrupted.
+            WorldCancelled: the run was interrupted.
         """
         if not self.ended and not self.paused:
             self.ended = not self._loop()
@@ -56,7 +56,7 @@ class OpenWorld(WorldRun):
         """Put boxes into a world that has not ended.
 
         Args:
-            scene: the world's, with more boxes behind its own.
+            scene: the world's scene with more boxes behind its own.
         """
         self._scene, self._job = scene, replace(self._job, scene=scene)
         self._live.extend(scene)
@@ -66,10 +66,10 @@ class OpenWorld(WorldRun):
         self._leave_pause()
 
     def fork(self, *, grows: bool = False) -> Self:
-        """A twin in the same state, which goes on by itself.
+        """A copy in the same state, which goes on independently.
 
         Args:
-            grows: a box is put into it before anything else.
+            grows: True: a box is put into it first.
         """
         twin = copy.copy(self)
         twin._live, twin._metrics = self._live.fork(grows=grows), self._metrics.fork()
@@ -79,7 +79,7 @@ class OpenWorld(WorldRun):
         return twin
 
     def tried(self, scene: Scene) -> Reading:
-        """How a twin is, once the boxes that this scene has more have been put into it and rest."""
+        """The reading of a fork after the additional boxes of this scene have been put into it and rest."""
         twin = self.fork(grows=self.paused)
         twin.put(scene)
         twin.go_on()
@@ -93,7 +93,7 @@ class OpenWorld(WorldRun):
         The world is then no longer open.
 
         Raises:
-            Cancelled: the run was interrupted.
+            WorldCancelled: the run was interrupted.
         """
         self.go_on()
         self._index, self._pauses = index, False
@@ -107,7 +107,7 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether a world has paused early, since a wait was in vain, and still moves: its last wait is a long one."""
+        """Whether a world paused early, because a wait was in vain, and still moves: its last wait is a long one."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
@@ -117,7 +117,7 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The world as it is now. One that has paused since its time was up, and not since it rests, moves."""
+        """The reading of the world. It has ``Flag.MOVING`` if the world paused because its time was up, not at rest."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
@@ -143,8 +143,8 @@ class MujocoWorlds(OpenWorlds):
     """Open worlds on CPU threads.
 
     Args:
-        scenes: of the worlds, which begin at once.
-        threads: worlds simulated at the same time.
+        scenes: the scenes of the worlds, which begin at once.
+        threads: number of worlds simulated at the same time.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, threads: int) -> None:
@@ -206,7 +206,8 @@ class MujocoWorlds(OpenWorlds):
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
 
     def _each(self, work: Callable[[Given], Made], of: Iterable[Given]) -> list[Made]:
-        """The work on each, on threads. An interruption stops worlds within a few dozen steps; they can go on later."""
+        """The results of ``work`` for each item, on threads. An interruption stops worlds within a few dozen steps;
+        they can go on later."""
         try:
             with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-world") as pool:
                 try:

@@ -1,6 +1,6 @@
-"""The rules for quiet and for rest (docs/rules.md, section 5), for one world of the C engine. Twin: ``Rules``.
+"""The rules for quiet, rest and explosions of one world of the C engine (docs/rules.md, sections 5 and 7).
 
-The rule that finds simulations that cannot be right (docs/rules.md, section 7), for one world of the C engine.
+Twin: ``Rules`` in petmjx/engines/mjx/rules.py.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from petmjx.world.scene import Scene
 
 
 class QuietRule:
-    """Counts the looks at a pallet and says whether it is quiet. Its numbers: ``petmjx.options.simulation.Quiet``.
+    """Decides at each look whether a pallet is quiet. Its numbers: ``petmjx.options.simulation.Quiet``.
 
     The caller looks every ``poll_steps``.
     """
@@ -34,7 +34,7 @@ class QuietRule:
         self._radius_m = np.linalg.norm(scene.half_size, axis=1)
 
     def restart(self) -> None:
-        """Another wait begins: the count starts again."""
+        """Begin another wait: the count starts again."""
         self._steps = 0
 
     @property
@@ -43,13 +43,13 @@ class QuietRule:
         return self._steps >= self._rule.steps
 
     def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
-        """One look; whether it finds the pallet quiet, but for boxes that tremble.
+        """Take one look; returns whether the pallet is quiet, except for boxes that tremble.
 
         Args:
             pose: (k, 7) of the placed boxes, in m and unit quaternions.
             velocity: (k, 6), linear in m/s and angular in rad/s.
-            has_failed: whether a box has dropped or tilted too far; then creep is not waited for.
-            adapts: whether the wait depends on what is seen: then it is looked which boxes tremble.
+            has_failed: whether a box has dropped or tilted too far; then the rule does not wait for creep.
+            adapts: whether the wait ends as soon as the pallet is quiet: then trembling boxes are searched for.
         """
         rule, radius = self._rule, self._radius_m[: len(velocity)]
         speed = box_motion.speed(velocity, radius)
@@ -76,16 +76,16 @@ class QuietRule:
         return True
 
     def is_slow(self, velocity: FloatArray, boxes: slice) -> bool:
-        """Whether these boxes are slower than a quiet pallet's."""
+        """Whether these boxes are as slow as those of a quiet pallet."""
         return bool((box_motion.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
-        """Whether a point of a box moved faster than ``still_m_s``, or does now, and whether a world with such boxes
-        has to wait: not if they tremble, up to ``slow_m_s``.
+        """Whether a point of a box moved faster than ``still_m_s``, or moves so now; and whether the world has to wait
+        for these boxes. It does not wait for boxes that tremble, up to ``slow_m_s``.
 
         Args:
-            before, after: (k, 7) poses, so many ``seconds`` apart: on the average a box that rocks has not moved while
-                it turns round.
+            before, after: (k, 7) poses, ``seconds`` apart: a rocking box at its turning point has hardly moved on the
+                average.
             velocity: (k, 6) now.
         """
         rule, radius = self._rule, self._radius_m[: len(after)]
@@ -97,7 +97,7 @@ class QuietRule:
 
 
 class Explosion:
-    """Looks for large accelerations that last, without a sign that explains them.
+    """Finds simulations that cannot be right: large accelerations that last, without a sign that explains them.
 
     When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is not
     an explosion. So samples right after a placement do not count. And one violent sample is not enough: the following
@@ -111,7 +111,7 @@ class Explosion:
         self._landing, self._fast_since = landing, NEVER
 
     def seen(self, step: int, placed_at: int, too_fast: bool) -> bool:
-        """Whether the sample after a step says that the world explodes.
+        """Whether the world explodes, by the sample after a step.
 
         Args:
             placed_at: the step after which the last box was placed; this one while a box is carried.

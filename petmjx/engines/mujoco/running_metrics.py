@@ -20,7 +20,7 @@ from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
 _STEPS_TOGETHER = 64
-"""Steps whose forces are worked out together. With more there is nothing to gain."""
+"""Number of steps whose forces are computed together. A larger number gains nothing."""
 
 
 class OracleMetrics:
@@ -55,7 +55,7 @@ class OracleMetrics:
         return twin
 
     def extend(self, scene: Scene) -> None:
-        """The world's scene has more boxes, of which nothing is known yet."""
+        """Add the further boxes of a scene, without values yet."""
         self._work_off()
         larger = OracleMetrics(scene, self._thresholds, self._gravity_m_s2)
         for name, value in vars(larger).items():
@@ -66,24 +66,24 @@ class OracleMetrics:
 
     @property
     def max_top_force_n(self) -> FloatArray:
-        """(n,) so far, N."""
+        """(n,) largest force on top of each box so far, N."""
         self._work_off()
         return self._max_top_force_n
 
     def _work_off(self) -> None:
-        """Work out the forces of the steps that wait for it."""
+        """Compute the forces of all buffered steps."""
         if self._pressed:
             steps, self._pressed = self._pressed, []
             self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))
 
     def add_step(self, pressed: TopForceInputs) -> None:
-        """Take in a step's forces on tops. They are worked out later, those of many steps together."""
+        """Take in a step's forces on tops. They are buffered, and computed for many steps together."""
         if self._pressed and (len(self._pressed) >= _STEPS_TOGETHER or self._pressed[0].bodies is not pressed.bodies):
             self._work_off()
         self._pressed.append(pressed)
 
     def add_forces(self, top_force_n: FloatArray) -> None:
-        """Take in forces on the tops of the first k boxes, N. What is no number does not count."""
+        """Take in forces on the tops of the first k boxes, N. NaN does not count."""
         largest = self._max_top_force_n[: len(top_force_n)]
         np.fmax(largest, np.where(np.isfinite(top_force_n), top_force_n, 0.0), out=largest)
 
@@ -99,11 +99,11 @@ class OracleMetrics:
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether it is known that the pallet does not stand, so that its world need not go on: a box has dropped; with
-        errors, one of the k placed boxes is lost in these poses; in a drive, the culprit is.
+        """Whether the pallet surely does not stand, so that its world need not go on: a box has dropped; with errors,
+        one of the k placed boxes is lost in these poses; in a drive, the culprit is lost.
 
         Args:
-            culprit: as found at an earlier look; -1: none was, or it does not end a drive.
+            culprit: the culprit of an earlier look; -1: there was none, or it does not end a drive.
         """
         if self.any_dropped:
             return True
@@ -138,12 +138,12 @@ class OracleMetrics:
         return too_fast and self.culprit < 0
 
     def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
-        """Take in these poses, in a sample or during a drive: tilts, and what ``add_pose`` looks for."""
+        """Take in these poses, in a sample or during a drive: tilts, and all that ``add_pose`` checks."""
         tilt, k = self.add_pose(time_s, pos, quat), len(pos)
         np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
 
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
-        """Look for drops, sway and the first sign in these poses: a look, or the final state. Returns (k,) tilts."""
+        """Check these poses, of a look or the final state, for drops, sway and the first sign. Returns (k,) tilts."""
         k = len(pos)
         tilt = tilt_deg(quat)
         dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
@@ -160,7 +160,7 @@ class OracleMetrics:
 
     @staticmethod
     def _sway(pos: FloatArray, origin: FloatArray) -> FloatArray:
-        """(k,) horizontal distance from where boxes were when the drive began, m."""
+        """(k,) horizontal distance of boxes from their places at the begin of the drive, m."""
         return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
@@ -179,7 +179,7 @@ class OracleMetrics:
         return bool(crossed.any())
 
     def is_lost(self, pos: FloatArray, quat: FloatArray, drive: Drive | None) -> bool:
-        """Whether a box has dropped, or is tilted too far in these poses and, in a drive, away by what it allows."""
+        """Whether a box has dropped, or is tilted too far in these poses and, in a drive, beyond the allowed sway."""
         lost = tilt_deg(quat) > self._thresholds.tilt_deg
         if drive is not None and self._sway_origin is not None:
             lost &= self._sway(pos, self._sway_origin) >= drive.allowed_sway_m

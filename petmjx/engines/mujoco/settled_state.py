@@ -1,4 +1,4 @@
-"""The state of a world whose placement has settled, and the worlds that start from it."""
+"""Settled states: the state of a world whose placement has settled, from which other worlds start."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""Contacts that slide, on C MuJoCo. The law: petmjx/world/contact_laws.py.
+"""Sliding contacts on C MuJoCo. The law: petmjx/world/contact_laws.py.
 
-MuJoCo takes a step in two halves. Between them contacts have their reference accelerations, and the solver has not
-begun.
+MuJoCo's step has two halves. Between them contacts have their reference accelerations, and the solver has not begun.
 """
 
 from __future__ import annotations
@@ -26,13 +25,13 @@ from petmjx.world.contact_laws import (
 )
 
 LOOK_STEPS = 5
-"""Steps from one look whether anything moves to the next. A pallet at rest takes them in one call of C, without the
-interpreter's lock. What begins to slip between two looks has at most 0.1 m/s at the second one, which lifts no contact
-out of its soft onset."""
+"""Number of steps between two checks for motion. A pallet at rest takes them in one call of C, without the
+interpreter's lock. A body that begins to slip between two checks has at most 0.1 m/s at the second one, which lifts no
+contact out of its soft onset."""
 
 SLOW_M_S = STICKS_M_S / 4
-"""Of the norm of all velocities: a point of a body less than 1.7 m from its centre is then slower than half of
-``STICKS_M_S``, and no contact slides by its law."""
+"""Largest norm of all velocities with which no contact slides: a point of a body less than 1.7 m from its centre is
+then slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:

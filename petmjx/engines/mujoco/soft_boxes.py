@@ -1,8 +1,8 @@
 """A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), for the rules of ``WorldRun``.
 
-What the rules measure of a soft box is that of the rigid box that fits its points best: the centre of their mass, the
-rotation that leaves the smallest squares (Kabsch, "A solution for the best rotation to relate two sets of vectors",
-1976), and their momentum and angular momentum.
+The rules measure the rigid box that fits the points of a soft box best: their centre of mass, the rotation with the
+least squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976), and their momentum and
+angular momentum.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ COUNT = len(POINTS)
 
 @dataclass(frozen=True, eq=False)
 class SoftState:
-    """All of a world with a free carrier: qpos, qvel and solver warm start of the carrier and of all its boxes."""
+    """State of a world with a free carrier: qpos, qvel and solver warm start of the carrier and of all its boxes."""
 
     pos: FloatArray
     velocity: FloatArray
@@ -39,7 +39,7 @@ class SoftState:
 
 
 class SoftWorld(LiveWorld):
-    """As ``LiveWorld``, with soft boxes, which have no room in its rows of bodies.
+    """A ``LiveWorld`` with soft boxes, which do not fit into its rows of bodies.
 
     A box is in the model from its placement on. Boxes are placed exactly.
     """
@@ -95,7 +95,7 @@ class SoftWorld(LiveWorld):
         return rows
 
     def _fit(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(s, 3) centres of the soft boxes whose points are here, m, and (s, 3, 3) how they are turned."""
+        """(s, 3) centres of the soft boxes with these points, m, and (s, 3, 3) their rotations."""
         middle = (self._weight * points).sum(axis=1)
         spread = np.einsum("spi,spj->sij", self._weight * self._points, points - middle[:, None])
         left, _, right = np.linalg.svd(spread)
@@ -103,7 +103,7 @@ class SoftWorld(LiveWorld):
         return middle, np.swapaxes(left @ right, 1, 2)
 
     def _poses_of(self, points: FloatArray) -> FloatArray:
-        """(s, 7) poses of the soft boxes whose points are here; NaN where these are no numbers."""
+        """(s, 7) poses of the soft boxes with these points; NaN if the points are not finite."""
         poses = np.full((len(points), 7), np.nan)
         sound = np.isfinite(points).all(axis=(1, 2))
         if not sound.all():
@@ -202,8 +202,8 @@ class SoftWorld(LiveWorld):
         self.n_placed += 1
 
     def _top_of_supports(self, box: int) -> float:
-        """How much higher than planned what a box stands on is now, m: the highest of its supports within the area that
-        they share."""
+        """How much higher than planned the top below a box is now, m: the highest of its supports within the shared
+        area."""
         scene = self.scene
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
         if self._sim.physics.falls_into_place:

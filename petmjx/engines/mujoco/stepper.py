@@ -1,4 +1,4 @@
-"""How a world takes its steps on C MuJoCo: many at a time, or one by one where forces are looked at after each."""
+"""Takes the steps of a world on C MuJoCo: many at a time, or one by one if the forces of each step count."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from petmjx.engines.mujoco.top_forces import top_force_inputs
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
-"""A pallet whose squares of speeds, m/s and rad/s, add up to no more has no point within 1 m of its box's centre that
-is faster than ``RESTLESS_M_S``."""
+"""Sum of squares of all speeds, m/s and rad/s. Up to it no point within 1 m of its box's centre is faster than
+``RESTLESS_M_S``."""
 
 
 class Stepper:
-    """Takes a world's steps, as many as its time allows.
+    """Takes the steps of a world, as many as its budget allows.
 
     Args:
         sim: says which steps count between samples, beside those in which a box lands: looks for quiet.
@@ -34,18 +34,18 @@ class Stepper:
 
     @property
     def why_it_ended(self) -> str:
-        """Of a world whose time was up."""
+        """Message for a world whose time was up."""
         return self._budget.words if self._budget is not None else ""
 
     def take(
         self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
     ) -> int:
-        """Take steps; returns how many: fewer where the time is up before.
+        """Take steps; returns their number: fewer if the time is up before.
 
         Args:
-            first: the number of the first of them.
-            metrics: take in forces of steps.
-            acts: a drive does, so that the forces of all steps may be larger than those before.
+            first: number of the first step.
+            metrics: takes in the forces of steps; None: forces are not needed.
+            acts: True: a drive acts, so that the forces of any step may be larger than those before.
         """
         number, end, budget = first, first + count, self._budget
         while number < end:

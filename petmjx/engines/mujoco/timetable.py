@@ -1,4 +1,7 @@
-"""How long a world on C MuJoCo waits for what comes next (docs/rules.md, sections 4 and 5). Twin: ``Timetable``."""
+"""Waiting times of a world on C MuJoCo for its next event (docs/rules.md, sections 4 and 5).
+
+Twin: ``Timetable`` in petmjx/engines/mjx/timetable.py.
+"""
 
 from __future__ import annotations
 
@@ -32,13 +35,13 @@ class Waits:
 
     @property
     def adapts(self) -> bool:
-        """Whether what is waited for comes as soon as the pallet is quiet. With the fixed schedule only a world does so
-        that has moved at its end."""
+        """Whether the next event comes as soon as the pallet is quiet. With the fixed schedule this holds only for a
+        world that has moved at its end."""
         return self._adaptive or self.since > self.last_placement
 
     @property
     def rests_first(self) -> bool:
-        """Whether a rest window, and a look at its end, come before a drive."""
+        """Whether a rest window, with a look at its end, comes before a drive."""
         return self._adaptive and self._sim.waits_for_rest
 
     @property
@@ -50,7 +53,8 @@ class Waits:
         """Begin to wait.
 
         Args:
-            n_boxes: of the plan; ``all_placed``: whether they are.
+            n_boxes: number of boxes of the plan.
+            all_placed: whether all of them are placed.
             restless: an earlier wait was in vain, and this is not the last one, which is long.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
@@ -59,15 +63,16 @@ class Waits:
         self._latest = self.longest if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a wait that is over after this step, as an earlier one was in vain, goes on if it is the last one."""
+        """Whether a wait that is short because an earlier one was in vain, and over after this step, goes on if it is
+        the last one."""
         return self._patient and step < self.longest
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the event that is waited for. Once a box has failed nothing is gained by patience: it is
-        as long as without, counted from the first sign.
+        """The latest step for the next event. Once a box has failed, patience gains nothing: the wait is then as long
+        as without patience, counted from the first sign.
 
         Args:
-            sign_step: of the first sign; None: no box has failed.
+            sign_step: step of the first sign; None: no box has failed.
         """
         if self.in_drive:
             return NEVER
@@ -78,7 +83,7 @@ class Waits:
         return self._latest_if_failed
 
     def _latest_after(self, since: int) -> int:
-        """The latest step for the event that is waited for since a step, without patience.
+        """The latest step for the next event after a wait since a step, without patience.
 
         With the fixed schedule a drive starts at the time of the reference implementation, counted from the nominal
         time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
@@ -94,20 +99,20 @@ class Waits:
 
     @property
     def in_drive(self) -> bool:
-        """Whether it is the wait for quiet after a profile's last sample: the world then rests before ``drive_end``."""
+        """Whether this is the wait for quiet after a profile's last sample; it ends before ``drive_end``."""
         return self.drive_end is not None and self.since < self.drive_end
 
     def last_end(self, step: int) -> int:
-        """The last step of a world that does not rest after this step, if there is one: else ``NEVER``."""
+        """The last step of a world that does not rest after this step; ``NEVER`` if it has none."""
         return self.drive_end if self.drive_end is not None and step < self.drive_end else NEVER
 
     @property
     def longest(self) -> int:
-        """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+        """The step up to which a moving world is given time, after its last placement or the end of its drive."""
         return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
 
     def may_go_on(self, step: int) -> bool:
-        """Whether a world that moves at its end, after this step, is waited for."""
+        """Whether a world that still moves at its end, after this step, is given more time."""
         if not self._sim.waits_for_rest or self._sim.total_time_factor is not None:
             return False
         return step < (self.static_end if self._is_plain_static else self.longest)
@@ -124,7 +129,7 @@ class Waits:
         return seconds_to_steps(self._sim.duration_s, self._dt)
 
     def end_of_fixed(self, n_boxes: int) -> int:
-        """The last step with the fixed schedule and without a drive; ``NEVER`` where it is not known in advance."""
+        """The last step with the fixed schedule and without a drive; ``NEVER`` if it is not known in advance."""
         if self._adaptive or self.settles:
             return NEVER
         if self._static:

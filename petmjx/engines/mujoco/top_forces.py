@@ -1,6 +1,6 @@
-"""The force on top of each box, from C MuJoCo's contacts (NumPy). Twin of ``force_jax``.
+"""The force on top of each box, from C MuJoCo's contacts (NumPy). Twin: petmjx/engines/mjx/top_forces.py.
 
-Forces on tops in many steps of a world on C MuJoCo: copied after each step, worked out together.
+The forces of many steps are computed together, from inputs that are copied after each step.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
 
     Pyramidal rows are forces along the four edges of the cone: the normal part is their sum, each tangent is the
     difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3. Source: as
-    in ``force_jax.contact_force_z``.
+    in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
         (k,) indices of those contacts and (k, 3) forces in the contact frame (normal, tangents), N, as
@@ -80,7 +80,7 @@ def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, p
     floor is lower than everything; floor and carrier are no boxes.
 
     Args:
-        bodies: (ngeom,) of the geoms, as ``petmjx.world.mujoco_model.geom_bodies`` gives them.
+        bodies: (ngeom,) body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
     """
     total = np.zeros(n_boxes)
     if data.ncon == 0:
@@ -97,7 +97,7 @@ def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, p
 
 
 class TopForceInputs(NamedTuple):
-    """What a step's forces on tops are made of, copied from MuJoCo's data.
+    """Inputs of a step's forces on tops, copied from MuJoCo's data.
 
     Attributes:
         address: (ncon,) first constraint row of each contact; negative: it has none.
@@ -119,15 +119,15 @@ class TopForceInputs(NamedTuple):
 
 
 def top_force_inputs(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int) -> TopForceInputs:
-    """Of the last step. It takes a fifth of the time that ``top_forces`` takes."""
+    """The inputs of the last step. This takes a fifth of the time of ``top_forces``."""
     contact = data.contact
     address, geom, frame = contact.efc_address.copy(), contact.geom.copy(), contact.frame.copy()
     return TopForceInputs(address, geom, frame, data.efc_force.copy(), data.geom_xpos.copy(), bodies, n_boxes)
 
 
 def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatArray:
-    """(n_boxes,) the largest of ``top_forces`` over steps of a model with elliptic cones, N. Many steps together take
-    a fraction of the time of each alone. All must have the same ``bodies``."""
+    """(n_boxes,) the largest of ``top_forces`` over steps of a model with elliptic cones, N. Many steps together take a
+    fraction of the time of single steps. All steps must have the same ``bodies``."""
     address, geoms, frame, force, place = (np.concatenate(parts) for parts in list(zip(*steps, strict=True))[:5])
     contacts = [len(step.address) for step in steps]
     number = np.repeat(np.arange(len(steps)), contacts)

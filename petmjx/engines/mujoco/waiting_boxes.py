@@ -1,6 +1,6 @@
-"""With pyramidal cones (physics ``reference``): one small body on a stop represents the boxes that wait.
+"""Waiting boxes with pyramidal cones (physics ``reference``): one small body on a stop represents them.
 
-Reason: Newton's method starts from the accelerations of the last step or from the unconstrained ones, from those with
+Reason: Newton's method starts from the accelerations of the last step or from the unconstrained ones, whichever have
 the lower cost in the *whole* world, and it stops at a tolerance. So the choice is visible in the results: up to 100 N
 in single sampled impacts. In the reference implementation the waiting boxes stand on the floor and take part in the
 choice. The stop adds exactly their part of the difference in cost, with one constraint row.
@@ -25,7 +25,7 @@ _FLOOR_STIFFNESS = 396.0
 
 
 def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
-    """Add the body, which comes before all boxes."""
+    """Add the body. It comes before all boxes."""
     body = spec.worldbody.add_body(name=_NAME, pos=[0.0, 0.0, -_PARKING_M])
     body.mass = _MASS_KG
     body.inertia = np.ones(3)

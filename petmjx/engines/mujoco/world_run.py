@@ -76,7 +76,7 @@ class WorldRun:
         """Simulate to the end.
 
         Raises:
-            Cancelled: the run was interrupted.
+            WorldCancelled: the run was interrupted.
         """
         start = self._job.start
         if isinstance(start, SettledState):
@@ -89,7 +89,7 @@ class WorldRun:
         return self._outcome(came_to_end=begun and self._loop())
 
     def _start(self) -> bool:
-        """Take the world through the soft start. Returns False where its time is up before."""
+        """Take the world through the soft start. Returns False if its time is up before."""
         kind = LiveWorld if self._scene.soft is None else SoftWorld
         self._live = kind(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
@@ -144,7 +144,7 @@ class WorldRun:
         return not self._flags & _FATAL
 
     def _go_to(self, target: int) -> None:
-        """Step to the next event, with a look at the frames on the way; not so far where the world's time is up."""
+        """Step to the next event, and take the frames on the way; less far if the world's time is up."""
         recorder = self._recorder
         while recorder is not None and (frame := recorder.next_after(self._step)) < target:
             count = frame - self._step
@@ -155,7 +155,7 @@ class WorldRun:
         self._step += self._take_steps(target - self._step)
 
     def _take_steps(self, count: int) -> int:
-        """Take steps; returns how many: fewer where the world's time is up before."""
+        """Take steps; returns their number: fewer if the world's time is up before."""
         acts = self._drive is not None and self._drive.acts(self._step)
         n_steps = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
         if n_steps < count:
@@ -190,7 +190,7 @@ class WorldRun:
         return min(target, step + 1 if step >= window else window)
 
     def _observe(self) -> bool:
-        """Take a sample and the resting force after a step, or look at poses, if it is time; whether to go on."""
+        """If it is time, take a sample and the resting force after a step, or look at poses; whether to go on."""
         step, live = self._step, self._live
         sampled = step % self._sample_steps == 0
         polled = step % self._sim.quiet.poll_steps == 0
@@ -224,7 +224,7 @@ class WorldRun:
         return True
 
     def _transition(self) -> None:
-        """After a step: place the next box, or begin what follows the placement, if it is time."""
+        """After a step, if it is time: place the next box, or begin the phase after the placement."""
         if self._live.hand is not None:
             self._carry_on(self._live.hand)
         elif self._waiting:
@@ -271,7 +271,8 @@ class WorldRun:
             self._has_placed()
 
     def _has_placed(self) -> None:
-        """The last box stands, or falls, or is in the hand: waiting begins, in the last case once more at its end."""
+        """The last box stands, or falls, or is in the hand: begin to wait. For a carried box the wait begins again once
+        it is let go."""
         self._still_pose[self._live.n_placed - 1] = self._live.pose[self._live.n_placed - 1]
         self._waits.last_placement = self._step
         self._wait(self._step)
@@ -290,7 +291,7 @@ class WorldRun:
         return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:
-        """Set the last step, and that from which on boxes must be still."""
+        """Set the last step, and the step from which on boxes must be still."""
         self._end = step
         self._still_from = max(step - min(self._rest_steps, self._sim.quiet.still_steps), self._step)
         self._keep_still_pose()
@@ -301,7 +302,7 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: wait on for a world that moves, if no box is lost or it is driven; or begin the drive."""
+        """At the last step: give a moving world more time, if no box is lost or it is driven; or begin the drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
             return
@@ -324,7 +325,7 @@ class WorldRun:
             self._settle()
 
     def _look_for_quiet(self) -> bool:
-        """Look at the pallet, if it is time; whether it is quiet at this look."""
+        """Look at the pallet if it is time; returns whether it is quiet at this look."""
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed

@@ -1,6 +1,6 @@
-"""Profiles: what shakes a pallet after it has been packed.
+"""Profiles: forces and accelerations that shake a pallet after it has been packed.
 
-``base`` says what a profile is. ``windows``, ``acceleration`` and ``vibration`` have the kinds of profiles and the
-built-in ones; ``registry`` has these by name. ``tables`` makes the profiles that sweep files define. ``files`` reads
-the files that those name.
+``profile`` has the protocol of a profile. ``force_windows`` and ``accelerations`` have the kinds of profiles and the
+built-in ones; ``profile_registry`` has these by name. ``profile_tables`` makes the profiles that sweep files define.
+``profile_files`` reads the files that these tables name.
 """

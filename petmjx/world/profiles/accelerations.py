@@ -1,8 +1,7 @@
-"""Accelerations of the carrier, simulated as gravity − a with the carrier clamped.
+"""Acceleration profiles of the carrier, simulated as gravity − a with the carrier clamped.
 
+They are ramps, tilts, shocks, and random vibration with a power spectral density (PSD) from the user, in g²/Hz over Hz.
 Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
-
-Random vibration with a power spectral density (PSD) from the user, in g²/Hz over Hz.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class Trapezoid:
     Attributes:
         level_g: height of the plateau, g.
         ramp_s, hold_s: length of each ramp and of the plateau, s.
-        yaw_deg: where the carrier accelerates to, degrees from +x towards +y.
+        yaw_deg: direction in which the carrier accelerates, degrees from +x towards +y.
     """
 
     name: str

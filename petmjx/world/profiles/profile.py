@@ -1,4 +1,4 @@
-"""What every profile has in common."""
+"""The protocol of profiles, and functions that all profiles share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MAX_PROFILE_S = 3600.0
 
 
 class Strength(StrEnum):
-    """What makes a profile weaker or stronger: the axis of a sweep that varies it."""
+    """The axis of a sweep that makes a profile weaker or stronger."""
 
     SCALE = "scale"
     """A factor on the profile as it is. Forces: in units of total mass × 9.81 m/s²."""
@@ -66,8 +66,8 @@ class Profile(Protocol):
 
 
 def allowed_sway_m(profile: Profile) -> float:
-    """As of ``Drive``, m: while the carrier is tilted no box is lost, since one that slides to the edge tips there, and
-    that is not how it failed."""
+    """``Drive.allowed_sway_m`` of a profile, m. While the carrier is tilted no box is lost: a box that slides to the
+    edge tips there, which is not how it failed."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 

@@ -1,4 +1,4 @@
-"""Profiles by name. What each is: docs/profiles.md."""
+"""Registry of profiles by name. docs/profiles.md describes them."""
 
 from __future__ import annotations
 
