@@ -41,7 +41,6 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE / "jax"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 
 SHAPE_CHECKED = (
-    "petmjx.metrics",
     "petmjx.engines.mjx",
     "petmjx.engines.warp.engine",
     "petmjx.engines.warp.time_slices",

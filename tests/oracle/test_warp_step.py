@@ -235,7 +235,7 @@ def test_compiler_errors_name_the_line_of_the_file() -> None:
         else:
             seen.setdefault(name, []).append((number, line))
             number += 1
-    folder = resources.files("petmjx.engines.warp")
+    folder = resources.files("petmjx.engines.warp.solver")
     assert set(seen) == {file.name for file in folder.iterdir() if file.name.endswith((".cu", ".cuh"))}
     for name, lines in seen.items():
         text = folder.joinpath(name).read_text(encoding="utf-8")

@@ -102,10 +102,10 @@ RUN = """
 import sys, time
 from support.plans import make_plan, make_world, stack
 from petmjx.options.simulation import Simulation
-from petmjx.engines.subprocess.attempt_host import InProcess
+from petmjx.engines.subprocess.attempt_host import SubprocessSimulator
 from petmjx.engines.subprocess.attempt_process import Task
 
-beside = InProcess()
+beside = SubprocessSimulator()
 beside.begin(Task(1, "mujoco", make_world(make_plan("long", stack(60, size_mm=(400, 300, 20)))).job, Simulation()))
 print(beside._process._popen.pid, flush=True)
 time.sleep(60)

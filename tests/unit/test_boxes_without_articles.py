@@ -24,7 +24,7 @@ from petmjx.show.run_tables import worlds_table
 from petmjx.show.story_text import story_tables
 
 HOLE = re.compile(r"\(\s*[,)]|\s\(\d+\)$|:\s*[,;)]|\bof article (?!\w)")
-STATIC = Path(__file__).resolve().parents[2] / "petmjx" / "pages" / "static"
+STATIC = Path(__file__).resolve().parents[2] / "petmjx" / "show" / "pages" / "static"
 
 
 def bare(articles: tuple[str, ...], ids: tuple[str, ...] = ("", "", "")) -> Story:

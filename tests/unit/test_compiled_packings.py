@@ -39,7 +39,7 @@ def test_they_are_the_same(
     items: list[Item], extent: tuple[int, int], taste: Taste, clearance_mm: float, boxes: int
 ) -> None:
     packing = Packing(items, extent, taste, clearance_mm)
-    fills = compiled.Compiled(packing)
+    fills = compiled.FillKernel(packing)
     grown(packing, boxes)
     first = packing.next(3)[-1:]
     filled = fills(packing, *first)
@@ -50,7 +50,7 @@ def test_they_are_the_same(
 
 def test_one_that_becomes_too_high_is_given_up() -> None:
     packing = grown(Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), 5)
-    fills, filled = compiled.Compiled(packing), packing.filled()
+    fills, filled = compiled.FillKernel(packing), packing.filled()
     assert filled is not None
     assert fills(packing, None, filled.top_mm) == filled
     assert fills(packing, None, filled.top_mm - 1) is None
@@ -69,7 +69,7 @@ def test_python_says_whether_a_box_tips_over_whose_weight_acts_on_an_edge(monkey
     order = draw_order(33, 9)
     for taste in TASTES:
         packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste)
-        assert compiled.Compiled(packing)(packing) == packing.filled()
+        assert compiled.FillKernel(packing)(packing) == packing.filled()
     assert set(answers) == {True, False}
 
 
@@ -79,7 +79,7 @@ def test_where_there_is_no_room_python_fills_up(monkeypatch: pytest.MonkeyPatch,
         monkeypatch.setattr(compiled, name, number)
     packing, calls = Packing(DRAWN.items, EXTENT, TASTES[0], 3.0), []
     monkeypatch.setattr(packing, "filled", lambda *arguments: calls.append(arguments))
-    assert compiled.Compiled(packing)(packing) is None
+    assert compiled.FillKernel(packing)(packing) is None
     assert calls == [(None, inf)]
 
 
@@ -90,7 +90,7 @@ def test_areas_without_an_exact_sum_are_left_to_python(monkeypatch: pytest.Monke
     calls = []
     monkeypatch.setattr(Packing, "filled", lambda *arguments: calls.append(arguments[1:]))
     packing = Packing(third, EXTENT, TASTES[0])
-    assert compiled.Compiled(packing)(packing) is None
+    assert compiled.FillKernel(packing)(packing) is None
     assert calls == [(None, inf)]
 
 

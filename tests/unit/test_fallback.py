@@ -208,7 +208,7 @@ def test_an_interruption_loses_nothing_that_is_looked_at_beside_the_run(monkeypa
 
     monkeypatch.setattr(attempt_stream, "LARGE", WORLDS)
     monkeypatch.setattr(attempt_runner, "MOST_TOGETHER", 1)
-    monkeypatch.setattr(attempt_stream.Lookers, "here", lambda: Slow(1))
+    monkeypatch.setattr(attempt_stream.CheckPool, "here", lambda: Slow(1))
     worlds = [make_world(make_plan(f"p{k}", stack(1))) for k in range(WORLDS)]
     results = score_worlds(worlds, Simulation(physics="reference"), Scripted("mjx-warp", never))
     assert [next(results).world.plan.plan_id for _ in range(WORLDS - 1)] == ["p0", "p1"]
@@ -235,7 +235,7 @@ def test_looks_are_waited_for_whatever_an_engine_that_raised_had_at_hand(
             return super().exchanged(*args, until=until, **how)
 
     monkeypatch.setattr(attempt_stream, "LARGE", WORLDS)
-    monkeypatch.setattr(attempt_stream.Lookers, "here", lambda: Watched(0))
+    monkeypatch.setattr(attempt_stream.CheckPool, "here", lambda: Watched(0))
     results, _ = scored(Left("mjx-warp", in_run(1)), Scripted("mujoco", never), monkeypatch)
     assert len(results) == WORLDS
     assert len(untils) > WORLDS - 1

@@ -86,8 +86,8 @@ def test_the_lock_is_held_by_one_at_any_time_while_it_is_taken_and_removed(tmp_p
 HOLD = """
 import os, signal, sys
 from pathlib import Path
-from petmjx.results.folder_lock import locked
-with locked(Path(sys.argv[1])):
+from petmjx.results.folder_lock import held_folder_lock
+with held_folder_lock(Path(sys.argv[1])):
     print("held", flush=True)
     signal.pause()
 """

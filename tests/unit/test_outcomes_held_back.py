@@ -141,7 +141,7 @@ def test_attempts_beside_a_silent_engine_are_shown_in_its_pauses(monkeypatch: py
             yield outcome_of(1, Verdict.STABLE)
 
     monkeypatch.setattr(attempts, "SubprocessSimulator", Beside)
-    monkeypatch.setattr("petmjx.engines.attempt_runner.looked_at", lambda outcomes, jobs, sim: list(outcomes))
+    monkeypatch.setattr("petmjx.engines.attempt_runner.outcome_checks", lambda outcomes, jobs, sim: list(outcomes))
     for result in score_worlds(worlds_failing(0, 0), Simulation(), Device()):
         seen.append(result.world.plan.plan_id)
     assert seen == ["p0", "p1"]

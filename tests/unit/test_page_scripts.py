@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-STATIC = Path(__file__).resolve().parents[2] / "petmjx" / "pages" / "static"
+STATIC = Path(__file__).resolve().parents[2] / "petmjx" / "show" / "pages" / "static"
 FILES = sorted(STATIC.iterdir())
 SCRIPTS = [path for path in FILES if path.suffix == ".js"]
 

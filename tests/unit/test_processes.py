@@ -17,10 +17,10 @@ from petmjx.common.machine import own_environment
 from petmjx.common.parallel_map import UnorderedResults
 
 _SCRIPT = """
-from petmjx.common.parallel_map import in_order
+from petmjx.common.parallel_map import ordered_results
 
 if __name__ == "__main__":
-    for value in in_order(abs, range(-9, 10**9), workers=2, alone=1, chunk=1):
+    for value in ordered_results(abs, range(-9, 10**9), workers=2, alone=1, chunk=1):
         print(value, flush=True)
 """
 

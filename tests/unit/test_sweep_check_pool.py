@@ -46,7 +46,7 @@ def test_placements_and_drives_have_the_same_processes_beside_them(
         looks.append(len(outcomes))
         return exchanged(self, outcomes, *args, **how)
 
-    monkeypatch.setattr("petmjx.runs.sweep_run.lookers_for", lookers_for)
+    monkeypatch.setattr("petmjx.runs.sweep_run.check_pool_for", lookers_for)
     monkeypatch.setattr(CheckPool, "exchanged", counted)
     results = petmjx.sweep(file, plans, engine="mujoco", threads=1)
     assert len(begun) == 1

@@ -1,6 +1,6 @@
 """Worlds as rows of arrays: the engine mjx-jax, and what mjx-warp shares with it.
 
-Shapes are annotations that tests check at every call. Their axes, here and in ``petmjx.metrics``:
+Shapes are annotations that tests check at every call. Their axes:
 
 * ``world``: worlds that are simulated together, padded to a power of two;
 * ``box``: boxes of a world, padded to the same number in all worlds of a table;
