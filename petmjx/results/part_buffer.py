@@ -1,6 +1,7 @@
 """Gathers finished worlds row by row and turns them into the tables of a part.
 
-A thread may write one part while the next one is gathered."""
+A thread may write one part while the next one is gathered.
+"""
 
 from __future__ import annotations
 

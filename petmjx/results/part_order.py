@@ -1,9 +1,9 @@
 """Buffers worlds by destination part, so that a large run is written in plan order without a final sort.
 
-Smaller runs write parts as worlds finish and sort them at the end (petmjx.results.row_order). For a million worlds that
-would mean to write the run twice. Engines get worlds in the order given, about ten thousand at a time. So all worlds of
-a part finish within a short time, and they wait in memory until the part is complete. If that takes too long, the
-finished worlds of the part are written early. They are written once more together with the rest of the part.
+Smaller runs write parts as worlds finish and sort them at the end (petmjx.results.row_order). A run of a million worlds
+would have to be written twice for that. Engines get worlds in the order given, about ten thousand at a time. So all
+worlds of a part finish within a short time, and they wait in memory until the part is complete. If that takes too long,
+the finished worlds of the part are written early. They are written once more together with the rest of the part.
 """
 
 from __future__ import annotations
