@@ -1,13 +1,11 @@
-"""Where the walls of boxes stand, and what stands on them, by the places of the plan.
+"""Loads on boxes of a run as shares of their strength, at rest and at the peak: ``petmjx.loads``.
 
-A carton bears by its walls, and most at its corners. So it matters how much of them has walls of other boxes above,
-and how much of them hangs over an edge or over a gap of the deck. Interlayer sheets are passed through: a box on a
-sheet stands on the boxes under it.
+The strength of a box is what it bears in a press, times factors for how it is stacked (petmjx.options.stacking).
+Verdicts do not depend on it.
 
-How much of their strength boxes of a run bear, at rest and at the peak: ``petmjx.loads``. Verdicts stay as they are.
-
-The strength of a box is what it bears in a press, times factors for how it is stacked (petmjx.analysis.box_loads,
-petmjx.options.stacking). Interlayer sheets are no boxes.
+A carton bears by its walls, and most at its corners. So ``walls_of`` works out from the plan which share of a box's
+walls carries walls of other boxes, and which share hangs over an edge or over a gap of the deck. Interlayer sheets are
+not boxes: a box on a sheet stands on the boxes under the sheet.
 """
 
 from __future__ import annotations

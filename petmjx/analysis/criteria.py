@@ -1,12 +1,10 @@
-"""What criteria are asked about: one plan's contacts, and what several criteria need of them, worked out once.
+"""Closed-form criteria of static stability for one plan.
 
-What the criteria say of one plan.
+``CRITERIA`` lists the criteria by name, with what each asks and what its slack is. Tables, columns and docs are made
+from this list. ``CriterionInputs`` holds the contacts of a plan, and what several criteria need of them is worked out
+once. The criteria of a box's base alone are here: the borne share of the base, and the number of borne corners.
 
-Criteria that look at a box's base alone: how much of it is borne, and how many of its corners.
-
-The criteria by name: what each asks, and what its slack is. Tables, columns and docs are made from this list.
-
-A criterion of your own, step by step: docs/extending.md.
+How to add a criterion of your own: docs/extending.md.
 """
 
 from __future__ import annotations

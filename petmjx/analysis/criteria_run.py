@@ -1,11 +1,4 @@
-"""Options of the criteria, checked.
-
-The tables of the criteria: data frames, and their columns with units.
-
-The results of the criteria: in memory and as files.
-
-The criteria of many plans: ``petmjx.criteria``.
-"""
+"""The criteria of many plans: ``petmjx.criteria``, its options, its tables and its results as files."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Criteria judged by physics: what they say of plans beside what a simulation says, and which threshold says it best.
+"""Compares criteria with a simulation: which plans both accept, and which threshold of a criterion agrees best.
 
-A criterion accepts a plan if all its boxes are stable. Accepted plans that stand are its hits: *precision* is their
-share of the plans accepted, *recall* their share of the plans that stand. Matthews' correlation coefficient (MCC;
-Matthews 1975, Biochimica et Biophysica Acta 405, 442-451) counts both kinds of error: 1 all right, 0 no better than
-chance.
+A criterion accepts a plan if all its boxes are stable. *Precision* is the share of accepted plans that stand. *Recall*
+is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975, Biochimica et
+Biophysica Acta 405, 442-451) counts both kinds of error: 1 means that all answers are right, 0 that they are no better
+than chance.
 """
 
 from __future__ import annotations

@@ -1,36 +1,32 @@
-"""Forces at points where bodies touch, as force and moment on each body.
-
-The linear programmes of force balance: the largest slack for which forces balance, and the least and the most of a
-sum of forces that balance.
-
-Force balance: whether forces exist that hold a stack, and how much is left.
+"""Force balance: whether forces exist that hold a stack, and how much slack is left.
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
-Transactions on Graphics 28(5). At each corner of each contact area there is a force that presses, and friction of at
-most μ times that force. A stack is balanced if there are such forces whose sum and moment are zero on every box.
+Transactions on Graphics 28(5). At each corner of each contact area acts a pressing force, and friction of at most μ
+times that force. A stack is balanced if such forces exist whose sum and moment are zero on every box.
 
-The slack is a pure number. Let each of the n corners under a box be asked to carry at least s times the n-th part of
-the box's own weight; the slack is the largest s for which the stack is balanced. With 1 every box rests on all its
-corners alike; with 0 some box is about to tip; below 0 it would have to be glued, and -s tells how strongly. For a box
-with nothing on it the slack is 1 less how far its centre is on the way from the middle of the corners to the hull's
-edge.
+The slack is a pure number. Each of the n corners under a box must carry at least s times the n-th part of the box's own
+weight. The slack is the largest s for which the stack is balanced. At 1 every box rests evenly on all its corners. At 0
+some box is about to tip. Below 0 some box would have to be glued, and -s says how strongly. For a box with nothing on
+it, take the ray from the middle of its corners through its centre to the hull's edge: the slack is 1 minus the share of
+the ray at which the centre lies.
 
-After each placement only what hangs together with the new box can change: its structure. Three things are used, each
-exact:
+A placement only changes the structure of the new box: the boxes that hang together with it. Three exact shortcuts are
+used:
 
-- A box that has all four corners on the carrier is in balance whatever presses on its top: vertical forces there always
-  have an answer below. It is taken as part of the carrier, and separates structures.
-- Vertical forces that balance are forces that balance. So friction, and with it horizontal forces and heights, is
-  looked at only where there are no such forces. It may then help: a box is held by what lies across it and its
-  neighbour. The slack is then that with friction, if it is larger.
+- A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces below
+  can always answer. It is taken as part of the carrier, and separates structures.
+- Vertical forces that balance are already a solution. So friction, and with it horizontal forces and heights, is only
+  considered if vertical forces alone do not balance. Friction may then help, for example if a box is held by another
+  box that lies across it and its neighbour. The slack is then that with friction, if it is larger.
 - A structure of one box has the closed form above, without a linear programme.
 
-Boxes that touch side by side may lean on each other: press, by default without friction. Forces that merely exist are
-not forces that come about: with friction at its sides any box could hang between two neighbours that press on it,
-though nothing makes them press when it is set down.
+With ``lean`` boxes that touch side by side may press on each other, by default without friction. It is an option
+because forces that could exist need not arise: with friction at its sides any box could hang between two neighbours
+that press on it, though nothing makes them press when it is set down.
 
-Force balance with friction: forces in all three directions, and boxes that lean on their neighbours.
+The linear programmes and ``wrenches``, the force and moment on bodies by forces at points, also serve
+petmjx.analysis.force_intervals.
 """
 
 from __future__ import annotations

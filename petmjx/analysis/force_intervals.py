@@ -1,12 +1,12 @@
-"""The least and the most that may press on a box at rest, by balance and friction.
+"""The least and the largest force on the top of a box at rest that balance and friction allow.
 
-Statics does not say how a box on three supports shares its load, and what a simulation says depends on how stiff its
-contacts are. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown: they press,
-friction is within μ times the pressure, and every box has neither a force nor a moment left over. Two linear programmes
-a box give the least and the most of what presses on its top. Where nothing is left open they are not needed.
+Statics does not say how a box on three supports shares its load, and the answer of a simulation depends on how stiff
+its contacts are. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown. They
+press, friction is at most μ times the pressure, and force and moment on every box are zero. Two linear programmes per
+box give the least and the largest force on its top. They are left out where the force is determined without them.
 
-Friction lies within the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval holds all forces that the cone
-allows. (The criteria ask whether forces exist, and have the pyramid inside the cone.)
+Friction is bounded by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval holds all forces that the
+cone allows. (The criteria ask whether forces exist, and use the pyramid inside the cone.)
 """
 
 from __future__ import annotations

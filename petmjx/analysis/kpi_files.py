@@ -1,4 +1,4 @@
-"""KPIs as files: Parquet, CSV, JSON, and on request a workbook of Excel."""
+"""Writes KPIs as Parquet, CSV and JSON, and on request as an Excel workbook."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether plans stand, from runs: by petmjx's verdict, and by BED-BPP's rule."""
+"""Reads from runs whether plans stand: by petmjx's verdict, and by BED-BPP's rule."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A submission to BED-BPP's leaderboard: its file name, and what must hold of its plans.
+"""Writes a submission to BED-BPP's leaderboard: checks its name and its plans.
 
-The name is ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``; the tasks are those of the leaderboard's page
+The name is ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The tasks are those of the leaderboard's page
 (floriankagerer.github.io/leaderboard): all items are known (offline), they come one after the other (O3DBP), or p are
 known and one of the next s is taken (O3DBP-p-s).
 """

@@ -1,19 +1,16 @@
-"""The columns of the table of KPIs: name, type, unit, meaning.
+"""BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
 
-Direct support of boxes as BED-BPP counts it.
+The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md has them, and
+says which columns are petmjx's own. ``COLUMNS`` lists the columns of the table.
 
-Its evaluator keeps, for each square millimetre of the target, which box was placed there last, and how high it
-reaches. A box lies on all boxes that are last somewhere under it and reach up to 5 mm below its bottom, or higher. Its
-support is the sum of what it shares with each of them, as a share of its base; a box under which there is none counts
-as on the target, with support 1. So where two supporters overlap, what they share counts twice, a box that is pushed in
-under another one lies on that one, and a box that floats stands on the target. In plans without overlapping and
-floating boxes it is the share of the base that lies on something. (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
-``environment/cuboid.py``.)
-
-BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
-
-Definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``; docs/kpis.md has them, and
-says where petmjx has columns of its own.
+``direct_support`` counts support as BED-BPP's evaluator does (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
+``environment/cuboid.py``). For each square millimetre of the target the evaluator keeps the box that was placed there
+last, and how high it reaches. A box lies on all boxes that are last somewhere under it and reach to at most 5 mm below
+its bottom, or higher. Its support is the sum of the areas that it shares with these boxes, as a share of its base. A
+box without such boxes counts as standing on the target, with support 1. This has three consequences: where two
+supporters overlap, their common area counts twice; a box that is pushed in under another box supports it; and a
+floating box stands on the target. In plans without overlapping and floating boxes the support is the share of the base
+that lies on something.
 """
 
 from __future__ import annotations

@@ -1,30 +1,31 @@
-"""Load-bearable convex polygons: where the top of a box can be loaded without anything below giving way.
+"""Criteria that pass loads down a stack, and load-bearable convex polygons.
 
-Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement
-    Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. Any other box bears within the
-    hull of its contact areas, as far as these lie in the polygons of the boxes below; that hull is its own polygon, and
-    the box stands if its centre is in it. Then no later box can tip it, so loads need not be known. The paper also lets
-    the centre of mass be uncertain; here boxes are of uniform density.
+**Polygons** say where the top of a box can be loaded without anything below giving way. Source: Gao, Wang, Kong, Chong
+(2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. A
+box on the carrier can be loaded anywhere on its top. The polygon of any other box is the hull of its contact areas, as
+far as these lie in the polygons of the boxes below. The box stands if its centre is in its own polygon. Then no later
+box can tip it, so loads need not be known. The paper also allows for an uncertain centre of mass; here boxes are of
+uniform density.
 
-Criteria that pass loads down: the resultant of a box's weight and of the loads above stays over what bears it.
+**Criteria that pass loads down** ask whether the resultant of a box's weight and of the loads above stays over its
+supports. Each box is checked at its placement, and all boxes below it are checked again. The two criteria differ in how
+a box shares its load among its supports:
 
-Both criteria ask each box at its placement, and all below it again. They differ in how a load is shared out:
+- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Two supports share by
+  the lever rule. More supports get the forces of least squares that balance force and moments. Source: Zhao, Zhu, Xu,
+  Huang, Xu (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information
+  Sciences 65, arXiv 2108.13680. A load beyond the middle of the last support lifts the other supports, as levers do.
+- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly. This balances force and
+  moments exactly and gives one answer for any number of supports. Source of the criterion: Ramos, Oliveira, Gonçalves,
+  Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability constraints", Transportation
+  Research Part B 91, 565-581. Force and moment balance alone do not say how more than two supports share; the bedding
+  is ours. (Public re-implementations let each box directly above press with its whole weight, and pass nothing
+  further.)
 
-- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Two share by the
-  lever rule; of more, forces of least squares that balance force and moments. Source: Zhao, Zhu, Xu, Huang, Xu (2022),
-  "Learning practically feasible policies for online 3D bin packing", Science China Information Sciences 65, arXiv
-  2108.13680. A load beyond the last support's middle lifts the other ones, as levers do.
-- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly, which balances force and
-  moments exactly and has the same answer for any number of supports. Source of the criterion: Ramos, Oliveira,
-  Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability constraints",
-  Transportation Research Part B 91, 565-581. Force and moment balance alone do not say how more than two supports
-  share; the bedding is ours. (Public re-implementations let each box directly above press with its whole weight, and
-  pass nothing further.)
-
-Both are linear in the load. So each box's weight is passed down alone, and the load on a box after any placement is a
-sum over the boxes placed so far. An even bedding does not pull, though: where it would, supports push with the least
-energy of their springs (petmjx.world.load_sharing). And where it has a resultant beyond an edge, a linear programme
-says whether other forces have all inside (petmjx.world.load_balance).
+Both rules are linear in the load. So the weight of each box is passed down alone, and the load on a box after any
+placement is a sum over the boxes placed so far. Supports cannot pull, however. Where an even bedding would pull, the
+supports push with the least energy of their springs (petmjx.world.load_sharing). Where a resultant of the bedding lies
+beyond an edge, a linear programme says whether other forces keep all resultants inside (petmjx.world.load_balance).
 """
 
 from __future__ import annotations

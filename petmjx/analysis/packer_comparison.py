@@ -1,10 +1,8 @@
-"""What a comparison of packers says, in sentences: who stands more often, and how sure that is.
+"""Compares packers by runs of their plans: whose plans stand more often, by how much, and how sure that is.
 
-Which packer's plans stand more often, by how much, and is the difference more than luck?
-
-Orders are paired: each is packed by every packer. Compared are the orders that have a valid verdict from every packer.
-Orders without a plan and invalid worlds are counted beside them; ``share_at_worst`` is the share if they counted as
-plans that do not stand.
+Orders are paired, since each order is packed by every packer. The comparison takes the orders that have a valid verdict
+from every packer. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share if
+they counted as plans that do not stand.
 """
 
 from __future__ import annotations

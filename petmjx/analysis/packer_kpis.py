@@ -1,4 +1,4 @@
-"""Packers' plans against the orders that they were packed from: which boxes are the orders', and BED-BPP's KPIs."""
+"""Compares packers' plans with the orders that they were packed from: which boxes were ordered, and BED-BPP's KPIs."""
 
 from __future__ import annotations
 

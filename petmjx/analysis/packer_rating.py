@@ -1,9 +1,9 @@
-"""A rating of packers by physics: which share of the boxes that were ordered lies on plans that stand.
+"""A rating of packers by physics: the share of ordered boxes that lie on plans that stand.
 
-It is the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not stand counts
-nothing, and so does an order without a plan or with an invalid world; a box that was left out counts nothing either. So
-neither daring plans nor timid ones win. A box counts once, if it was ordered and has the order's size and mass. With
-orders given, a packer's rating depends on its own plans and the orders alone.
+It has the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not stand
+counts nothing. An order without a plan or with an invalid world counts nothing, nor does a box that was left out. So
+neither daring nor timid plans win. A box counts once, if it was ordered and has the order's size and mass. With orders
+given, a packer's rating depends only on its own plans and the orders.
 """
 
 from __future__ import annotations

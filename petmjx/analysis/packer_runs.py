@@ -1,4 +1,4 @@
-"""The runs of several packers as one table: a row for each order and packer."""
+"""The runs of several packers as one table, with a row for each order and packer."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The tables of a comparison as files.
-
-Packers compared by the runs of their plans for the same orders.
-"""
+"""Writes the tables of a comparison of packers as files."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Convex hulls of the areas on which boxes lie, and how far points are inside them.
+"""Contacts of boxes: which boxes lie on which rectangles, which touch side by side, and at which points at rest.
 
-Which boxes of a plan lie on which, and on which rectangles; which touch side by side.
-
-Where the boxes of a world touch at rest: the points at which MuJoCo's collider finds them in their last poses.
+``find_contacts`` and ``find_sides`` take the places of the plan. ``find_touch_points`` takes the last poses of a world,
+and asks MuJoCo's collider. ``Hulls`` are the convex hulls of the areas on which boxes lie; they tell how far points are
+inside them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Two runs of the same worlds: do their verdicts agree, and by how much do their metrics differ?
+"""Compares two runs of the same worlds: whether their verdicts agree, and by how much their metrics differ.
 
 Run b is compared with run a. Differences of forces are also given relative to a: |b - a| / max(a, 10 N). The minimum of
 10 N is about the weight of a 1 kg box. Ratios of smaller forces say nothing about the pallet.

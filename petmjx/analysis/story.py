@@ -1,10 +1,7 @@
-"""What happened in a story, event by event, and what came of it in one line.
+"""The story of one world: its frames, its events, and the verdict in words.
 
-One world as people see it: what was simulated, frame by frame, and what came of it.
-
-A story in sentences: the verdict and its reason, which box failed first, when and by what.
-
-The story of one world: told frame by frame, and in words.
+``tell`` takes a recorded world or simulates it again, and returns a ``Story``. Other functions put the story into
+words: the headline, the events in order of time, the reason of the verdict, and which box failed first, when and why.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""How sure a score is: the share of worlds that stand with the errors of a stated robot and its cartons.
+"""Scores with confidence: the share of worlds that stand with the errors of a stated robot and its cartons.
 
 It is a sweep of single errors with replicates and the nominal world, with a summary of its own. Users read about it in
 docs/confidence.md.

@@ -1,4 +1,4 @@
-"""The search for the largest level survived, and how a plan failed above it."""
+"""The search for the largest level survived, and the way in which a plan failed above it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Joins the shards of a run to one run."""
+"""Joins the shards of a run into one run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The progress of a run that Python started: in a notebook a bar below the cell, else lines on standard error."""
+"""Progress of a run that Python started: a bar below the cell in a notebook, else lines on standard error."""
 
 from __future__ import annotations
 

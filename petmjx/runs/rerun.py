@@ -1,4 +1,4 @@
-"""Finds again what a run was of: its plans in the files that it names, and its sweep from what ``run.json`` says."""
+"""Restores the plans and the sweep of an earlier run: from the files that it names, or from its folder."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""One run, whole: plans → worlds → engine → results. Every score and every sweep goes this way.
+"""Runs one score or sweep from start to end: plans → worlds → engine → results.
 
-Which worlds it makes of its plans is its study (petmjx.runs.study).
+The study of the run makes the worlds of its plans (petmjx.runs.study).
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Which worlds a run makes of its plans, and what it says of them.
+"""``Study``: which worlds a run makes of its plans, and how it summarises them.
 
-A score's are here: one a plan, the plan as it is. Studies with variants are in petmjx.runs, and build on this.
+The study of a score is here: one world per plan, the plan as it is. Studies with variants build on it
+(petmjx.runs.sweep_study).
 """
 
 from __future__ import annotations

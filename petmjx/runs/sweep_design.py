@@ -1,6 +1,6 @@
-"""The variants of a sweep, which are the same for every plan: their number, and each one.
+"""The variants of a sweep, which are the same for every plan, and the identity of a sweep.
 
-What of a sweep its results depend on: two sweeps of one identity have the same worlds.
+Two sweeps with the same identity have the same worlds.
 """
 
 from __future__ import annotations

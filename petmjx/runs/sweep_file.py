@@ -1,6 +1,7 @@
-"""The ready-made sweep files: in ``sweeps/`` of a checkout, or their copies in an installed package.
+"""Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
 
-Sweep files (``sweeps/*.toml``): reading and checking. What they may contain: docs/sweeps.md.
+Ready-made files are in ``sweeps/`` of a checkout, or copied into an installed package. What sweep files may contain:
+docs/sweeps.md.
 """
 
 from __future__ import annotations

@@ -1,11 +1,7 @@
-"""How much of a sweep is simulated at the same time, and what it has cost.
-
-What a sweep's runner tells: placements that have settled, answers of searches.
-
-Runs a sweep: simulates each placement once, forks the settled states into all drives, and searches levels.
+"""Runs a sweep: simulates each placement once, forks its settled state into all drives, and searches levels.
 
 The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
-``Batching`` limits what is in memory, for sweeps of any size.
+``Batching`` limits the memory, for sweeps of any size.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The study of a run with variants: of sweeps, and of scores that say how sure they are."""
+"""The study of a run with variants: a sweep, or a score with confidence."""
 
 from __future__ import annotations
 

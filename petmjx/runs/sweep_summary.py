@@ -1,4 +1,4 @@
-"""What a sweep adds to the results: parameters and answers as columns of ``worlds``, and the table ``summary``."""
+"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
 
 from __future__ import annotations
 

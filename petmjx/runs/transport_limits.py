@@ -1,6 +1,6 @@
-"""The limits of EUMOS 40509:2020 for a pallet after its test.
+"""Limits of transport tests: the limits of EUMOS 40509:2020, and the profiles that no unsecured load survives.
 
-Which profiles of a sweep no unsecured load can survive: those that slide it off its place, whatever the plan.
+A profile is hopeless if it slides any load farther than the shift threshold, whatever the plan.
 """
 
 from __future__ import annotations
