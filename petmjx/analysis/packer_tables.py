@@ -58,7 +58,7 @@ DESCRIBED: Final[Described] = {
     "listed": (DIMENSIONLESS, "whether the order is one of those given; true for all where none are given"),
     "compared": (DIMENSIONLESS, "whether the order has a valid verdict from every packer"),
 }
-"""Every column of every table. Of KPIs and measures ``packers`` has the means."""
+"""Every column of every table. The table ``packers`` has the means of KPIs and measures."""
 
 
 def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
