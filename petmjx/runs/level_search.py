@@ -141,7 +141,7 @@ class Bisection:
         return (item, bracket.survived), (item, bracket.failed)
 
     def largest_survived(self, item: int) -> float | None:
-        """Level in g, or scale; None: none."""
+        """Largest level survived below every failure, in g, or scale; None: none."""
         survived = self.items[item].survived
         return float(self.levels[survived]) if survived >= 0 else None
 

@@ -1,4 +1,4 @@
-"""What is said about plans and their orders."""
+"""Lines about plans and their orders."""
 
 from __future__ import annotations
 

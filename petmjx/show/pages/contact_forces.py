@@ -1,4 +1,4 @@
-"""Contact forces as pages and pictures draw them: one for each two bodies."""
+"""Contact forces as pages and pictures draw them: one force for each pair of bodies."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""One offline HTML page from parts: styles, scripts and data are in it, and its policy lets it ask for nothing else.
+"""Makes one offline HTML page from parts.
 
-Nothing that comes from plans is ever markup: in HTML it goes through :func:`escaped_html`, in data through
-:func:`page`, and scripts write it as text.
+The page contains its styles, scripts and data, and its policy does not allow it to request anything else. Texts from
+plans never become markup: in HTML they go through :func:`escaped_html`, in data through :func:`page`, and scripts write
+them as text.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Arrays in a page: compact, as base64 of deflated bytes. ``petmjx/show/pages/static/blocks.js`` reads them.
+"""Compact arrays in a page: base64 of deflated bytes, which ``petmjx/show/pages/static/blocks.js`` reads.
 
-A *block* is: length of the header (4 bytes), header (JSON, padded with spaces to a multiple of 8), the arrays, each
-from a multiple of 8; all little-endian, deflated (zlib), in base64.
+A *block* consists of the length of the header (4 bytes), the header (JSON, padded with spaces to a multiple of 8), and
+the arrays, each of which starts at a multiple of 8. All is little-endian, deflated (zlib), in base64.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Colours that people who are colour-blind can tell apart, for pages and pictures. All are sRGB, as ``#rrggbb``."""
+"""Colours for pages and pictures that colour-blind people can tell apart. All are sRGB, as ``#rrggbb``."""
 
 from __future__ import annotations
 

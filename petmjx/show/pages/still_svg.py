@@ -1,4 +1,5 @@
-"""A still picture of boxes as SVG, for browsers without WebGL: seen from the front left, far things first."""
+"""A still picture of boxes as SVG, for browsers without WebGL. It is seen from the front left, and far boxes are drawn
+first."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the page of a story carries: values for its script, and its frames as arrays."""
+"""The data in the page of a story: values for its script, and its frames as arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg that imageio-ffmpeg brings."""
+"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg of imageio-ffmpeg."""
 
 from __future__ import annotations
 

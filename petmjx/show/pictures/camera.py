@@ -1,4 +1,4 @@
-"""Where a picture is seen from: named views, and a camera that has given points in the picture."""
+"""The camera of a picture: named views, and a camera that frames given points."""
 
 from __future__ import annotations
 

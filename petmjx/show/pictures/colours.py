@@ -1,4 +1,4 @@
-"""Which colour a box has, and what that means: the same colours as on pages (``petmjx.show.pages.palette``)."""
+"""The colours of boxes and their meaning, the same as on pages (``petmjx.show.pages.palette``)."""
 
 from __future__ import annotations
 

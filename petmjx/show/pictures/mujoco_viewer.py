@@ -1,4 +1,4 @@
-"""Plays a story in MuJoCo's own viewer, which draws its contact forces."""
+"""Plays a story in MuJoCo's own viewer, with contact forces."""
 
 from __future__ import annotations
 

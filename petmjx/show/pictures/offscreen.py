@@ -1,6 +1,6 @@
-"""MuJoCo's renderer without a window: geoms go in, pixels come out.
+"""MuJoCo's renderer without a window: takes geoms and returns pixels.
 
-``mujoco.Renderer`` takes the OpenGL that was chosen when mujoco was first imported, which engines do before anybody
+``mujoco.Renderer`` uses the OpenGL that was chosen when mujoco was first imported, and engines import it before anybody
 thinks of pictures. Here the context is made when it is needed, by EGL unless ``MUJOCO_GL`` names another.
 """
 

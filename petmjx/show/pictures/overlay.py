@@ -1,4 +1,4 @@
-"""What is written into a picture: the plan and its verdict, the time, the legend; and the outline of the first box."""
+"""Texts in a picture (the plan and its verdict, the time, the legend) and the outline of the first box to fail."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``petmjx.draw``: one story into files of any kind, by the ending of their names."""
+"""Draws one story into files of any kind, chosen by the ending of their names: ``petmjx.draw``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Single pictures of a story, and what all pictures of one call have in common."""
+"""Single pictures of a story, and the style that all pictures of one call share."""
 
 from __future__ import annotations
 

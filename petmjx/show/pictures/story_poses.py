@@ -1,4 +1,4 @@
-"""Poses of a story at any time, and the moments by name at which pictures are taken."""
+"""Poses of a story at any time, and the named moments at which pictures are taken."""
 
 from __future__ import annotations
 

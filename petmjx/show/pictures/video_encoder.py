@@ -1,7 +1,8 @@
-"""Films in H.264: frames into the ffmpeg that imageio-ffmpeg brings.
+"""Encodes films in H.264 by writing frames into the ffmpeg of imageio-ffmpeg.
 
-Its own writer starts ffmpeg with a function to run between fork and exec, which threads make unsafe: where JAX is
-loaded, as after a run on a GPU, JAX warns of a deadlock. So ffmpeg is started here, without one.
+The writer of imageio-ffmpeg starts ffmpeg with a function that runs between fork and exec, which is unsafe with
+threads. If JAX is loaded, as after a run on a GPU, it warns of a deadlock. So ffmpeg is started here, without such a
+function.
 """
 
 from __future__ import annotations

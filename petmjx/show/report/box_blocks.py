@@ -1,4 +1,4 @@
-"""The boxes of worlds as they ended, in blocks that the page unpacks when one of them is looked at."""
+"""The final boxes of worlds, in blocks that the page unpacks when the user opens one of the worlds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kinds of charts of a report. What they are about is decided elsewhere."""
+"""The kinds of charts in a report. Other modules decide what they show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""How far boxes moved, how they tilted, what pressed on them and when the first sign came; alone, and against size."""
+"""Charts of how far boxes moved and tilted, of the forces on them and of the time of the first sign: alone, and against
+size."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""HTML and SVG as text. What is not markup already is escaped, so no text of a plan or of a file can become any."""
+"""HTML and SVG as text. Text that is not markup is escaped, so no text of a plan or of a file can become markup."""
 
 from __future__ import annotations
 

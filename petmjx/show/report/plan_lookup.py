@@ -1,4 +1,4 @@
-"""The plans of a run for its report, as far as they are found again: pictures and weights need them."""
+"""Finds the plans of a run for its report, which needs them for pictures and weights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Histories of worlds that were recorded, for the page to play."""
+"""Histories of recorded worlds, for the page to play."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The runs of a report: their tables, with what the plans add to them."""
+"""The runs of a report: their tables, with columns that come from the plans."""
 
 from __future__ import annotations
 

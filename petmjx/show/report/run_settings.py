@@ -1,4 +1,4 @@
-"""What was run, and with what: options, versions, files, skipped plans and warnings."""
+"""The settings of a run in a report: options, versions, files, skipped plans and warnings."""
 
 from __future__ import annotations
 

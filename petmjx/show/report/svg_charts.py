@@ -1,6 +1,7 @@
 """The frame of a small chart as SVG: scales, axes, ticks.
 
-Colours are classes of ``static/report.css``, so that charts follow the page's light or dark mode; no script draws.
+Colours are classes of ``static/report.css``, so that charts follow the page's light or dark mode. Charts need no
+script.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The answers of sweeps: shares along axes, largest levels by direction, which axis matters most."""
+"""The answers of sweeps in a report: shares along axes, largest levels by direction, and which axis matters most."""
 
 from __future__ import annotations
 
