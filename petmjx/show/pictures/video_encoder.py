@@ -16,18 +16,18 @@ from tempfile import TemporaryFile
 
 @contextmanager
 def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], None]]:
-    """Gives a function that takes the film's frames, one after the other; at the end the file is whole.
+    """A context with a function that takes the frames of a film, one after the other. At its end the file is complete.
 
     Args:
-        path: a file that is there already is replaced.
-        size: width and height, px; even numbers.
+        path: the file to write; an existing one is replaced.
+        size: width and height, px; both even.
         fps: frames per second.
 
     Yields:
         A function of one frame's bytes: rows from above, red, green and blue of each pixel.
 
     Raises:
-        RuntimeError: there is no ffmpeg, or it gave up; its last line says why.
+        RuntimeError: ffmpeg is missing or failed; the message is its last line.
         OSError: it cannot be started.
     """
     import imageio_ffmpeg
@@ -36,10 +36,10 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:g}", "-i", "-",
         "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "medium", "-movflags", "+faststart",
-        f"file:{path}",  # a name such as "a:b.mp4" would be that of a protocol
+        f"file:{path}",  # a name such as "a:b.mp4" would be read as a protocol
     ]  # fmt: skip
     with TemporaryFile() as error_output:
-        # a session of its own: Ctrl-C reaches petmjx alone, which then ends it
+        # a new session, so that Ctrl-C only reaches petmjx, which then ends ffmpeg
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_output, start_new_session=True
         )
@@ -55,7 +55,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         try:
             yield add
         except _EncoderExit:
-            pass  # it has said why
+            pass  # ffmpeg reports the reason
         except BaseException:
             process.kill()
             raise
@@ -70,4 +70,4 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
 
 
 class _EncoderExit(Exception):
-    """ffmpeg has ended before the film has."""
+    """ffmpeg ended before the film did."""
