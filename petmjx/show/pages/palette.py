@@ -16,7 +16,7 @@ OKABE_ITO: Final = ("#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55
 """Okabe and Ito, "Color Universal Design", 2008, without black."""
 
 _TONES: Final = (0.0, 0.45, -0.4)
-"""Change of lightness when all hues are used up: first none, then lighter, then darker."""
+"""Tones of the hues, in the order of use: pure, lighter, and darker, once all hues are taken."""
 
 RAMP_COLOURS: Final = 64
 

@@ -54,8 +54,8 @@ LEAST_LEVEL_G: Final = 0.005
 
 REACH: Final = 1.25
 LEAST_REACH_M: Final = 1.0
-"""A box whose centre is farther from the planned load than a multiple of the load's largest extent, and farther than
-this, m, is not framed. A box that has rolled away would make all other boxes small."""
+"""A box is not framed if its centre is farther from the planned load than ``REACH`` times the load's largest extent,
+and farther than this, m. A box that has rolled away would make all other boxes small."""
 
 
 class Painter:
