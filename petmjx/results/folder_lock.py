@@ -1,5 +1,4 @@
-"""A lock on a folder, so that one run at a time writes into it. The lock ends with its process, even if that is
-killed."""
+"""A lock that lets one run at a time write into a folder. It ends with its process, even if that is killed."""
 
 from __future__ import annotations
 

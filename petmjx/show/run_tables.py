@@ -56,9 +56,7 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """The tables of a score with confidence: the nominal worlds, the shares, and the names of plans that need
     attention."""
-    since = {
-        name: 0 for name in ("n_not_placed", "n_fell") if name not in summary
-    }  # missing in runs of earlier versions
+    since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # runs of earlier versions
     summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:
         worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))

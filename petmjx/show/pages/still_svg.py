@@ -1,5 +1,7 @@
-"""A still picture of boxes as SVG, for browsers without WebGL. It is seen from the front left, and far boxes are drawn
-first."""
+"""A still picture of boxes as SVG, for browsers without WebGL.
+
+It is seen from the front left, and far boxes are drawn first.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Charts of how far boxes moved and tilted, of the forces on them and of the time of the first sign: alone, and against
-size."""
+"""Charts of shift, tilt, force and the time of the first sign: alone, and against the size of plans."""
 
 from __future__ import annotations
 
