@@ -377,7 +377,7 @@ def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tup
 
 
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
-    """A row a world."""
+    """The table ``plans``: one row per world."""
     key = ["plan_id", "variant"]
     shares = {name: share for name, share in _OVER.items() if share in boxes}
     marked = boxes[key].assign(

@@ -1,8 +1,8 @@
 """Closed-form criteria of static stability for one plan.
 
-``CRITERIA`` lists the criteria by name, with what each asks and what its slack is. Tables, columns and docs are made
-from this list. ``CriterionInputs`` holds the contacts of a plan, and what several criteria need of them is worked out
-once. The criteria of a box's base alone are here: the borne share of the base, and the number of borne corners.
+``CRITERIA`` lists the criteria by name, each with its condition and its slack. Tables, columns and docs are made from
+this list. ``CriterionInputs`` holds the contacts of a plan and computes shared values once for all criteria. The
+criteria of a box's base alone are here: the borne share of the base, and the number of borne corners.
 
 How to add a criterion of your own: docs/extending.md.
 """
@@ -214,7 +214,7 @@ class Criterion:
         slack: definition of the slack, whose sign is the answer.
         unit: unit of the slack.
         source: where the criterion comes from.
-        slack_of: (n,) the slacks of a plan's boxes; NaN where there is none.
+        slack_of: computes (n,) the slacks of a plan's boxes; NaN if a box has none.
         strict: whether a slack of 0 is not enough.
         number: the number that its threshold applies to; "" if there is none.
         ends: whether boxes after the first one that fails are not asked.

@@ -433,7 +433,7 @@ def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
 
 
 def _directions(axis: IntArray) -> FloatArray:
-    """(p, 5, 3) unit vectors: along the axis, then both ways along the two others."""
+    """(p, 5, 3) unit vectors: along the axis, then in both directions along the two other axes."""
     unit = np.eye(3)
     along, one, other = unit[axis], unit[(axis + 1) % 3], unit[(axis + 2) % 3]
     return np.stack([along, one, -one, other, -other], axis=1)

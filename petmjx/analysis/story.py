@@ -373,7 +373,7 @@ def sinks_of(story: Story) -> FloatArray | None:
 
 
 def reason_in_words(story: Story) -> str:
-    """Why the verdict is what it is, as a sentence without its full stop."""
+    """The reason of the verdict, as a sentence without its full stop."""
     outcome, limits = story.outcome, thresholds_of(story)
     dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
     boxes = "a box" if dropped == 1 else f"{dropped} boxes"

@@ -1,6 +1,6 @@
 """The layout of a run's folder, and how its files are written.
 
-    DIR/run.json                    options, versions, device, counts, what was skipped
+    DIR/run.json                    options, versions, device, counts, skipped plans
     DIR/worlds/part-*.parquet       one row per world
     DIR/boxes/part-*.parquet        one row per box of each world
     DIR/attempts/part-*.parquet     one row per attempt, for worlds that needed more than one
@@ -10,7 +10,7 @@
     DIR/summary/part-*.parquet      sweeps: the answers
     DIR/plans/part-*.parquet        one row per plan of the run, with its digest
     DIR/placements/part-*.parquet   one row per box of its plans, with all fields
-    DIR/.lock                       while a run writes there
+    DIR/.lock                       exists while a run writes
 
 Every file appears whole or not at all. A part counts once ``run.json`` lists it, with its digest
 (petmjx.results.run_tables). Unlisted parts were left by a killed run. Parts of ``worlds``, ``boxes`` and ``attempts``

@@ -1,4 +1,4 @@
-"""The files of a run's tables: reads those that ``run.json`` lists, and checks that they are what the run wrote."""
+"""Reads the table files that ``run.json`` lists, and checks that they are what the run wrote."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes and deletes the table files of a run in progress, and keeps the list of those that count."""
+"""Writes and deletes the table files of a run in progress, and keeps the list of files that count."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
     """The runs, sorted by the numbers of their shards.
 
     Raises:
-        InputError: a run is not a shard or is not finished, or the shards are not each there exactly once.
+        InputError: a run is not a shard or is not finished, or a shard is missing or there twice.
     """
     run_by_shard: dict[int, RunResults] = {}
     of: set[int] = set()

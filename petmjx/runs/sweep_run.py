@@ -107,7 +107,7 @@ class Answer:
     """The answer of a search for one placement, profile and direction.
 
     Attributes:
-        largest_survived, first_failed: level in g, or scale; None where there is none.
+        largest_survived, first_failed: level in g, or scale; None if there is none.
         at_largest, at_failure: probes of the worlds at these two levels; None if no world was simulated there.
     """
 

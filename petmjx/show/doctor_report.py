@@ -26,7 +26,7 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True)
 class EngineReport:
-    """Whether an engine works here, and one line: what it runs on, or why it does not work."""
+    """Whether an engine works here, and one line: its device, or why it does not work."""
 
     name: str
     works: bool

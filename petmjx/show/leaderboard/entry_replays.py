@@ -179,7 +179,7 @@ def _replay(plan_id: str, claimed: str, row: pd.Series) -> Replay:
 
 
 def _drawn(claimed: Mapping[str, str]) -> list[str]:
-    """All plans with a valid verdict in a random order, those that stand first."""
+    """All plans with a valid verdict in random order; plans that stand come first."""
     valid = [name for name, verdict in claimed.items() if verdict in _VALID]
     shuffled = [valid[at] for at in np.random.default_rng().permutation(len(valid))]
     return sorted(shuffled, key=lambda name: claimed[name] != Verdict.STABLE.value)
