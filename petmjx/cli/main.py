@@ -109,7 +109,7 @@ def options(
         bool, typer.Option("--debug", envvar="PETMJX_DEBUG", help="Show the traceback of an error.")
     ] = False,
 ) -> None:
-    """Options that stand before the command."""
+    """Options before the command."""
     _SETTINGS.debug = debug
 
 
