@@ -1,4 +1,4 @@
-"""Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both end in ``petmjx.runs.simulate``.
+"""Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both call ``petmjx.runs.simulate``.
 
 Modules that only some runs need are imported when they are needed: a plain score loads no sweeps.
 """
@@ -33,7 +33,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Function]:
-    """Give a function with ``**options`` a signature and documentation that list the records' fields."""
+    """Give a function with ``**options`` a signature and a docstring that list the fields of the records."""
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
@@ -53,11 +53,11 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(given: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """The watcher of a run: the one that is given; else in a notebook a progress bar, and with ``progress`` lines on
-    standard error elsewhere.
+    """The watcher of a run: the given one; else a progress bar in a notebook; elsewhere, with ``progress``, lines on
+    standard error.
 
     Raises:
-        InputError: it cannot follow a run.
+        InputError: the given object cannot follow a run.
     """
     flag_of(progress, "progress")
     if given is not None and not all(callable(getattr(given, name, None)) for name in ("begin", "world_done")):
@@ -74,7 +74,7 @@ def _watching(given: Watcher | None, progress: bool) -> Iterator[Watcher | None]
 
 
 def _intervals(options: RunOptions) -> Intervals | None:
-    """What works out intervals of forces, if they are asked for.
+    """The function that computes intervals of forces, if the options ask for them.
 
     Raises:
         InputError: SciPy is missing.
@@ -100,15 +100,15 @@ def score(
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
-        plans: a file, a folder, several of them, a data frame with a row a box, a plan, a list of plans or a
+        plans: a file, a folder, several of these, a data frame with one row per box, a plan, a list of plans or a
             ``PlanSet``; None: the bundled samples.
         watcher: follows the run. Without one, notebooks show a progress bar.
-        progress: in a script, say on standard error how far the run is, every few seconds.
+        progress: in a script, print the progress of the run on standard error every few seconds.
         options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
 
     Returns:
         The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames and ``.info``. With ``confidence``
-        also ``.summary``, and ``.worlds`` has more than one row a plan: variant 0 is the one without errors.
+        also ``.summary``, and ``.worlds`` has several rows per plan: variant 0 is the world without errors.
 
     Raises:
         InputError: unusable plans or options.
@@ -143,10 +143,10 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`; they replace those that the file names. None: the file's.
+        plans: as for :func:`score`; they replace the plans that the file names. None: the plans of the file.
         watcher: follows the run. Without one, notebooks show a progress bar.
-        progress: in a script, say on standard error how far the run is, every few seconds.
-        batching: how many states and worlds are held in memory; changes no result.
+        progress: in a script, print the progress of the run on standard error every few seconds.
+        batching: how many states and worlds are held in memory; it changes no result.
         options: fields of ``petmjx.Simulation``, which replace those of the file, and of ``petmjx.RunOptions``.
 
     Returns:

@@ -1,3 +1,3 @@
-"""What is asked of plans and results: criteria, KPIs, loads, comparisons of runs and packers, the story of a world."""
+"""Analyses of plans and results: criteria, KPIs, loads, comparisons of runs and packers, the story of a world."""
 
 from __future__ import annotations

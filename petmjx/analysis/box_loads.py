@@ -1,13 +1,11 @@
-"""Where the walls of boxes stand, and what stands on them, by the places of the plan.
+"""Loads on boxes of a run as shares of their strength, at rest and at the peak: ``petmjx.loads``.
 
-A carton bears by its walls, and most at its corners. So it matters how much of them has walls of other boxes above,
-and how much of them hangs over an edge or over a gap of the deck. Interlayer sheets are passed through: a box on a
-sheet stands on the boxes under it.
+The strength of a box is what it bears in a press, times factors for how it is stacked (petmjx.options.stacking).
+Verdicts do not depend on it.
 
-How much of their strength boxes of a run bear, at rest and at the peak: ``petmjx.loads``. Verdicts stay as they are.
-
-The strength of a box is what it bears in a press, times factors for how it is stacked (petmjx.analysis.box_loads,
-petmjx.options.stacking). Interlayer sheets are no boxes.
+A carton bears by its walls, and most at its corners. So ``walls_of`` works out from the plan which share of a box's
+walls carries walls of other boxes, and which share hangs over an edge or over a gap of the deck. Interlayer sheets are
+not boxes: a box on a sheet stands on the boxes under the sheet.
 """
 
 from __future__ import annotations
@@ -40,10 +38,10 @@ from petmjx.results.run_reader import RunResults, load_run
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0
-"""A box stands on what ends no further below it; boxes are let down onto what is there."""
+"""Largest gap below a box across which it still stands on the body below. Placed boxes are let down onto that body."""
 
 LEAST_SHARED_MM: Final = 1.0
-"""Boxes that share less along an axis stand beside each other."""
+"""Boxes that overlap by less than this along an axis stand beside each other."""
 
 Span = tuple[float, float]
 
@@ -52,9 +50,9 @@ class Walls(NamedTuple):
     """The walls of n boxes, as shares of their lengths.
 
     Attributes:
-        met: (n,) on which walls of boxes above stand; 1 where nothing stands on the box.
-        hanging: (n,) that have nothing below them, beyond the edges of what bears the box.
-        over_gaps: (n,) that are over gaps between the boards of the deck.
+        met: (n,) share on which walls of boxes above stand; 1 if nothing stands on the box.
+        hanging: (n,) share that has nothing below it, beyond the edges of the bodies that bear the box.
+        over_gaps: (n,) share over gaps between the boards of the deck.
         on_deck: (n,) whether a box stands on the carrier, perhaps with a sheet between.
     """
 
@@ -70,9 +68,10 @@ def walls_of(
     """The walls of a plan's boxes.
 
     Args:
-        extent_mm: of the carrier along x and y, with its corner in the origin; None: it is as large as the plan.
-        deck_mm: (b, 2, 2) lowest and highest corners of the boards of its deck; None: it has no gaps.
-        tolerance_mm: walls stand on walls and edges that are no further away.
+        extent_mm: extents of the carrier along x and y, with its corner in the origin; None: it is as large as the
+            plan.
+        deck_mm: (b, 2, 2) lowest and highest corners of the boards of the deck; None: the deck has no gaps.
+        tolerance_mm: largest distance at which a wall still stands on a wall or an edge.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     on, on_carrier = _stands_on(plan, low, high)
@@ -91,7 +90,7 @@ def walls_of(
         if on_carrier[box] and extent_mm is not None:
             below.append((np.zeros(2), np.array(extent_mm)))
         if not below:
-            continue  # it floats: nobody knows on what it comes to stand
+            continue  # the box floats: where it will stand is not known
         borne = sum(_over(wall, below, tolerance_mm) for wall in walls)
         hanging[box] = max(0.0, 1.0 - borne / perimeter)
         if on_carrier[box] and deck_mm is not None:
@@ -123,9 +122,9 @@ class _Wall(NamedTuple):
     """A wall seen from above: a line along an axis.
 
     Attributes:
-        axis: along which it runs.
-        at: where it is along the other axis, mm.
-        span: from where to where it runs, mm.
+        axis: axis along which the wall runs.
+        at: place along the other axis, mm.
+        span: begin and end along ``axis``, mm.
     """
 
     axis: int
@@ -216,27 +215,26 @@ _SHARES: Final = {
     "rest_top_force_high_n": "load_share_high",
     "max_top_force_n": "peak_share",
 }
-"""Forces on boxes, and what share of the strength they are; the second and third where a run has intervals."""
+"""Force on a box → column with its share of the strength. The second and the third exist if the run has intervals."""
 
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""What is said of worlds where a box has a share above 1."""
+"""Column of ``plans`` → column of ``boxes``: whether a box of the world has a share above 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Loads:
-    """What :func:`loads` found.
+    """The result of :func:`loads`.
 
     Attributes:
         run: the run's folder.
-        boxes: a row a box of each world: ``load_share`` and what it is made of.
-        plans: a row a world: ``overloaded`` at rest and ``overloaded_at_peak``, and the boxes that bear most of their
-            strength then. Where the run has intervals of forces, also ``surely_overloaded`` and
-            ``possibly_overloaded``.
+        boxes: one row per box of each world: ``load_share`` and the values that it is computed from.
+        plans: one row per world: ``overloaded`` at rest and ``overloaded_at_peak``, and the boxes with the largest
+            shares then. If the run has intervals of forces, also ``surely_overloaded`` and ``possibly_overloaded``.
         notes: a line on a run that is not finished, one on articles without strength, and one on forces at rest after a
             drive with film.
-        stacking: by how much the way in which boxes are stacked weakens them.
+        stacking: how much strength boxes lose by the way in which they are stacked.
     """
 
     run: Path
@@ -280,21 +278,21 @@ def loads(
     *,
     stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the forces on boxes, at rest and the largest, with what the boxes can bear as they are stacked.
+    """Compare the forces on boxes, at rest and at the peak, with the strength of the boxes as they are stacked.
 
     ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
     Args:
         run: a run's folder, or what ``petmjx.score`` returned.
-        articles: table of strengths (``petmjx.plans.articles.read_articles``). For boxes that it does not cover, the
-            plan's own values count, or the table of the run. None: those alone.
+        articles: table of strengths (``petmjx.plans.articles.read_articles``). Boxes that it does not cover have the
+            strength given in the plan, or in the table of the run. None: only these count.
         plans: the plans of the run, for sizes, places and product groups; None: the files that the run names.
-        stacking: how much of their strength boxes lose as they are stacked, or some of its fields
+        stacking: how much strength boxes lose by stacking; a mapping sets some of its fields
             (``petmjx.options.stacking.Stacking``).
 
     Raises:
-        InputError: no run, an unusable table of articles or option, no strength at all, or plans that are not those of
-            the run.
+        InputError: no run, an unusable table of articles, an unusable option, no strength for any box, or plans that
+            differ from those of the run.
     """
     losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
     results = run if isinstance(run, RunResults) else load_run(run)
@@ -341,7 +339,7 @@ _STRENGTH: Final = ("press_strength_n", "wall_factor", "overhang_factor", "deck_
 def _strengths(
     plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
 ) -> tuple[pd.DataFrame, Counter[str]]:
-    """The strength of each box that is no sheet, and the articles that have none with their numbers of boxes."""
+    """The strength of each box except sheets, and the articles without strength with their numbers of boxes."""
     parts: list[pd.DataFrame] = []
     missing: Counter[str] = Counter()
     for plan in plans:
@@ -367,7 +365,8 @@ def _strengths(
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n,) what is left of each box's strength: by walls that do not meet, by those that hang over, by the deck."""
+    """Three times (n,), the factor on each box's strength: for walls that do not meet, for walls that hang over, and
+    for gaps of the deck."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
@@ -378,7 +377,7 @@ def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tup
 
 
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
-    """A row a world."""
+    """The table ``plans``: one row per world."""
     key = ["plan_id", "variant"]
     shares = {name: share for name, share in _OVER.items() if share in boxes}
     marked = boxes[key].assign(
@@ -421,7 +420,7 @@ def _notes(missing: Counter[str]) -> list[str]:
 
 
 def _film_notes(results: RunResults) -> list[str]:
-    """What to think of forces at rest of worlds that were shaken in film."""
+    """A note on forces at rest of worlds that were shaken in film."""
     wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:

@@ -1,12 +1,10 @@
-"""What criteria are asked about: one plan's contacts, and what several criteria need of them, worked out once.
+"""Closed-form criteria of static stability for one plan.
 
-What the criteria say of one plan.
+``CRITERIA`` lists the criteria by name, each with its condition and its slack. Tables, columns and docs are made from
+this list. ``CriterionInputs`` holds the contacts of a plan and computes shared values once for all criteria. The
+criteria of a box's base alone are here: the borne share of the base, and the number of borne corners.
 
-Criteria that look at a box's base alone: how much of it is borne, and how many of its corners.
-
-The criteria by name: what each asks, and what its slack is. Tables, columns and docs are made from this list.
-
-A criterion of your own, step by step: docs/extending.md.
+How to add a criterion of your own: docs/extending.md.
 """
 
 from __future__ import annotations
@@ -50,8 +48,9 @@ class CriterionInputs:
     """One plan of n boxes.
 
     Attributes:
-        friction: coefficients, for force balance; ``leans``: whether it is also asked with boxes that lean.
-        strength_n: (n,) what boxes bear on their tops, N; NaN where it is not known; None: of no box.
+        friction: coefficients, for force balance.
+        leans: whether force balance is also computed with boxes that lean on neighbours.
+        strength_n: (n,) strength of the tops of boxes, N; NaN if it is not known. None: it is known for no box.
     """
 
     contacts: PlanContacts
@@ -76,7 +75,7 @@ class CriterionInputs:
 
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
-        """(n,) slacks of force balance, without leaning and with it; of the latter NaN unless ``leans``."""
+        """Two (n,) slacks of force balance: without leaning and with leaning. The second is NaN unless ``leans``."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
 
@@ -85,18 +84,18 @@ NO: Final = 0
 NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
-"""Slacks this far below 0 are 0, by unit. Shares of areas in mm² have rounding errors of 1e-16."""
+"""By unit: slacks that are below 0 by at most this count as 0. Shares of areas in mm² have rounding errors of 1e-16."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What c criteria say of n boxes at their placement.
+    """The answers of c criteria for n boxes at their placement.
 
     Attributes:
         n_supports: (n,) areas on which a box lies (``PlanContacts.n_supports``).
         share: (n,) borne share of the base.
         corners: (n,) bottom corners that lie on something.
-        slack: (n, c) NaN where there is none.
+        slack: (n, c) the slacks; NaN if there is none.
         stable: (n, c) ``YES``, ``NO``, or ``NOT_ASKED``: force balance ends with the first box that fails.
     """
 
@@ -114,7 +113,7 @@ def answer(
     tolerance_mm: float,
     deck_mm: FloatArray | None = None,
 ) -> Answers:
-    """Ask the criteria of one plan.
+    """Evaluate criteria for one plan.
 
     Args:
         friction: coefficients, for force balance.
@@ -132,7 +131,8 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """Yes or no by the sign of the slack. NaN is no; what comes after an end was not asked."""
+    """Yes or no by the sign of the slack. NaN means no. Boxes after the end of a criterion that ``ends`` were not
+    asked."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
     if criterion.ends:
@@ -143,7 +143,7 @@ def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
 def support_share(contacts: PlanContacts) -> FloatArray:
     """(n,) borne area / base area; 0 for a box that lies on nothing.
 
-    Where supports overlap each other, as in illegal plans, shared area counts once.
+    If supports overlap each other, as in illegal plans, their common area counts once.
     """
     area = (contacts.high_mm - contacts.low_mm).prod(axis=1)
     borne = np.bincount(contacts.upper, weights=area, minlength=contacts.n_boxes)
@@ -180,10 +180,10 @@ def corners_supported(contacts: PlanContacts) -> IntArray:
 
 
 def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[float, float, float]) -> FloatArray:
-    """(n,) the share by which the borne area exceeds what is asked with so many corners.
+    """(n,) by how much the borne share exceeds the share that is required for the box's number of borne corners.
 
     Args:
-        least: shares asked for with four corners, with three, and with fewer.
+        least: shares required with four borne corners, with three, and with fewer.
     """
     four, three, fewer = least
     least_share: FloatArray = np.select([corners >= N_CORNERS, corners == N_CORNERS - 1], [four, three], fewer)
@@ -191,14 +191,13 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 
 SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
-"""Shares of the base that are asked for: full support, and those of Bortfeldt & Wäscher's survey and the ADAMS
-study."""
+"""Required shares of the base: full support, and the shares in Bortfeldt & Wäscher's survey and in the ADAMS study."""
 
 LEAST_CORNERS: Final = 3
 
 CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
-"""Shares asked for with four corners, three, and fewer, in the paper and in its authors' code."""
+"""Shares required with four borne corners, with three, and with fewer, in the paper and in its authors' code."""
 
 _MM: Final = "mm"
 
@@ -210,16 +209,16 @@ class Criterion:
     """One criterion of static stability.
 
     Attributes:
-        name: of its columns.
-        asks: what a box must have to be stable.
-        slack: what the slack is; its sign is the answer.
-        unit: of the slack.
+        name: name of its columns.
+        asks: the condition for a box to be stable.
+        slack: definition of the slack, whose sign is the answer.
+        unit: unit of the slack.
         source: where the criterion comes from.
-        slack_of: (n,) the slacks of a plan's boxes; NaN where there is none.
+        slack_of: computes (n,) the slacks of a plan's boxes; NaN if a box has none.
         strict: whether a slack of 0 is not enough.
-        number: the number behind it, if a threshold can be asked of it; "" otherwise.
-        ends: whether nothing is asked after the first box that fails.
-        usual: whether it is asked if none is named.
+        number: the number that its threshold applies to; "" if there is none.
+        ends: whether boxes after the first one that fails are not asked.
+        usual: whether it is evaluated if the user names no criteria.
     """
 
     name: str
@@ -334,20 +333,20 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
-        usual=False,  # where no strength is known it accepts everything
+        usual=False,  # if no strength is known it accepts everything
     ),
 )
-"""In the order of tables: from criteria of the base to criteria of the whole stack."""
+"""All criteria in the order of tables: from criteria of the base to criteria of the whole stack."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
 _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria of these names in the order of ``CRITERIA``; if none is named those that usually are.
+    """The criteria with these names, in the order of ``CRITERIA``. Without names the usual ones.
 
     Raises:
-        InputError: there is no such criterion.
+        InputError: a criterion does not exist.
     """
     chosen_names = tuple(names or ()) or _UNNAMED
     for name in chosen_names:

@@ -1,11 +1,4 @@
-"""Options of the criteria, checked.
-
-The tables of the criteria: data frames, and their columns with units.
-
-The results of the criteria: in memory and as files.
-
-The criteria of many plans: ``petmjx.criteria``.
-"""
+"""The criteria of many plans: ``petmjx.criteria``, its options, its tables and its results as files."""
 
 from __future__ import annotations
 
@@ -50,7 +43,7 @@ from petmjx.world.carrier_boards import pallet
 
 
 class CriteriaOptions(CheckedRecord):
-    """What the criteria depend on, and how they are worked out."""
+    """The options of the criteria: inputs that the answers depend on, and how they are computed."""
 
     friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
         PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
@@ -87,7 +80,7 @@ _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
 
 def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """A row a box, in packing order. Answers are nullable: null where a criterion was not asked."""
+    """One row per box, in packing order. An answer is null if the criterion was not asked."""
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, object] = {
         "plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts),
@@ -108,7 +101,7 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """A row a plan: whether all boxes are stable, the first that is not, and the least slack."""
+    """One row per plan: whether all boxes are stable, the first box that is not, and the least slack."""
     counts = np.array([plan.n_boxes for plan in plans])
     starts = np.r_[0, counts.cumsum()[:-1]]
     columns: dict[str, object] = {
@@ -123,7 +116,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # what was not asked has no slack; a box that failed without one leaves its plan without one
+        # boxes that were not asked are ignored; a plan has no least slack if a box failed without a slack
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -181,7 +174,7 @@ def criteria_vs_physics_columns() -> Described:
 
 
 def documented_thresholds() -> Described:
-    """The columns of ``thresholds``. Those of the threshold itself are in the unit that the row names."""
+    """The columns of ``thresholds``. The threshold itself is in the unit that the row names."""
     in_row = "as in the column unit"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
@@ -204,15 +197,15 @@ INFO_FILE: Final = "criteria.json"
 
 @dataclass(frozen=True, eq=False)
 class CriteriaResults:
-    """Answers of closed-form criteria, and how they compare with a run.
+    """The answers of closed-form criteria, and their comparison with a run.
 
     Attributes:
-        boxes: a row a box: for each criterion its answer and its slack (``<criterion>_slack``).
-        plans: a row a plan: for each criterion whether all boxes are stable, the first that is not (``_first``), and
-            the least slack.
-        judged: a row for each criterion, compared with the verdicts of a run; None without one.
-        thresholds: a row for each criterion with a number: the threshold that agrees best with the simulation; None
-        without a run.
+        boxes: one row per box: for each criterion its answer and its slack (``<criterion>_slack``).
+        plans: one row per plan: for each criterion whether all boxes are stable, the first box that is not
+            (``_first``), and the least slack.
+        judged: one row per criterion, compared with the verdicts of a run; None without a run.
+        thresholds: one row per criterion with a number: the threshold that agrees best with the simulation; None
+            without a run.
         info: options, counts, skipped plans and times.
     """
 
@@ -241,10 +234,11 @@ class CriteriaResults:
         return {column: unit for column, (unit, _) in columns_by_table[table].items()}
 
     def write(self, folder: str | Path, overwrite: bool = False) -> None:
-        """Write every table as Parquet, with units in the metadata of its columns, and as CSV; the rest as JSON.
+        """Write every table as Parquet, with units in the metadata of its columns, and as CSV. ``info`` is written as
+        JSON.
 
         Raises:
-            InputError: the folder holds such files already and ``overwrite`` is not set, or cannot be written.
+            InputError: the folder already holds such files and ``overwrite`` is not set, or it cannot be written.
         """
         folder = Path(folder)
         check_criteria_free(folder, overwrite, judged=self.judged is not None)
@@ -262,10 +256,10 @@ class CriteriaResults:
 
 
 def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check, before minutes of work, that the files of criteria may be written into a folder.
+    """Check that the files of criteria may be written into a folder, before the work that takes minutes.
 
     Args:
-        judged: whether they are compared with a run.
+        judged: whether the criteria are compared with a run.
         inputs: files that are read.
 
     Raises:
@@ -277,7 +271,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Plans that a process takes at a time: half a second of force balance."""
+"""Number of plans that a process takes at a time: half a second of force balance."""
 
 
 def criteria(
@@ -299,15 +293,15 @@ def criteria(
 
     Args:
         plans: as for ``petmjx.score``; None: the bundled samples.
-        run: results of the same plans, or their folder, with whose verdicts the criteria are compared. If a plan has
-            several worlds, the nominal one counts.
+        run: a run of the same plans, or its folder. The criteria are compared with its verdicts. If a plan has several
+            worlds, the nominal one counts.
         out: a folder for the tables, as Parquet and CSV.
-        overwrite: whether tables that are there are replaced.
-        limit: at most so many plans.
+        overwrite: whether existing tables are replaced.
+        limit: largest number of plans.
         strict: raise at the first plan that would be skipped.
         units: of files and data frames, as for ``petmjx.load_plans``.
-        anchor: the same.
-        progress: called with the number of plans done, and of all.
+        anchor: as for ``petmjx.load_plans``.
+        progress: called with the number of finished plans and the number of all plans.
         options: fields of ``petmjx.analysis.criteria_run.CriteriaOptions``: ``friction``, ``side_friction``,
             ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``seed``. With
             ``processes`` a script needs its ``if __name__``.
@@ -361,7 +355,7 @@ def criteria(
 
 
 def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
-    """A line where the criteria are asked on another carrier than that on which boxes stood."""
+    """A note if the criteria use another carrier than the run."""
     if carrier == run.carrier:
         return []
     here, run_carrier = (
@@ -373,7 +367,7 @@ def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
 
 def _need_packers() -> None:
     try:
-        import scipy  # noqa: F401  # only whether it is there
+        import scipy  # noqa: F401  # only to see whether it is installed
         import shapely  # noqa: F401
     except ImportError as error:
         raise InputError(f"criteria need {error.name}: pip install 'petmjx[packers]'") from None
@@ -415,7 +409,7 @@ def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:
     """The worlds of variant 0.
 
     Raises:
-        InputError: none is of these plans, or one has another number of boxes.
+        InputError: the run has none of these plans, or a plan has another number of boxes.
     """
     worlds = run.worlds[run.worlds["variant"] == 0]
     counts = {plan.plan_id: plan.n_boxes for plan in plans}

@@ -1,9 +1,9 @@
-"""Criteria judged by physics: what they say of plans beside what a simulation says, and which threshold says it best.
+"""Compares criteria with a simulation: which plans both accept, and which threshold of a criterion agrees best.
 
-A criterion accepts a plan if all its boxes are stable. Accepted plans that stand are its hits: *precision* is their
-share of the plans accepted, *recall* their share of the plans that stand. Matthews' correlation coefficient (MCC;
-Matthews 1975, Biochimica et Biophysica Acta 405, 442-451) counts both kinds of error: 1 all right, 0 no better than
-chance.
+A criterion accepts a plan if all its boxes are stable. *Precision* is the share of accepted plans that stand. *Recall*
+is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975, Biochimica et
+Biophysica Acta 405, 442-451) counts both kinds of error: 1 means that all answers are right, 0 that they are no better
+than chance.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.shares import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
-"""Samples of the plans: bounds of the intervals then vary by about 1 % of their width."""
+"""Bootstrap samples of the plans. With this number the bounds of the intervals vary by about 1 % of their width."""
 
 CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
-"""The confusion: what the criterion says, then what physics says."""
+"""The cells of the confusion matrix: the answer of the criterion, then that of physics."""
 
 SCORES: Final = ("precision", "recall", "mcc")
 
 
 def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0) -> pd.DataFrame:
-    """Every criterion beside physics.
+    """Compare every criterion with physics.
 
     Args:
-        plans: a row a plan, as ``CriteriaResults.plans``.
-        worlds: a row a plan, of a run: ``verdict`` and ``culprit`` by ``plan_id``. Invalid worlds are left out.
-        seed: of the bootstrap.
+        plans: one row per plan, as ``CriteriaResults.plans``.
+        worlds: one row per plan of a run: ``verdict`` and ``culprit`` by ``plan_id``. Invalid worlds are left out.
+        seed: seed of the bootstrap.
 
     Returns:
-        A row a criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
-        ``_high`` (95 % bootstrap over plans), and ``same_first_box``: of the falling plans that it refuses, how many
-        fail first by the box that physics names.
+        One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
+            ``_high`` (95 % bootstrap over plans), and ``same_first_box``: for how many of the falling plans that it
+            refuses its first failing box is the one that physics names.
     """
     both = with_physics(plans, worlds)
     stands = both["stands"].to_numpy(dtype=bool)
@@ -67,7 +67,7 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """Counts, and scores with their intervals.
 
-    Plans drawn with replacement, of which only the four counts are looked at: these are draws of a multinomial
+    The bootstrap draws plans with replacement. Only the four counts matter, so they are drawn from a multinomial
     distribution.
     """
     cells = confusion(accepted, stands)
@@ -92,13 +92,13 @@ def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray
 def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Precision, recall and MCC of (…, 4) counts.
 
-    A share of nothing is NaN. Where a criterion says the same of all plans, MCC is 0: it tells nothing. Where physics
-    does, MCC is NaN: there is nothing to tell.
+    A share of nothing is NaN. If a criterion gives the same answer for all plans, it is useless, and MCC is 0. If
+    physics gives the same verdict for all plans, MCC is undefined, and NaN.
     """
     hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         precision, recall = hit / (hit + false), hit / (hit + miss)
-        # root by root: the product of all four is beyond the whole numbers that float64 holds
+        # two roots, since float64 cannot hold the product of all four sums exactly
         below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
         mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
     mcc = np.where((hit + miss == 0) | (false + right == 0), np.nan, mcc)
@@ -108,15 +108,15 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
 def best_thresholds(
     plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
 ) -> pd.DataFrame:
-    """For each criterion with a number: the threshold that says best what physics says, found on one half of the plans
-    and judged on the other.
+    """For each criterion with a number, the threshold that agrees best with physics. It is found on one half of the
+    plans and tested on the other half.
 
-    Which half a plan is in depends on its id and the seed alone.
+    The half of a plan depends only on its id and the seed.
 
     Returns:
-        A row a criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (at least), ``published`` (the criterion's
-        own), ``n_found_on`` and ``mcc_found_on``, then as in ``judge``, on the other half, with ``mcc_published``
-        there.
+        One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (at least), ``published`` (the
+            criterion's own), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, on the other
+            half, with ``mcc_published``.
     """
     both = with_physics(plans, worlds)
     stands = both["stands"].to_numpy(dtype=bool)
@@ -149,8 +149,9 @@ def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
 def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float, float]:
     """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. NaN numbers are never accepted.
 
-    It is halfway between the two numbers that it separates; of equals the middle one is taken. The threshold is NaN
-    where none tells anything (MCC > 0): numbers are equal, all plans stand or all fall, or larger numbers fall.
+    The threshold is halfway between the two numbers that it separates. If several thresholds are equally good, the
+    middle one is taken. It is NaN if no threshold has MCC > 0: all numbers are equal, all plans stand, all plans fall,
+    or plans with larger numbers fall.
     """
     known = ~np.isnan(number)
     values, owner = np.unique(number[known], return_inverse=True)
@@ -158,7 +159,7 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
         return float("nan"), 0.0
     standing = np.bincount(owner, weights=stands[known], minlength=len(values))
     falling = np.bincount(owner, minlength=len(values)) - standing
-    # accepted at a cut: all values from its upper side on
+    # a cut accepts all values above it
     hit, false = (counts[::-1].cumsum()[::-1][1:] for counts in (standing, falling))
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)

@@ -1,36 +1,32 @@
-"""Forces at points where bodies touch, as force and moment on each body.
-
-The linear programmes of force balance: the largest slack for which forces balance, and the least and the most of a
-sum of forces that balance.
-
-Force balance: whether forces exist that hold a stack, and how much is left.
+"""Force balance: whether forces exist that hold a stack, and how much slack is left.
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
-Transactions on Graphics 28(5). At each corner of each contact area there is a force that presses, and friction of at
-most μ times that force. A stack is balanced if there are such forces whose sum and moment are zero on every box.
+Transactions on Graphics 28(5). At each corner of each contact area acts a pressing force, and friction of at most μ
+times that force. A stack is balanced if such forces exist whose sum and moment are zero on every box.
 
-The slack is a pure number. Let each of the n corners under a box be asked to carry at least s times the n-th part of
-the box's own weight; the slack is the largest s for which the stack is balanced. With 1 every box rests on all its
-corners alike; with 0 some box is about to tip; below 0 it would have to be glued, and -s tells how strongly. For a box
-with nothing on it the slack is 1 less how far its centre is on the way from the middle of the corners to the hull's
-edge.
+The slack is a pure number. Each of the n corners under a box must carry at least s times the n-th part of the box's own
+weight. The slack is the largest s for which the stack is balanced. At 1 every box rests evenly on all its corners. At 0
+some box is about to tip. Below 0 some box would have to be glued, and -s says how strongly. For a box with nothing on
+it, take the ray from the middle of its corners through its centre to the hull's edge: the slack is 1 minus the share of
+the ray at which the centre lies.
 
-After each placement only what hangs together with the new box can change: its structure. Three things are used, each
-exact:
+A placement only changes the structure of the new box: the boxes that hang together with it. Three exact shortcuts are
+used:
 
-- A box that has all four corners on the carrier is in balance whatever presses on its top: vertical forces there always
-  have an answer below. It is taken as part of the carrier, and separates structures.
-- Vertical forces that balance are forces that balance. So friction, and with it horizontal forces and heights, is
-  looked at only where there are no such forces. It may then help: a box is held by what lies across it and its
-  neighbour. The slack is then that with friction, if it is larger.
+- A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces below
+  can always answer. It is taken as part of the carrier, and separates structures.
+- Vertical forces that balance are already a solution. So friction, and with it horizontal forces and heights, is only
+  considered if vertical forces alone do not balance. Friction may then help, for example if a box is held by another
+  box that lies across it and its neighbour. The slack is then that with friction, if it is larger.
 - A structure of one box has the closed form above, without a linear programme.
 
-Boxes that touch side by side may lean on each other: press, by default without friction. Forces that merely exist are
-not forces that come about: with friction at its sides any box could hang between two neighbours that press on it,
-though nothing makes them press when it is set down.
+With ``lean`` boxes that touch side by side may press on each other, by default without friction. It is an option
+because forces that could exist need not arise: with friction at its sides any box could hang between two neighbours
+that press on it, though nothing makes them press when it is set down.
 
-Force balance with friction: forces in all three directions, and boxes that lean on their neighbours.
+The linear programmes and ``wrenches``, the force and moment on bodies by forces at points, also serve
+petmjx.analysis.force_intervals.
 """
 
 from __future__ import annotations
@@ -55,9 +51,9 @@ def wrenches(
     """(6 b, p k): force and moment about its centre of every body by k forces at each of p points.
 
     Args:
-        first, second: (p,) the bodies that touch, from 0 to b - 1; negative: one that does not move.
-        position_m: (p, 3).
-        direction: (p, k, 3) the forces on ``second``; those on ``first`` are their opposites.
+        first, second: (p,) the bodies that touch, from 0 to b - 1; negative: a body that does not move.
+        position_m: (p, 3) the points.
+        direction: (p, k, 3) the forces on ``second``; the forces on ``first`` are opposite.
         centre_m: (b, 3) centres of the bodies.
     """
     n_points, n_forces, _ = direction.shape
@@ -79,11 +75,11 @@ _INFEASIBLE: Final = 2
 """SciPy's status of a programme without a solution."""
 
 EVEN: Final = 1.0
-"""The largest slack there is: all corners carry alike."""
+"""The largest possible slack: all corners carry the same."""
 
 
 class Entries(NamedTuple):
-    """The entries of a sparse matrix that are not 0: (k,) each."""
+    """The k entries of a sparse matrix that are not 0; each field is (k,)."""
 
     value: FloatArray
     row: IntArray
@@ -91,7 +87,8 @@ class Entries(NamedTuple):
 
 
 def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
-    """(c,) what each corner of a contact is asked to carry per slack: the box's weight over its number of corners."""
+    """(c,) force that each corner of a contact must carry per unit of slack: the box's weight over its number of
+    corners."""
     share: FloatArray = weight[contacts.upper] / (4 * contacts.n_supports[contacts.upper])
     return share
 
@@ -101,12 +98,12 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
     Args:
         forces: (r, f) what each force adds to each row.
-        share: (f,) what each force has to carry per slack.
+        share: (f,) amount that each force must carry per unit of slack.
         wanted: (r,) what the rows must add up to.
         limits: (q, f); None: there are none.
 
     Returns:
-        −inf where no s is small enough.
+        The slack; −inf if no s is small enough.
 
     Raises:
         PetmjxError: HiGHS gave up.
@@ -132,7 +129,7 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
 
 def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
-    """The least and the most of several sums of forces g ≥ 0 with ``forces @ g = wanted``.
+    """The least and the largest value of several sums of forces g ≥ 0 with ``forces @ g = wanted``.
 
     Args:
         sums: (m, f) factors of the forces in each sum.
@@ -140,7 +137,7 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
         wanted: (r,) what the rows must add up to.
 
     Returns:
-        (m, 2), or None where no forces balance.
+        (m, 2), or None if no forces balance.
 
     Raises:
         PetmjxError: HiGHS gave up, or a sum has no bound.
@@ -159,9 +156,10 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The x of least ``costs @ x`` whose rows and values lie within bounds; None where there is none.
+    """The x with the least ``costs @ x`` whose rows and values lie within bounds; None if there is none.
 
-    Solved by HiGHS. SciPy's ``milp`` without whole numbers is the same programme as ``linprog``, at half the overhead.
+    HiGHS solves it. SciPy's ``milp`` without integer variables is the same programme as ``linprog``, with half the
+    overhead.
 
     Raises:
         PetmjxError: HiGHS gave up.
@@ -180,20 +178,21 @@ def _least_cost_solution(
 
 
 NO_SLACK: Final = -1e-6
-"""Slacks from here on are balanced: the solver's own tolerance is 1e-7 of the mean weight."""
+"""A stack with at least this slack is balanced. The solver's own tolerance is 1e-7 of the mean weight."""
 
 
 def balance_slack(
     contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Slack of each box's structure just after its placement, without and with leaning on neighbours: twice (n,).
+    """Slack of each box's structure just after its placement, without and with leaning on neighbours: two arrays (n,).
 
-    Each ends with the first box after which the stack is not balanced: later ones are NaN. NaN is also a box that lies
-    on nothing; it is not balanced, though friction at its sides could hold it if its neighbours pressed on it.
+    Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box that lies on
+    nothing is NaN, too. It is not balanced, although friction at its sides could hold it if its neighbours pressed on
+    it.
 
     Args:
         friction: coefficients.
-        lean: whether boxes may press on neighbours that they touch side by side; without it the second answer is NaN.
+        lean: whether boxes may press on neighbours that they touch side by side; without it the second array is NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -217,7 +216,7 @@ class _Stack:
         self._contacts, self._friction, self._sides = contacts, friction, sides
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
-        """Put a box down, where vertical forces alone have a slack."""
+        """Place a box for which vertical forces alone give the slack ``vertical``."""
         slack = vertical
         if slack < NO_SLACK:
             structure = structures.of(box)
@@ -227,7 +226,7 @@ class _Stack:
 
 
 class _Structures:
-    """The boxes placed so far that hang together, boxes on the carrier apart."""
+    """Groups of placed boxes that hang together. Boxes grounded on the carrier separate them."""
 
     def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts
@@ -238,7 +237,7 @@ class _Structures:
         self._system = _VerticalSystem(contacts)
 
     def of(self, box: int) -> NDArray[np.bool_]:
-        """(n,) which boxes hang together with this one."""
+        """(n,) whether each box hangs together with this box."""
         joined: NDArray[np.bool_] = self._joined == self._joined[box]
         return joined
 
@@ -267,10 +266,10 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """Force and moments of every box by the vertical forces at corners, of which structures take parts.
+    """Force and moments of every box by the vertical forces at corners. A structure uses a part of this system.
 
-    Each corner of a contact presses the box above upwards and the body below downwards. Rows of a box are its force and
-    two moments about its own centre, in mean weights and metres.
+    Each corner of a contact presses the box above upwards and the body below downwards. The rows of a box are its force
+    and two moments about its own centre, in mean weights and metres.
     """
 
     def __init__(self, contacts: PlanContacts) -> None:
@@ -310,8 +309,8 @@ class Friction(NamedTuple):
     """Coefficients of friction.
 
     Attributes:
-        flat: where a box lies on another one or on the carrier.
-        sides: where boxes touch side by side.
+        flat: coefficient where a box lies on another box or on the carrier.
+        sides: coefficient where boxes touch side by side.
     """
 
     flat: float
@@ -321,8 +320,8 @@ class Friction(NamedTuple):
 class _Points(NamedTuple):
     """Points where bodies touch: p rows.
 
-    The force on ``second`` presses along ``axis``; that on ``first`` is its opposite. ``share`` is what it is asked to
-    carry per slack, in mean weights.
+    The force on ``second`` presses along ``axis``; the force on ``first`` is opposite. ``share`` is the force that a
+    point must carry per unit of slack, in mean weights.
     """
 
     first: IntArray
@@ -336,15 +335,14 @@ class _Points(NamedTuple):
 def friction_slack(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
 ) -> float:
-    """Slack of a structure with friction: as in ``petmjx.analysis.force_balance``, but all that touches it is in
-    balance, too.
+    """Slack of a structure with friction. All bodies that touch the structure must be in balance, too.
 
     Friction lies within the pyramid |fx| + |fy| ≤ μ f, inside the cone. So a stack that is balanced here is balanced
-    with the cone. At a slack other than 0 friction is within μ times what a corner carries beyond what it is asked to;
-    the sign does not depend on that.
+    with the cone. At a slack other than 0, friction is limited to μ times the force that a corner carries beyond its
+    required share; the sign of the slack does not depend on that.
 
     Args:
-        structure: (n,) the boxes whose corners are asked to carry.
+        structure: (n,) boxes whose corners must carry the required share.
         newest: the box placed last.
         sides: where boxes lean on each other; None: nowhere.
     """
@@ -369,7 +367,7 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries in some of n columns, which are counted anew."""
+    """The entries in some of n columns, which are renumbered."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]
@@ -380,7 +378,7 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
 def _hanging_together(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
 ) -> NDArray[np.bool_]:
-    """(n,) all placed boxes that touch the structure, or boxes that do, and so on."""
+    """(n,) all placed boxes that are connected with the structure by contacts."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
     pair = pair[(pair[:, 1] != CARRIER) & (pair.max(axis=1) <= newest)]
@@ -435,14 +433,14 @@ def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
 
 
 def _directions(axis: IntArray) -> FloatArray:
-    """(p, 5, 3) unit vectors: along the axis, then both ways along the two others."""
+    """(p, 5, 3) unit vectors: along the axis, then in both directions along the two other axes."""
     unit = np.eye(3)
     along, one, other = unit[axis], unit[(axis + 1) % 3], unit[(axis + 2) % 3]
     return np.stack([along, one, -one, other, -other], axis=1)
 
 
 def _pyramids(friction: FloatArray) -> Entries:
-    """(p, 5 p): friction less μ times pressure at each point."""
+    """(p, 5 p): friction minus μ times pressure at each point."""
     values = np.ones((len(friction), _DIRECTIONS))
     values[:, 0] = -friction
     return Entries(values.ravel(), np.repeat(np.arange(len(friction)), _DIRECTIONS), np.arange(values.size))

@@ -1,12 +1,12 @@
-"""The least and the most that may press on a box at rest, by balance and friction.
+"""The least and the largest force on the top of a box at rest that balance and friction allow.
 
-Statics does not say how a box on three supports shares its load, and what a simulation says depends on how stiff its
-contacts are. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown: they press,
-friction is within μ times the pressure, and every box has neither a force nor a moment left over. Two linear programmes
-a box give the least and the most of what presses on its top. Where nothing is left open they are not needed.
+Statics does not say how a box on three supports shares its load, and the answer of a simulation depends on how stiff
+its contacts are. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown. They
+press, friction is at most μ times the pressure, and force and moment on every box are zero. Two linear programmes per
+box give the least and the largest force on its top. They are left out where the force is determined without them.
 
-Friction lies within the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval holds all forces that the cone
-allows. (The criteria ask whether forces exist, and have the pyramid inside the cone.)
+Friction is bounded by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval holds all forces that the
+cone allows. (The criteria ask whether forces exist, and use the pyramid inside the cone.)
 """
 
 from __future__ import annotations
@@ -29,29 +29,29 @@ _EDGES: Final = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 
 
 def need_scipy() -> None:
-    """Say before a run that asks for intervals whether they can be worked out.
+    """Check that intervals can be computed, before a run that asks for them.
 
     Raises:
         InputError: SciPy is missing.
     """
     try:
-        import scipy  # noqa: F401  # only whether it is there
+        import scipy  # noqa: F401  # only to see whether it is installed
     except ImportError:
         raise InputError("force_intervals needs SciPy: pip install 'petmjx[packers]'") from None
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """As :func:`force_intervals`, of boxes as a run left them; None where it has no force at rest."""
+    """As :func:`force_intervals`, for the final poses of a world; None if the world has no forces at rest."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
-    """(n, 2) least and most force on top of each box, N; NaN where no forces balance what hangs together with it,
-    or the solver finds none.
+    """(n, 2) least and largest force on the top of each box, N. NaN if no forces balance the boxes that hang together
+    with it, or if the solver finds none.
 
     Args:
-        scene: sizes, masses, friction, and the carrier, which is where it is planned.
+        scene: sizes, masses, friction, and the carrier at its planned place.
         pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z) at rest.
     """
     touching = find_touch_points(scene, physics, pos, quat)
@@ -66,8 +66,8 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
 
 
 def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
-    """(n, 2) what needs no linear programme: 0 where nothing lies on a box, and the weight of what rests on it alone.
-    NaN elsewhere."""
+    """(n, 2) intervals that need no linear programme: 0 if nothing lies on a box, and the weight of the boxes that rest
+    on this box alone. NaN for all others."""
     n_boxes = len(weight)
     intervals = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])
@@ -75,7 +75,7 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
     for box in range(n_boxes):
         box_contacts = (ends == box).any(axis=0)
         on_top = touching.pressed[box_contacts] == box
-        # what hangs together without this box
+        # groups that hang together without this box
         group = _groups(ends[:, ~box_contacts], n_boxes + 1)
         other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])
@@ -85,7 +85,7 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
 
 
 def _hanging_together(touching: TouchPoints, n_boxes: int) -> IntArray:
-    """(n,) a number for each box, equal for boxes that touch, or touch boxes that do, and so on."""
+    """(n,) number of the group of each box. Boxes that are connected by contacts have the same number."""
     ends = np.stack([touching.first, touching.second])
     return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
 
@@ -106,9 +106,9 @@ def _of_part(
     """(b, 2) the intervals of boxes that hang together, in mean weights.
 
     Args:
-        known: (b, 2) those that are known already; NaN for the others.
+        known: (b, 2) intervals that are already known; NaN for the others.
     """
-    place = np.full(len(weight) + 1, CARRIER)  # its own place is the last one
+    place = np.full(len(weight) + 1, CARRIER)  # CARRIER indexes the last entry
     place[boxes] = np.arange(len(boxes))
     contacts = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
     # (p, 4, 3) forces along the edges of the pyramids
@@ -122,9 +122,9 @@ def _of_part(
     ]
     try:
         bounds = least_and_most(pressing.reshape(int(unknown.sum()), -1), forces, loads.ravel())
-    except PetmjxError:  # an interval less is better than a run that ends
+    except PetmjxError:  # a missing interval is better than a run that ends
         bounds = None
     intervals = known.copy()
     if bounds is not None:
-        intervals[unknown] = np.sort(bounds, axis=1)  # equal ones may differ by the solver's rounding
+        intervals[unknown] = np.sort(bounds, axis=1)  # equal bounds may differ by the solver's rounding
     return intervals

@@ -1,4 +1,4 @@
-"""KPIs as files: Parquet, CSV, JSON, and on request a workbook of Excel."""
+"""Writes KPIs as Parquet, CSV and JSON, and on request as an Excel workbook."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.run_folder import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
-"""In a workbook's properties: that petmjx wrote it."""
+"""Creator in a workbook's properties: shows that petmjx wrote it."""
 _MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -40,14 +40,14 @@ def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs
 def write_kpis(kpis: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite: bool = False) -> None:
     """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
 
-    All or none; the folder is made if it is not there.
+    All files are written or none. The folder is made if it does not exist.
 
     Args:
         overwrite: files that petmjx wrote there before may be replaced.
 
     Raises:
-        InputError: it cannot be written, a file of these names may not be replaced, or for ``xlsx`` openpyxl is not
-            installed.
+        InputError: the folder cannot be written, a file of these names may not be replaced, or openpyxl, which ``xlsx``
+            needs, is not installed.
     """
     folder = Path(folder)
     check_kpis_free(folder, overwrite, xlsx=xlsx)
@@ -106,7 +106,7 @@ def _workbook(kpis: Kpis) -> bytes:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    content = io.BytesIO()  # openpyxl is loud about a workbook that cannot be saved
+    content = io.BytesIO()  # openpyxl prints errors if it cannot save to a path
     workbook.save(content)
     return content.getvalue()
 

@@ -1,4 +1,4 @@
-"""Whether plans stand, from runs: by petmjx's verdict, and by BED-BPP's rule."""
+"""Reads from runs whether plans stand: by petmjx's verdict, and by BED-BPP's rule."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ MOST_SHIFT_Z_M: Final = 0.01
 
 @dataclass(frozen=True)
 class Stability:
-    """Plan id → whether it stands. Plans of which that is not known are left out.
+    """Whether plans stand, by plan id. Plans for which this is not known are left out.
 
     Attributes:
         verdicts: petmjx's verdict in words.
-        stable: whether that is ``stable``.
-        their_rule: by BED-BPP's rule.
-        notes: runs that are not finished, and which run would say more.
+        stable: whether that verdict is ``stable``.
+        their_rule: whether the plan stands by BED-BPP's rule.
+        notes: lines on unfinished runs, and on the run that would add an answer.
     """
 
     verdicts: Mapping[str, str] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Stability:
 
     @classmethod
     def assumed(cls) -> Stability:
-        """All plans stand by BED-BPP's rule."""
+        """All plans are assumed to stand by BED-BPP's rule."""
         return cls(all_stand=True, notes=("stability is taken as 1 for all plans, not simulated",))
 
     def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:
@@ -55,7 +55,7 @@ class Stability:
 
 
 def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stability:
-    """What runs say of plans.
+    """The stability of plans, from runs.
 
     Raises:
         InputError: a folder has no run, or a sweep, or a run in which a plan with the same id differs.
@@ -100,7 +100,7 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:
-    """Of the nominal worlds."""
+    """Verdicts of the nominal worlds."""
     columns = ("plan_id", "variant", "verdict")
     tables = run.parts.table("worlds", columns)
     worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None
@@ -110,7 +110,7 @@ def _verdicts(run: RunResults) -> dict[str, str]:
 
 
 def _by_their_rule(run: RunResults) -> dict[str, bool]:
-    """Plans of a run with check static that has an answer for them."""
+    """Answers of BED-BPP's rule for the plans of a run with check ``static``."""
     verdicts = _verdicts(run)
     largest: dict[str, float] = {}
     for part in run.parts.table("boxes", ("plan_id", "variant", "shift_z_m")):

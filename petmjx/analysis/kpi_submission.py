@@ -1,6 +1,6 @@
-"""A submission to BED-BPP's leaderboard: its file name, and what must hold of its plans.
+"""Writes a submission to BED-BPP's leaderboard: checks its name and its plans.
 
-The name is ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``; the tasks are those of the leaderboard's page
+The name is ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The tasks are those of the leaderboard's page
 (floriankagerer.github.io/leaderboard): all items are known (offline), they come one after the other (O3DBP), or p are
 known and one of the next s is taken (O3DBP-p-s).
 """
@@ -26,7 +26,7 @@ from petmjx.plans.plan_writer import as_placements
 _PART: Final = re.compile(r"[^\W_][^\W_.+-]*(?:[.+-][^\W_.+-]+)*")
 _TASK: Final = re.compile(r"offline-?3dbp|o3dbp(?:-(\d{1,4})-(\d{1,4}))?", re.IGNORECASE)
 _MOST_FAULTS: Final = 10
-"""Faults that an error names."""
+"""Most faults that an error names."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Submission:
     Attributes:
         date: ISO 8601.
         task: as it was given.
-        choice: of how many next items the packer may take one; None: of all.
+        choice: number of next items from which the packer may choose; None: all items.
     """
 
     date: str
@@ -55,7 +55,7 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
     """A submission's name from ``SURNAME_ALGORITHM_TASK``, with or without a date before and ``.json`` behind.
 
     Raises:
-        InputError: it does not have these parts, or a part is not valid.
+        InputError: the name does not have these parts, or a part is not valid.
     """
     parts = text.removesuffix(".json").split("_")
     if len(parts) == 3:
@@ -93,7 +93,7 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
 def write_submission(
     name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
 ) -> Path:
-    """Check plans as a submission and write them. Items are written as the orders have them.
+    """Check that plans are a valid submission, and write them. Items are written as the orders have them.
 
     Args:
         name: see :func:`parse_name`.
@@ -101,7 +101,7 @@ def write_submission(
         unusable: plans or orders that could not be read.
 
     Returns:
-        The file.
+        Path of the file.
 
     Raises:
         InputError: the name is not valid; a plan, an order or an item is missing or superfluous; or the file cannot
@@ -135,7 +135,7 @@ def write_submission(
 
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
-    """What keeps a plan from being submitted. Gives each placement the item of the order that it is."""
+    """The faults that keep a plan from being submitted. Also assigns to each placement its item of the order."""
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -174,7 +174,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Give boxes without id and article the names of the items that they are by size and mass."""
+    """Give boxes without id and article the names of the items that match them by size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return
@@ -187,7 +187,8 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
 
 
 def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
-    """An online packer takes one of the next ``choice`` items; items that it leaves out are never next."""
+    """Faults in the sequence of an online packer, which takes one of the next ``choice`` items. Items that it leaves
+    out are not among these."""
     if len(indices) < n_boxes:
         return
     waiting = sorted(indices)

@@ -1,19 +1,16 @@
-"""The columns of the table of KPIs: name, type, unit, meaning.
+"""BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
 
-Direct support of boxes as BED-BPP counts it.
+The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md has them, and
+says which columns are petmjx's own. ``COLUMNS`` lists the columns of the table.
 
-Its evaluator keeps, for each square millimetre of the target, which box was placed there last, and how high it
-reaches. A box lies on all boxes that are last somewhere under it and reach up to 5 mm below its bottom, or higher. Its
-support is the sum of what it shares with each of them, as a share of its base; a box under which there is none counts
-as on the target, with support 1. So where two supporters overlap, what they share counts twice, a box that is pushed in
-under another one lies on that one, and a box that floats stands on the target. In plans without overlapping and
-floating boxes it is the share of the base that lies on something. (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
-``environment/cuboid.py``.)
-
-BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
-
-Definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``; docs/kpis.md has them, and
-says where petmjx has columns of its own.
+``direct_support`` counts support as BED-BPP's evaluator does (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
+``environment/cuboid.py``). For each square millimetre of the target the evaluator keeps the box that was placed there
+last, and how high it reaches. A box lies on every box that is last somewhere under it and whose top is at most 5 mm
+below its bottom, or higher. Its support is the sum of the areas that it shares with these boxes, as a share of its
+base. A box without such boxes counts as standing on the target, with support 1. This has three consequences: where two
+supporters overlap, their common area counts twice; a box that is pushed in under another box supports it; and a
+floating box stands on the target. In plans without overlapping and floating boxes the support is the share of the base
+that lies on something.
 """
 
 from __future__ import annotations
@@ -45,7 +42,7 @@ from petmjx.plans.plan_sources import PlanSource, gather_plans
 
 
 class KpiColumn(NamedTuple):
-    """One column. ``pandas`` is the type in a data frame, which has nulls where ``missing`` says so."""
+    """One column of the table. ``pandas`` is its type in a data frame. ``missing`` says whether it may have nulls."""
 
     name: str
     pandas: str
@@ -100,22 +97,22 @@ COLUMNS: Final = (
     KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
     KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
 )
-"""First BED-BPP's own, then petmjx's."""
+"""The columns: first those of BED-BPP, then petmjx's own."""
 
 MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
-"""Columns of which the mean is shown."""
+"""Columns whose mean is shown."""
 
 
 HEIGHT_TOLERANCE_MM: Final = 5.0
-"""Tops that are lower by up to this still support."""
+"""Largest gap below a box across which a top still supports it."""
 
 
 class Support(NamedTuple):
     """Direct support of n boxes.
 
     Attributes:
-        share: (n,) of the base; 1 on the target.
-        n_below: (n,) boxes on which a box lies; 0 on the target.
+        share: (n,) supported share of the base; 1 on the target.
+        n_below: (n,) number of boxes on which a box lies; 0 on the target.
     """
 
     share: FloatArray
@@ -125,12 +122,13 @@ class Support(NamedTuple):
 def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
     """Support of the boxes of one plan.
 
-    Their map has a cell for each square millimetre; here cells reach from one edge of a box to the next, so that all of
-    a cell is under the same boxes.
+    BED-BPP's map has a cell for each square millimetre. Here cells reach from one box edge to the next, so that a whole
+    cell is under the same boxes.
 
     Args:
-        corner_mm, size_mm: (n, 3), mm, as boxes stand, in packing order.
-        extent_mm: of the target along x and y, whose corner is the origin. What lies beyond it supports nothing.
+        corner_mm, size_mm: (n, 3) corners and sizes of the boxes as they stand, mm, in packing order.
+        extent_mm: extents of the target along x and y; its corner is the origin. Parts of boxes beyond the target
+            support nothing.
     """
     low, high = corner_mm[:, :2], corner_mm[:, :2] + size_mm[:, :2]
     x, y = (_cells(low[:, axis], high[:, axis], extent_mm[axis]) for axis in (0, 1))
@@ -153,7 +151,7 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
 
 
 class _Cells(NamedTuple):
-    """The cells of the target along one axis: how many, and from which to which each box covers them."""
+    """The cells of the target along one axis: their number, and the range of cells that each box covers."""
 
     number: int
     first: NDArray[np.int64]
@@ -167,26 +165,27 @@ def _cells(low: FloatArray, high: FloatArray, extent: float) -> _Cells:
 
 
 SCORED_HEIGHT_MM: Final = 2_000.0
-"""Boxes that begin above this height do not count for the leaderboard."""
+"""Boxes whose bottom is above this height do not count for the leaderboard."""
 
 _EDGE_MM: Final = 1.0
-"""By how much BED-BPP's evaluator reads the height of the pile low: it takes the last whole millimetre of a box."""
+"""BED-BPP's evaluator reads the height of the pile this much too low, since it takes the last whole millimetre of a
+box."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
 
 @dataclass(frozen=True, eq=False)
 class Kpis:
-    """What :func:`kpis` found.
+    """The result of :func:`kpis`.
 
     Attributes:
-        plans: a row a plan, with the columns of ``petmjx.analysis.kpis.COLUMNS``. Missing values are null.
-        summary: of all plans: ``plans``, ``orders``, ``ordered_boxes``; ``means`` of the columns; the leaderboard's
-            rating ``rating`` (by ``kpi_6``), ``rating_by_verdict`` and ``rating_if_all_stood``; None where stability is
-            not known.
-        notes: a line on all that was left out or is not known.
+        plans: one row per plan, with the columns of ``petmjx.analysis.kpis.COLUMNS``. Missing values are null.
+        summary: values over all plans: ``plans``, ``orders``, ``ordered_boxes``; ``means`` of the columns; the
+            leaderboard's rating ``rating`` (by ``kpi_6``), ``rating_by_verdict`` and ``rating_if_all_stood``; None if
+            stability is not known.
+        notes: lines on everything that was left out or is not known.
         skipped: lines on unusable plans and orders.
-        found: the plans, by id.
+        found: the plans by id.
         orders: the orders, by id.
     """
 
@@ -220,7 +219,7 @@ def kpis(
         orders: BED-BPP's orders file. An order belongs to the plan with its id.
         run: folders of runs of these plans. The verdicts are those of the first one; ``kpi_6`` is BED-BPP's rule on the
             first one with check ``static``.
-        assume_stable: take all plans as stable: ``kpi_6`` is 1. Without runs only.
+        assume_stable: take all plans as stable: ``kpi_6`` is 1. Only without runs.
         strict: raise at the first unusable plan or order, instead of leaving it out.
 
     Raises:
@@ -258,7 +257,7 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
     """The columns of one plan that do not depend on its stability.
 
     Args:
-        matching: its boxes and the order's, where they are matched already.
+        matching: the matching of its boxes with the order, if it is already known.
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)
@@ -290,8 +289,8 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
-    """Of the boxes that are not on the target, the share that lies on several boxes, or on one and is turned otherwise
-    than the first box of the plan; None where all are on the target."""
+    """Share of the boxes above the target that lie on several boxes, or that lie on one box and are turned differently
+    from the first box of the plan. None if all boxes are on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     held = (n_below > 1) | ((n_below == 1) & turned)
@@ -359,7 +358,8 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
 def _odd_boxes(
     plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
 ) -> Iterator[str]:
-    """A line on boxes that are not the orders', with the first plan that has some, and on boxes known by size alone."""
+    """A line on boxes that were not ordered, with the first such plan, and a line on boxes that were matched by size
+    alone."""
     odd = OddBoxes()
     for name, matching in matchings.items():
         odd.add(plans[name], orders[name], matching)
@@ -367,7 +367,7 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Plans whose stability is not known though the run has that of others."""
+    """Lines on plans whose stability is not known although the run has that of other plans."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

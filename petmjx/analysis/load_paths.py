@@ -1,30 +1,31 @@
-"""Load-bearable convex polygons: where the top of a box can be loaded without anything below giving way.
+"""Criteria that pass loads down a stack, and load-bearable convex polygons.
 
-Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement
-    Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. Any other box bears within the
-    hull of its contact areas, as far as these lie in the polygons of the boxes below; that hull is its own polygon, and
-    the box stands if its centre is in it. Then no later box can tip it, so loads need not be known. The paper also lets
-    the centre of mass be uncertain; here boxes are of uniform density.
+**Polygons** say where the top of a box can be loaded without anything below giving way. Source: Gao, Wang, Kong, Chong
+(2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. A
+box on the carrier can be loaded anywhere on its top. The polygon of any other box is the hull of its contact areas, as
+far as these lie in the polygons of the boxes below. The box stands if its centre is in its own polygon. Then no later
+box can tip it, so loads need not be known. The paper also allows for an uncertain centre of mass; here boxes are of
+uniform density.
 
-Criteria that pass loads down: the resultant of a box's weight and of the loads above stays over what bears it.
+**Criteria that pass loads down** ask whether the resultant of a box's weight and of the loads above stays over its
+supports. Each box is checked at its placement, and all boxes below it are checked again. The two criteria differ in how
+a box shares its load among its supports:
 
-Both criteria ask each box at its placement, and all below it again. They differ in how a load is shared out:
+- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Two supports share by
+  the lever rule. More supports get the forces of least squares that balance force and moments. Source: Zhao, Zhu, Xu,
+  Huang, Xu (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information
+  Sciences 65, arXiv 2108.13680. A load beyond the middle of the last support lifts the other supports, as levers do.
+- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly. This balances force and
+  moments exactly and gives one answer for any number of supports. Source of the criterion: Ramos, Oliveira, Gonçalves,
+  Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability constraints", Transportation
+  Research Part B 91, 565-581. Force and moment balance alone do not say how more than two supports share; the bedding
+  is ours. (Public re-implementations let each box directly above press with its whole weight, and pass nothing
+  further.)
 
-- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Two share by the
-  lever rule; of more, forces of least squares that balance force and moments. Source: Zhao, Zhu, Xu, Huang, Xu (2022),
-  "Learning practically feasible policies for online 3D bin packing", Science China Information Sciences 65, arXiv
-  2108.13680. A load beyond the last support's middle lifts the other ones, as levers do.
-- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly, which balances force and
-  moments exactly and has the same answer for any number of supports. Source of the criterion: Ramos, Oliveira,
-  Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability constraints",
-  Transportation Research Part B 91, 565-581. Force and moment balance alone do not say how more than two supports
-  share; the bedding is ours. (Public re-implementations let each box directly above press with its whole weight, and
-  pass nothing further.)
-
-Both are linear in the load. So each box's weight is passed down alone, and the load on a box after any placement is a
-sum over the boxes placed so far. An even bedding does not pull, though: where it would, supports push with the least
-energy of their springs (petmjx.world.load_sharing). And where it has a resultant beyond an edge, a linear programme
-says whether other forces have all inside (petmjx.world.load_balance).
+Both rules are linear in the load. So the weight of each box is passed down alone, and the load on a box after any
+placement is a sum over the boxes placed so far. Supports cannot pull, however. Where an even bedding would pull, the
+supports push with the least energy of their springs (petmjx.world.load_sharing). Where a resultant of the bedding lies
+beyond an edge, a linear programme says whether other forces keep all resultants inside (petmjx.world.load_balance).
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ from petmjx.world.supports import Bearing, Boxes
 
 
 def load_polygon_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) how far each box's centre is inside its polygon's edge, mm; negative outside, NaN without a polygon."""
+    """(n,) distance of each box's centre from the edge of its polygon, mm: positive inside, negative outside, NaN
+    without a polygon."""
     polygons = load_polygons(contacts)
     return hulls_of(polygons).distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2])
 
@@ -51,7 +53,7 @@ def load_polygon_slack(contacts: PlanContacts) -> FloatArray:
 def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
     """(n,) the polygons as shapely's; empty for a box that lies on nothing that bears.
 
-    Boxes are worked through level by level: all those at once whose supports have their polygons.
+    Boxes are processed level by level: all boxes at once whose supports already have polygons.
     """
     import shapely
 
@@ -68,7 +70,7 @@ def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
 
 
 def _levels(contacts: PlanContacts) -> IntArray:
-    """(n,) 0 for boxes on the carrier alone, else one more than the highest level of their supports."""
+    """(n,) 0 for boxes that lie only on the carrier, else 1 + the highest level of their supports."""
     level = np.zeros(contacts.n_boxes, dtype=np.int64)
     for upper, lower in zip(contacts.upper.tolist(), contacts.lower.tolist(), strict=True):
         if lower != CARRIER:
@@ -77,7 +79,7 @@ def _levels(contacts: PlanContacts) -> IntArray:
 
 
 def _within_polygons(areas: NDArray[np.object_], lower: IntArray, polygons: NDArray[np.object_]) -> NDArray[np.object_]:
-    """Contact areas as far as they lie in the polygons of the bodies below."""
+    """The parts of contact areas that lie in the polygons of the bodies below."""
     import shapely
 
     borne = areas.copy()
@@ -88,19 +90,20 @@ def _within_polygons(areas: NDArray[np.object_], lower: IntArray, polygons: NDAr
 
 
 Sharing = Callable[[PlanContacts], FloatArray]
-"""From contacts to (c, 3, 3) matrices: load of the upper box (mass, mass × x, mass × y) → that on the lower body, kg
-and kg·mm."""
+"""From contacts to (c, 3, 3) matrices. A matrix turns the load of the upper box (mass, mass × x, mass × y) into the
+load on the lower body, in kg and kg·mm."""
 
 
 _SAME: Final = 1e-9
-"""Loads that differ by no more, as a share, differ by rounding."""
+"""Largest relative difference of loads that counts as rounding."""
 
 
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) ``load_slack`` on an even bedding that pushes, if there is no other balance with all resultants inside.
+    """(n,) ``load_slack`` on an even bedding that only pushes, unless another balance keeps all resultants inside.
 
-    Where loads after a placement seem to be beyond edges, and depend on how boxes share theirs, forces that balance
-    decide. After the first placement of which there are none, loads are passed on as if nothing had happened.
+    If loads after a placement seem to be beyond edges, and depend on how boxes share their loads, the existence of
+    balancing forces decides. After the first placement without such forces, loads are passed on as if nothing had
+    happened.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -123,9 +126,9 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) how far resultants are inside the edges of the contact hulls after each box's placement, mm.
+    """(n,) distance of resultants from the edges of the contact hulls after each box's placement, mm, positive inside.
 
-    It is the least of the box's own and of those of all boxes that bear part of it. NaN where one of these lies on
+    It is the least distance over the box and all boxes that bear part of its weight. NaN if one of these boxes lies on
     nothing, or is lifted.
 
     Args:
@@ -148,18 +151,19 @@ def load_slack(
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) the least 1 − load / strength after each box's placement, of it and of all boxes that bear part of it; NaN
-    where it lies on nothing.
+    """(n,) the least 1 − load / strength after each box's placement, over the box and all boxes that bear part of its
+    weight. NaN if the box lies on nothing.
 
     Args:
-        strength_n: (n,) what a box bears on its top, N; NaN, or None for all: it is not known, and nothing is too much.
+        strength_n: (n,) strength of the top of a box, N. NaN, or None for all boxes, means that it is not known: no
+            load is then too much.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:
         return slack
     on_box = _loads_on_boxes(contacts, sharing)[..., 0]
     bears, boxes = on_box != 0, np.arange(contacts.n_boxes)
-    on_box[boxes, boxes] = 0.0  # its own weight is none of what it bears on its top
+    on_box[boxes, boxes] = 0.0  # its own weight does not press on its top
     borne = on_box.cumsum(axis=1)
     built = building_loads_of(bearing_of(contacts), [contacts.n_boxes]) if sharing is even_bedding else None
     if built is not None and _pulls(contacts, built):
@@ -171,7 +175,8 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
 
 
 def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
-    """(n, n, 3): what box j (row) bears of the weight of box m (column), as (kg, kg·mm, kg·mm); its own included."""
+    """(n, n, 3): the part of the weight of box m (column) that box j (row) bears, as (kg, kg·mm, kg·mm), including its
+    own weight."""
     n = contacts.n_boxes
     on_box = np.zeros((n, n, 3))
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
@@ -203,7 +208,7 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether an even bedding would pull after some placement: its loads are others than those of supports that only
+    """Whether an even bedding would pull after some placement. Its loads then differ from those of supports that only
     push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)

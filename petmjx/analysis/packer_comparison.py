@@ -1,10 +1,8 @@
-"""What a comparison of packers says, in sentences: who stands more often, and how sure that is.
+"""Compares packers by runs of their plans: whose plans stand more often, by how much, and how sure that is.
 
-Which packer's plans stand more often, by how much, and is the difference more than luck?
-
-Orders are paired: each is packed by every packer. Compared are the orders that have a valid verdict from every packer.
-Orders without a plan and invalid worlds are counted beside them; ``share_at_worst`` is the share if they counted as
-plans that do not stand.
+Orders are paired, since each order is packed by every packer. The comparison takes the orders that have a valid verdict
+from every packer. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share if
+they counted as plans that do not stand.
 """
 
 from __future__ import annotations
@@ -42,9 +40,9 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
     """One sentence about two packers on the same orders.
 
     Args:
-        row: of ``PackerComparison.pairs``, size ``all``, with at least one compared order.
-        confidence: of its interval. The test is significant where its p-value is at most 1 − confidence.
-        pairs: how many tests the p-value is corrected for.
+        row: a row of ``PackerComparison.pairs``, of size ``all``, with at least one compared order.
+        confidence: confidence of its interval. The test is significant if its p-value is at most 1 − confidence.
+        pairs: number of tests that the p-value is corrected for.
     """
     better, worse = (row["b"], row["a"]) if row["difference"] > 0 else (row["a"], row["b"])
     bounds = (row["low"], row["high"]) if row["difference"] > 0 else (-row["high"], -row["low"])
@@ -94,21 +92,21 @@ TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
 
 @dataclass(frozen=True, eq=False)
 class PackerComparison:
-    """What :func:`compare_packers` found.
+    """The result of :func:`compare_packers`.
 
     Attributes:
         runs: name of each packer → folder of its run.
-        confidence: of all intervals.
+        confidence: confidence of all intervals.
         packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, ``n`` compared orders,
             ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; the means of ``MEASURES``, and with
-            orders of ``KPIS``, over the compared orders; ``n_orders`` of this size, of which ``n_invalid`` and
-            ``n_missing``; ``share_at_worst``.
+            orders also of ``KPIS``, over the compared orders; ``n_orders`` of this size, of which ``n_invalid`` have an
+            invalid world and ``n_missing`` no plan; ``share_at_worst``.
         pairs: a row for each two packers and size: ``a``, ``b``, ``n``, ``both``, ``only_a``, ``only_b``, ``neither``
             stand, ``difference`` (share of b − share of a) with Newcombe's interval ``low``, ``high``; ``p`` of
-            McNemar's exact test, and ``p_holm``, corrected for the number of pairs (size ``all``; null in the others,
-            which are there to look at, not to test).
-        reasons: for each two packers, by whom an order is ``lost`` and why the loser's plan does not stand: ``a``,
-            ``b``, ``lost_by``, ``reason``, ``n``.
+            McNemar's exact test, and ``p_holm``, corrected for the number of pairs (only for size ``all``; the other
+            sizes are for inspection, not for tests, and have null).
+        reasons: for each two packers, the number ``n`` of orders that ``lost_by`` loses for a ``reason`` why its plan
+            does not stand: ``a``, ``b``, ``lost_by``, ``reason``, ``n``.
         decided: orders that stand with only one of two packers: ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``,
             ``reason``, ``order_boxes``.
         plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).
@@ -131,13 +129,13 @@ class PackerComparison:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """For each two packers, one sentence: who stands more often, by how much, and how sure that is. Empty where no
+        """For each two packers, one sentence: who stands more often, by how much, and how sure that is. Empty if no
         order is compared."""
         rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
         return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the sentences, and a row for each packer."""
+        """HTML for notebooks: the sentences, and a row for each packer."""
         rows = self.packers[self.packers["size"] == ALL_SIZES]
         return block_as_html([repr(self), *self.sentences, *self.notes], [table_as_html(rows, SHOWN, "packers")])
 
@@ -147,7 +145,7 @@ class PackerComparison:
         return {name: getattr(self, name) for name in TABLES}
 
     def to_dict(self) -> dict[str, Any]:
-        """All but ``plans`` as plain JSON values; missing numbers are None."""
+        """Everything except ``plans`` as plain JSON values; missing numbers are None."""
         return dict(to_json({name: value for name, value in vars(self).items() if name != "plans"}))
 
 
@@ -157,17 +155,17 @@ def compare_packers(
     *,
     orders: str | PathLike[str] | None = None,
 ) -> PackerComparison:
-    """Compare packers by runs of their plans, which are paired by plan id.
+    """Compare packers by runs of their plans. Plans are paired by id.
 
     Args:
-        runs: two or more runs or their folders, or packer → run. Without names they have those of their folders.
-        confidence: of the intervals.
-        orders: BED-BPP orders of the plans, for which the plans are read again. Boxes are counted against them, orders
-            that nobody packed are missing for all packers, and there are KPIs.
+        runs: two or more runs or their folders, or packer → run. Without names, packers are named after the folders.
+        confidence: confidence of the intervals.
+        orders: BED-BPP orders of the plans. With them the plans are read again, boxes are counted against the orders,
+            KPIs are added, and an order that nobody packed counts as missing for all packers.
 
     Raises:
-        InputError: fewer than two runs, no run in a folder, a sweep, two of one name, unreadable orders; or SciPy is
-            missing.
+        InputError: fewer than two runs, a folder without a run, a sweep, two runs with one name, unreadable orders; or
+            SciPy is missing.
     """
     if not 0 < confidence < 1:
         raise InputError(f"confidence must be between 0 and 1, got {confidence}")
@@ -175,7 +173,7 @@ def compare_packers(
 
 
 def comparison_of(found: Mapping[str, RunResults], confidence: float, orders: Path | None) -> PackerComparison:
-    """Packers compared by runs that are open; one alone has no pairs.
+    """The comparison of packers by open runs. A single packer has no pairs.
 
     Raises:
         InputError: unreadable orders, or SciPy is missing.
@@ -209,7 +207,7 @@ def comparison_of(found: Mapping[str, RunResults], confidence: float, orders: Pa
 
 
 def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
-    """With the columns ``KPIS``; kpi_2 is that of the order's target, where that is known."""
+    """The plans with the columns ``KPIS``. kpi_2 is relative to the order's target, if that is known."""
     kpis = kpis[["plan_id", "packer", *KPIS]]
     merged = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
     return merged.assign(kpi_2=merged["kpi_2"].combine_first(plans["kpi_2"]))
@@ -261,7 +259,7 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
 
 
 def _standing_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Compared orders × packers: whether the plan stands."""
+    """Whether the plan stands: a row for each compared order and a column for each packer."""
     compared = rows[rows["compared"]]
     stands = compared.assign(stands=compared["verdict"] == Verdict.STABLE.value)
     return stands.pivot(index="plan_id", columns="packer", values="stands").reindex(columns=rows["packer"].unique())

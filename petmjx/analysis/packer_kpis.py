@@ -1,4 +1,4 @@
-"""Packers' plans against the orders that they were packed from: which boxes are the orders', and BED-BPP's KPIs."""
+"""Compares packers' plans with the orders that they were packed from: which boxes were ordered, and BED-BPP's KPIs."""
 
 from __future__ import annotations
 
@@ -21,23 +21,24 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 
 KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
-"""Columns of which means are shown. kpi_3 is the height, which is there without orders; kpi_6 is for a static check."""
+"""Columns whose means are shown. kpi_3 is left out since the height is known without orders, and kpi_6 since it needs a
+static check."""
 
 GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
-"""Columns of boxes: of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and those that are as ordered and on the
-target."""
+"""Columns with numbers of boxes: those of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the boxes that are
+as ordered and on the target."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrderComparison:
-    """Plans of packers against orders.
+    """The comparison of packers' plans with orders.
 
     Attributes:
-        sizes: id of each order → its boxes.
-        rows: a row for each plan that has an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null
-            where a KPI has no value).
-        notes: a line on each packer's boxes that are not the orders', on plans without an order, on plans that were
-            not read again, on orders that nobody packed, and on unusable ones.
+        sizes: id of each order → its number of boxes.
+        rows: a row for each plan with an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null if a KPI
+            has no value).
+        notes: lines on each packer's boxes that were not ordered, on plans without an order, on plans that were not
+            read again, on orders that nobody packed, and on unusable orders.
     """
 
     sizes: Mapping[str, int]
@@ -46,7 +47,7 @@ class OrderComparison:
 
 
 def against_orders(runs: Mapping[str, RunResults], file: Path) -> OrderComparison:
-    """The plans of runs, which are read again, against the orders of a file.
+    """Compare the plans of runs with the orders of a file. The plans are read again.
 
     Args:
         runs: name of each packer → its run.
@@ -87,11 +88,11 @@ def against_orders(runs: Mapping[str, RunResults], file: Path) -> OrderCompariso
 
 
 def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping[str, Order]) -> OrderComparison:
-    """Plans against orders, without a file.
+    """Compare plans with orders, without a file.
 
     Args:
-        plans: name of each packer → its plans by id. Those without an order are passed over.
-        orders: by id.
+        plans: name of each packer → its plans by id. Plans without an order are ignored.
+        orders: the orders by id.
     """
     rows: list[dict[str, object]] = []
     notes: list[str] = []
@@ -118,7 +119,7 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 
 
 def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
-    """The plans of a run that have an order, as far as they are found again."""
+    """The plans of a run with an order, as far as they are found again."""
     records = Manifest.read(run.parts, run.info).plans
     plan_ids = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
     return find_plans(run, records, plan_ids).plans

@@ -1,9 +1,9 @@
-"""A rating of packers by physics: which share of the boxes that were ordered lies on plans that stand.
+"""A rating of packers by physics: the share of ordered boxes that lie on plans that stand.
 
-It is the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not stand counts
-nothing, and so does an order without a plan or with an invalid world; a box that was left out counts nothing either. So
-neither daring plans nor timid ones win. A box counts once, if it was ordered and has the order's size and mass. With
-orders given, a packer's rating depends on its own plans and the orders alone.
+It has the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not stand
+counts nothing. An order without a plan or with an invalid world counts nothing, nor does a box that was left out. So
+neither daring nor timid plans win. A box counts once, if it was ordered and has the order's size and mass. With orders
+given, a packer's rating depends only on its own plans and the orders.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from petmjx.results.shares import wilson_interval
 
 
 def rate(found: PackerComparison) -> pd.DataFrame:
-    """The rating of each packer, the best first; as :func:`ratings`."""
+    """The rating of each packer, the best first, as :func:`ratings` returns it."""
     return ratings(found.plans, list(found.runs), found.confidence)
 
 
@@ -29,9 +29,8 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
     """The rating of each packer, the best first.
 
     Args:
-        plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`); those of orders that are
-            not
-            ``listed`` do not count.
+        plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`); rows of orders that are
+            not ``listed`` do not count.
 
     Returns:
         A row for each packer: ``rank``, from 1, the same for equal ratings; ``packer``; ``rating``, from 0 to 1, with
@@ -69,16 +68,16 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
 
 
 def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Intervals of ratings: Wilson's interval for as many orders as the weights leave.
+    """Intervals of ratings: Wilson's interval for the effective number of orders.
 
-    A rating is a mean over orders, weighted by their boxes, of values from 0 to 1. Large orders make it vary as if
-    there were fewer orders: Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling", section 11.7). Such a
-    mean varies no more than a share does, so the interval is wide enough. It also has a width where all plans stand, or
-    none, unlike that of a bootstrap.
+    A rating is a mean of values from 0 to 1 over orders, weighted by their boxes. Large orders make it vary as if there
+    were fewer orders: Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling", section 11.7). Such a mean
+    varies at most as much as a share, so the interval is wide enough. Unlike a bootstrap interval, it also has a width
+    if all plans stand, or none.
 
     Args:
-        rating: (p,) from 0 to 1.
-        ordered: (o,) boxes of each order, the weights.
+        rating: (p,) ratings from 0 to 1.
+        ordered: (o,) number of boxes of each order: the weights.
 
     Returns:
         (p,) lower and (p,) upper bounds.

@@ -1,4 +1,4 @@
-"""The runs of several packers as one table: a row for each order and packer."""
+"""The runs of several packers as one table, with a row for each order and packer."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarri
 from petmjx.results.run_reader import RunResults, load_run
 
 LONGEST_NAME: Final = 200
-"""Bytes of a packer's name: file systems take 255 for a folder's."""
+"""Most bytes of a packer's name. File systems allow 255 for the name of a folder."""
 
 MISSING: Final = "missing"
-"""``verdict`` of an order of which a packer has no plan."""
+"""``verdict`` of an order for which a packer has no plan."""
 
 MEASURES: Final[Mapping[str, str]] = {
     "boxes": "boxes placed",
@@ -30,20 +30,20 @@ MEASURES: Final[Mapping[str, str]] = {
     "height_m": "height, m",
     "kpi_2": "kpi_2, volume over area × height",
 }
-"""Column of a plan → what people read. Their means are shown next to the shares. One more column is one more line
-here, and a column of :func:`plans_of`."""
+"""Column of a plan → its heading. The means of these columns are shown next to the shares. To add a column, add a line
+here and a column in :func:`plans_of`."""
 
 Run = RunResults | str | Path
 
 
 def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
-    """Name of each packer → its run. Without names they have those of their folders.
+    """Name of each packer → its run. Without names, packers are named after the folders.
 
     Raises:
-        InputError: fewer than two runs, two of one name, or a folder without a run.
+        InputError: fewer than two runs, two runs with one name, or a folder without a run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a text is also a sequence, of its letters
+        runs = [runs]  # a text is a sequence, too, of its letters
     named = runs if isinstance(runs, Mapping) else None
     given: list[Any] = list(named.values()) if named else list_of(runs, "runs", object, "runs or folders")
     loaded_runs = [run if isinstance(run, RunResults) else load_run(run) for run in given]
@@ -71,10 +71,10 @@ def _names(folders: Sequence[Path]) -> list[str]:
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Names that can be those of folders.
+    """Check that names can be names of folders.
 
     Raises:
-        InputError: one cannot.
+        InputError: a name cannot.
     """
     for name in names:
         if not isinstance(name, str):
@@ -86,17 +86,18 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A row for each order and packer, sorted. Orders are those given, and those of which any packer has a plan.
+    """A row for each order and packer, sorted. The orders are those given, and those for which any packer has a plan.
 
     Args:
-        against: the plans against the orders given; None: no orders are given, and those that runs were compared with
-            are taken, where they were. Where no run was, an order has as many boxes as its largest plan.
+        against: the comparison of the plans with the orders given. None: no orders are given; the orders that the runs
+            were compared with are taken. If no run was compared with orders, an order has as many boxes as its largest
+            plan.
 
     Returns:
         ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (also ``missing``), ``reason``, ``margin``,
-        ``digest``, the columns of ``MEASURES``; ``as_ordered``: boxes of the plan that were ordered, each once, have
-        the order's size and mass, and are on its target; null where that is not known. ``listed``: the order is one of
-        those that a rating is about. ``compared``: it has a valid verdict from every packer.
+        ``digest``, the columns of ``MEASURES``; ``as_ordered``: number of boxes of the plan that were ordered, each
+        counted once, that have the order's size and mass and are on its target; null if not known. ``listed``: whether
+        ratings count the order. ``compared``: whether the order has a valid verdict from every packer.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes
@@ -127,11 +128,11 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
 
 _OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
-"""Columns of the table ``plans`` of a run; older runs, and those without orders, lack some."""
+"""Columns of the table ``plans`` of a run. Older runs and runs without orders lack some of them."""
 
 
 def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
-    """The nominal worlds of runs with what these say of their plans."""
+    """The nominal worlds of runs, with columns of their tables ``plans``."""
     of_world = ["plan_id", "verdict", "reason", "n_boxes", "margin"]
     worlds = [run.worlds[run.worlds["variant"] == 0].reindex(columns=of_world) for run in runs.values()]
     plans = [run.plans.reindex(columns=["plan_id", "digest", *_OF_PLAN]) for run in runs.values()]
@@ -144,7 +145,7 @@ def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
 
 
 def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
-    """The carrier of all runs; ``footprint`` where they have different ones."""
+    """The carrier of all runs; ``footprint`` if they have different carriers."""
     carriers = [run.carrier for run in runs.values()]
     return carriers[0] if all(carrier == carriers[0] for carrier in carriers) else Carrier.FOOTPRINT
 
@@ -152,8 +153,8 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
     """The area of each row's target, the same for all packers of an order.
 
-    It is the carrier's. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of all packers
-    have room; if there is none, the common extent of the plans.
+    It is the area of the carrier. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of all
+    packers fit; if none is large enough, it is the common extent of the plans.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
@@ -167,7 +168,7 @@ def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
 
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
-    """Reasons to doubt the comparison, a line each."""
+    """Reasons to doubt the comparison, one line each."""
     lines = [line for name, run in runs.items() for line in run.doubts(printable_name(name))]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
     first, *others = settings
@@ -193,7 +194,7 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
 
 
 def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """Orders that all packers pack in the same way, if there are any."""
+    """A line on orders that all packers pack in the same way, if any."""
     compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
     same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
     verb = "is" if same == 1 else "are"
@@ -201,7 +202,7 @@ def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
 
 
 def _different_options(a: Any, b: Any) -> list[str]:
-    """The names of options that differ; those of tables within them too."""
+    """The names of options that differ, also within tables."""
     if not isinstance(a, Mapping) or not isinstance(b, Mapping):
         return []
     return [str(name) for name in sorted({*a, *b}) if a.get(name) != b.get(name)]

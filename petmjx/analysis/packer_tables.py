@@ -1,7 +1,4 @@
-"""The tables of a comparison as files.
-
-Packers compared by the runs of their plans for the same orders.
-"""
+"""Writes the tables of a comparison of packers as files."""
 
 from __future__ import annotations
 
@@ -61,7 +58,7 @@ DESCRIBED: Final[Described] = {
     "listed": (DIMENSIONLESS, "whether the order is one of those given; true for all where none are given"),
     "compared": (DIMENSIONLESS, "whether the order has a valid verdict from every packer"),
 }
-"""Every column of every table. Of KPIs and measures ``packers`` has the means."""
+"""Every column of every table. The table ``packers`` has the means of KPIs and measures."""
 
 
 def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:

@@ -1,8 +1,8 @@
-"""Convex hulls of the areas on which boxes lie, and how far points are inside them.
+"""Contacts of boxes: which boxes lie on which rectangles, which touch side by side, and at which points at rest.
 
-Which boxes of a plan lie on which, and on which rectangles; which touch side by side.
-
-Where the boxes of a world touch at rest: the points at which MuJoCo's collider finds them in their last poses.
+``find_contacts`` and ``find_sides`` take the places of the plan. ``find_touch_points`` takes the last poses of a world,
+and asks MuJoCo's collider. ``Hulls`` are the convex hulls of the areas on which boxes lie; they tell how far points are
+inside them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""A point this far outside lies on the edge: rounding errors of float64 sums of millimetres."""
+"""A point at most this far outside counts as on the edge. It covers rounding errors of float64 sums of millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,17 +31,18 @@ class Hulls:
     """One convex polygon for each of n boxes, counter-clockwise, padded to e vertices by repeating the last one.
 
     Attributes:
-        vertex: (n, e, 2) mm; NaN where a box has no polygon.
+        vertex: (n, e, 2) vertices, mm; NaN if a box has no polygon.
     """
 
     vertex: FloatArray
 
     def distance(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """How far points are inside the hulls' edges: (p,) mm, negative outside, NaN where there is no hull.
+        """(p,) distance of points from the edges of hulls, mm: positive inside, negative outside, NaN if there is no
+        hull.
 
         Args:
-            hull: (p,) of which box each point is asked.
-            point: (p, 2) mm.
+            hull: (p,) for each point, the box whose hull is asked.
+            point: (p, 2) points, mm.
         """
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
@@ -56,8 +57,8 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) how far points are on the way from a hull's inner point ``middle`` (p, 2) through them to its edge: 0 at
-        the middle, 1 on the edge, more outside."""
+        """(p,) position of points on the ray from an inner point ``middle`` (p, 2) of the hull through the point to the
+        edge: 0 at the middle, 1 on the edge, more outside."""
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
         outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
@@ -90,7 +91,7 @@ def contact_hulls(contacts: PlanContacts) -> Hulls:
 
 
 def hulls_of(polygons: NDArray[np.object_]) -> Hulls:
-    """From (n,) convex polygons of shapely; empty ones are no hulls."""
+    """Hulls from (n,) convex polygons of shapely. A box with an empty polygon has no hull."""
     import shapely
 
     with_area = np.flatnonzero(shapely.area(polygons) > 0)
@@ -125,29 +126,31 @@ def _area(ring: FloatArray) -> float:
 IntArray = NDArray[np.int64]
 
 N_CORNERS: Final = 4
-"""Of a box's base."""
+"""Number of corners of a box's base."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlanContacts:
     """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
 
-    A box lies on the carrier if its bottom is not above the carrier's top. It lies there with its whole base, since
-    the carrier is taken to reach under all boxes. On a carrier made of boards it lies on those boards of the deck that
-    it overlaps along x and y; each is an area of its own. It lies on another box if that one was placed before, its
-    top is at the height of
-    the bottom, and the two overlap along x and y. A box that is pushed in under another one later bears nothing:
-    what hangs in the air until then has fallen.
+    A box lies on the carrier if its bottom is not above the carrier's top. It lies there with its whole base, since the
+    carrier is taken to reach under all boxes. On a carrier made of boards it lies on the boards of the deck that it
+    overlaps along x and y; each board is a separate area.
+
+    A box lies on another box if the other box was placed before, its top is at the height of the bottom, and the two
+    overlap along x and y. A box that is pushed in later under another box bears nothing: the upper box would have
+    fallen before.
 
     Attributes:
-        size_mm, corner_mm: (n, 3) of the boxes, as in the plan.
-        mass_kg: (n,).
+        size_mm, corner_mm: (n, 3) sizes and corners of the boxes, as in the plan.
+        mass_kg: (n,) masses of the boxes.
         upper: (c,) the box above.
         lower: (c,) the box below, placed earlier, or ``CARRIER``.
         low_mm, high_mm: (c, 2) corners of the rectangle along x and y.
-        under_low_mm, under_high_mm: (c, 2) corners of all of what bears there: the top of the box below, a deck board.
+        under_low_mm, under_high_mm: (c, 2) corners of the whole bearing surface: the top of the box below, or a deck
+            board.
         tolerance_mm: gaps and overlaps up to this count as touching.
-        mass_center_mm: (n, 3) as in ``Plan``.
+        mass_center_mm: (n, 3) centres of mass, as in ``Plan``.
     """
 
     size_mm: FloatArray
@@ -168,7 +171,7 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity: in the middles, unless the plan has others."""
+        """(n, 3) centres of gravity: the centres of the boxes, unless the plan gives others."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
         return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
@@ -179,21 +182,22 @@ class PlanContacts:
 
     @cached_property
     def n_supports(self) -> IntArray:
-        """(n,) on how many areas each box lies: one a box below, and of the carrier one or one a board."""
+        """(n,) number of areas on which each box lies: one for each box below, and for the carrier one, or one for each
+        board."""
         return np.bincount(self.upper, minlength=self.n_boxes)
 
     @cached_property
     def grounded(self) -> NDArray[np.bool_]:
-        """(n,) whether a box lies on the carrier with all four corners, so that nothing tips it."""
+        """(n,) whether a box lies on the carrier with all four corners. Nothing can tip such a box."""
         n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
         on_carrier: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
         return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, 4) whether a bottom corner lies on something, within the tolerance; edges count.
+        """(n, 4) whether each bottom corner lies on something, within the tolerance. Edges count.
 
         Args:
-            chosen: (c,) which contacts are looked at.
+            chosen: (c,) mask of the contacts to consider.
         """
         base = self.corner_mm[:, :2]
         corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
@@ -234,11 +238,11 @@ def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
 def find_contacts(
     plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM, deck_mm: FloatArray | None = None
 ) -> PlanContacts:
-    """What the boxes of a plan lie on.
+    """Find the contacts of a plan: the bodies and rectangles on which its boxes lie.
 
     Args:
-        tolerance_mm: gaps and overlaps in height up to this count as touching, and contacts that are narrower than this
-            do not count. By default that of the warnings about a plan: half of the last digit of whole millimetres.
+        tolerance_mm: gaps and overlaps in height up to this count as touching, and narrower contacts do not count. The
+            default is the tolerance of the warnings about a plan: half of the last digit of whole millimetres.
         deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
             carrier reaches under all boxes.
     """
@@ -277,7 +281,7 @@ def _overlap(low: FloatArray, high: FloatArray, deck_mm: FloatArray, tolerance_m
 
 
 def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
-    """(n, n): whether the box of the column lies on that of the row."""
+    """(n, n): whether the box of the column lies on the box of the row."""
     touching = meets(low[:, 2], high[:, 2], tolerance_mm)
     for axis in range(2):
         touching &= shared_length(low[:, axis], high[:, axis]) > tolerance_mm
@@ -285,7 +289,7 @@ def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np
 
 
 def find_sides(contacts: PlanContacts) -> Sides:
-    """Where the boxes of a plan touch side by side."""
+    """Find where the boxes of a plan touch side by side."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
     pairs_by_axis = []
@@ -303,12 +307,12 @@ def find_sides(contacts: PlanContacts) -> Sides:
 
 
 LYING_GAP_M: Final = TOUCH_M
-"""Gap up to which a box lies on another one, as in the criteria. Which of three supports of one height bears is a
-matter of micrometres, which no two simulators and no two pallets share."""
+"""Largest gap at which a box still lies on another box, as in the criteria. Which of three supports of one height bears
+the load depends on micrometres, in which all simulators and all pallets differ."""
 
 SIDE_GAP_M: Final = 1e-5
-"""Gap up to which boxes touch side by side: what rounds a pose in float32, and little more. Neighbours that are planned
-side by side stand 0.1 mm apart, and do not press on each other before something moves."""
+"""Largest gap at which boxes touch side by side: little more than the rounding of a pose in float32. Neighbours that
+are planned side by side stand 0.1 mm apart, and press on each other only after something has moved."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,12 +320,13 @@ class TouchPoints:
     """The points where boxes touch each other, the carrier or the floor: p rows.
 
     Attributes:
-        first, second: (p,) the two bodies, boxes from 0; ``CARRIER`` stands for the floor, too: neither moves.
-        position_m: (p, 3).
-        frame: (p, 3, 3) rows: the normal from first to second, and the two tangents.
+        first, second: (p,) the two bodies, boxes from 0. ``CARRIER`` stands for the carrier and for the floor, since
+            neither moves.
+        position_m: (p, 3) places of the points.
+        frame: (p, 3, 3) the normal from first to second and the two tangents, as rows.
         friction: (p, 2) coefficients along the tangents.
-        pressed: (p,) the box whose top the point is on (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
-        sign: (p,) 1 where the force on ``second`` presses down on ``pressed``, else -1.
+        pressed: (p,) the box on whose top the point lies (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
+        sign: (p,) 1 if the force on ``second`` presses down on ``pressed``, else -1.
     """
 
     first: IntArray
@@ -338,7 +343,7 @@ class TouchPoints:
 
 
 def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> TouchPoints:
-    """Where boxes touch in these poses. The carrier is where it is planned.
+    """Find where boxes touch in some poses. The carrier is at its planned place.
 
     Args:
         pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z).
@@ -350,9 +355,9 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # those of two geoms add up
+    model.geom_margin[:] += LYING_GAP_M / 2  # the margins of two geoms add up
     data = mujoco.MjData(model)
-    poses = data.qpos.reshape(-1, 7)[1:]  # the first is the carrier's
+    poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is the carrier's
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)

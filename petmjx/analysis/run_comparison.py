@@ -1,4 +1,4 @@
-"""Two runs of the same worlds: do their verdicts agree, and by how much do their metrics differ?
+"""Compares two runs of the same worlds: whether their verdicts agree, and by how much their metrics differ.
 
 Run b is compared with run a. Differences of forces are also given relative to a: |b - a| / max(a, 10 N). The minimum of
 10 N is about the weight of a 1 kg box. Ratios of smaller forces say nothing about the pallet.
@@ -25,7 +25,7 @@ from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
 
 FORCE_FLOOR_N: Final = 10.0
-"""Smallest force by which a difference is divided."""
+"""Smallest divisor of a relative difference of forces."""
 
 KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]
@@ -34,12 +34,12 @@ POSE: Final = (
     Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
     Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
 )
-"""Comparisons of whole poses. Their components are not compared one by one."""
+"""Differences of whole poses. The components of a pose are not compared one by one."""
 
 SIGNLESS: Final = frozenset(
     {column.name for column in POSE} | {name for m in box_metrics() if len(m.columns) > 1 for name in m.columns}
 )
-"""Metrics of which b - a has no meaning of its own: distances between two poses, and components of vectors."""
+"""Metrics whose signed difference b - a means nothing: distances between two poses, and components of vectors."""
 
 FLIPS: Final = tuple(
     ShownColumn(name, head, 2)
@@ -59,22 +59,22 @@ GROUPS: Final = ("same verdict", "both stable")
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What :func:`compare_runs` found.
+    """The result of :func:`compare_runs`.
 
     Attributes:
         a, b: names of the two runs (their folders).
-        n_common: worlds that are in both runs.
+        n_common: number of worlds in both runs.
         confusion: (3, 3) number of worlds by verdict in a (rows) and in b (columns).
         flips: worlds with different verdicts: verdict, reason and culprit in both runs, and their margins to the
-            thresholds of shift, tilt and acceleration (positive: over the threshold); ``margin``, the column of
-            ``worlds``, has the other sign.
+            thresholds of shift, tilt and acceleration (positive: over the threshold). The column ``margin`` of
+            ``worlds`` has the opposite sign.
         worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
-            ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of
-            |b - a|; and where the largest one is: ``plan_id``, ``variant`` (``box``), with the two values ``a`` and
-            ``b``. Null if a group has no value of the metric. Only of plans that are the same in both runs.
+            ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of |b -
+            a|; and the place of the largest difference: ``plan_id``, ``variant`` (``box``), with the two values ``a``
+            and ``b``. Null if a group has no value of the metric. Only plans that are the same in both runs count.
         other_plans: ids of common plans that are not the same in both runs.
-        only_a, only_b: plan_id and variant of worlds that are only in one run.
-        same_reason, same_culprit: of the ``n_not_stable`` worlds that are stable in neither run, how many have the same
+        only_a, only_b: plan_id and variant of worlds that only one run has.
+        same_reason, same_culprit: how many of the ``n_not_stable`` worlds that are stable in neither run have the same
             reason, and the same first box.
         notes: reasons to doubt the comparison, one line each.
     """
@@ -98,7 +98,8 @@ class Comparison:
         return f"Comparison({self.a} and {self.b}: {self.n_agree:,} of {count_text(self.n_common, 'world')} agree)"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: worlds by verdict in a (rows) and b (columns), and those with different verdicts."""
+        """HTML for notebooks: numbers of worlds by verdict in a (rows) and b (columns), and the worlds with different
+        verdicts."""
         counts = self.confusion.rename_axis("a").reset_index()
         columns = [ShownColumn("a", "a \\ b"), *(ShownColumn(name, name) for name in self.confusion.columns)]
         tables = [table_as_html(counts, columns, "confusion")]
@@ -113,7 +114,8 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """The smallest x for which each flip has a ``margin`` within ±x in one of the runs; None where none has any."""
+        """The smallest x for which each flip has a ``margin`` within ±x in one of the runs; None if no flip has a
+        margin."""
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)
 
@@ -123,7 +125,7 @@ class Comparison:
         return self.n_agree / self.n_common if self.n_common else None
 
     def to_dict(self) -> dict[str, Any]:
-        """All of it as plain JSON values; missing numbers are None."""
+        """The whole comparison as plain JSON values; missing numbers are None."""
         confusion = {row: dict(counts) for row, counts in self.confusion.iterrows()}
         shares = {"n_agree": self.n_agree, "agreement": self.agreement, "flips_within": self.flips_within}
         return dict(to_json(shares | vars(self) | {"confusion": confusion}))
@@ -133,7 +135,7 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
     """Compare run b with run a, world by world (same plan and variant).
 
     Args:
-        packers: the plans are those of two packers, so their differences cause no note.
+        packers: whether the runs are of two packers; different plans then cause no note.
 
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.
@@ -174,7 +176,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
 
 
 def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
-    """The thresholds of a run, searched in all its options (older runs have them elsewhere); else the defaults."""
+    """The thresholds of a run, or the defaults if it has none. All its options are searched, since older runs have them
+    elsewhere."""
     waiting: list[Any] = [info.get("config", {})]
     while waiting:
         entry = waiting.pop(0)
@@ -251,7 +254,8 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
 def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
     """Ids of common plans that are not the same in both runs, sorted.
 
-    Their digests tell. Runs that were written without plans have none: of them the number of boxes and the items tell.
+    Plans are compared by digest. Runs that were written without plans have no digests; then the number of boxes and the
+    items are compared.
     """
     digests = [run.plans.set_index("plan_id")["digest"] for run in (run_a, run_b)]
     plans = pd.DataFrame(index=pd.Index(both["plan_id"].unique(), dtype=object))

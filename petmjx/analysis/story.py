@@ -1,10 +1,7 @@
-"""What happened in a story, event by event, and what came of it in one line.
+"""The story of one world: its frames, its events, and the verdict in words.
 
-One world as people see it: what was simulated, frame by frame, and what came of it.
-
-A story in sentences: the verdict and its reason, which box failed first, when and by what.
-
-The story of one world: told frame by frame, and in words.
+``tell`` takes a recorded world or simulates it again, and returns a ``Story``. Other functions put the story into
+words: the headline, the events in order of time, the reason of the verdict, and which box failed first, when and why.
 """
 
 from __future__ import annotations
@@ -49,11 +46,11 @@ from petmjx.world.job import FORCE, Drive
 from petmjx.world.scene import Scene
 
 MOST_DROPS: Final = 8
-"""Most boxes whose drop has a line."""
+"""Most boxes whose drop is an event of its own."""
 
 
 class Event(NamedTuple):
-    """Something that happened. ``is_first_sign``: a box crossed a limit before all others."""
+    """Something that happened. ``is_first_sign``: whether it is the first crossing of a limit by any box."""
 
     time_s: float
     what: str
@@ -61,7 +58,7 @@ class Event(NamedTuple):
 
 
 def headline(story: Story) -> str:
-    """Verdict, reason, first box and when, in one line."""
+    """Verdict, reason, first box and its time, in one line."""
     outcome = story.outcome
     text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
     if outcome.verdict is Verdict.STABLE or outcome.reason is Reason.SHIFT:
@@ -75,7 +72,7 @@ def headline(story: Story) -> str:
 
 
 def box_name(story: Story, box: int) -> str:
-    """ "box 22 (candy-00100723)", with the id where there is no article; boxes count from 0 in packing order."""
+    """ "box 22 (candy-00100723)", with the id if the box has no article. Boxes count from 0 in packing order."""
     return box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])
 
 
@@ -85,7 +82,7 @@ def _subject(story: Story, box: int) -> str:
 
 
 def events(story: Story) -> list[Event]:
-    """What happened, in order of time; the last one is the end. Drops beyond ``MOST_DROPS`` are one event."""
+    """The events in order of time; the last one is the end. Drops beyond ``MOST_DROPS`` are combined into one event."""
     timeline = [*_placements(story), *_shaking_events(story), *_first_sign(story), *_drops(story)]
     timeline.sort(key=lambda event: event.time_s)
     end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
@@ -147,14 +144,15 @@ class Story:
     """One simulated world with its frames.
 
     Attributes:
-        plan: the plan; ``scene``: its world in numbers, the variant's changes included.
+        plan: the plan.
+        scene: the world in numbers, with the changes of the variant.
         outcome: verdict, first box, metrics of each box.
         history: the frames; the last one has the poses of ``outcome.boxes``.
-        engine: which engine simulated it.
-        variant: index of the variant, and its values by column; 0 and empty where the plan has one world.
-        drive: what shook it.
+        engine: the engine that simulated the world.
+        variant: index of the variant, and its values by column; 0 and empty if the plan has one world.
+        drive: the drive that shook the world.
         options: the options of the simulation (``petmjx.Simulation``) by field, as in ``run.json``.
-        note: one line that readers must see, e.g. that another engine than the run's was used; "" for none.
+        note: a line that readers must see, such as that another engine than the run's was used; "" for none.
     """
 
     plan: Plan
@@ -169,8 +167,8 @@ class Story:
     note: str = ""
 
     page: ClassVar[Callable[[Story], str] | None] = None
-    """Makes a story's page for notebooks. ``petmjx.show.pages.story_display`` sets it: pages are made of stories, not
-    the other way round."""
+    """Makes the page of a story for notebooks. ``petmjx.show.pages.story_display`` sets it, because pages import
+    stories and not the other way round."""
 
     def __repr__(self) -> str:
         outcome = self.outcome
@@ -178,12 +176,12 @@ class Story:
         return f"Story({self.name}: {verdict}; {self.history!r}, engine {self.engine})"
 
     def _repr_html_(self) -> str | None:
-        """What a notebook shows: the story's page, to play and turn."""
+        """HTML for notebooks: the story's page, to play and turn."""
         return None if Story.page is None else Story.page(self)
 
     @property
     def name(self) -> str:
-        """The plan's id for people, with the variant if the plan has many worlds: "tower, variant 3"."""
+        """The plan's id as shown text, with the variant if the plan has several worlds: "tower, variant 3"."""
         return printable_name(self.plan.plan_id) + (f", variant {self.variant}" if self.values else "")
 
 
@@ -197,7 +195,7 @@ def tell(
     details: bool | None = None,
     **options: Any,
 ) -> Story:
-    """One world, frame by frame: as a run recorded it, or simulated again.
+    """Tell the story of one world, frame by frame, as a run recorded it or simulated again.
 
     ``petmjx.tell("s0-000016", "results")`` is the world in the table ``worlds`` of the run in the folder ``results``,
     simulated with the same options and attempts, to the last bit. If the run's engine cannot run here, ``mujoco`` takes
@@ -207,15 +205,16 @@ def tell(
         plan_id: the plan's id; or the plan itself, without a source.
         source: a run (its folder, or what ``petmjx.load_run`` returned), or plans as ``petmjx.score`` takes them; None:
             the bundled plans.
-        plans: of a run whose plan files are not where they were: where they are now.
-        variant: of a run with several worlds a plan, its index as in ``worlds``; by default the nominal one.
-        interval_s: time between two frames, s, by default 0.05; each placement, and the end, is a frame too.
-        details: also accelerations, penetrations and contacts, on the engine ``mujoco``; by default so. What a run has
-            recorded is taken as it is, unless one of these two is given.
+        plans: where the plans of a run are now, if its plan files have moved.
+        variant: index of the variant as in ``worlds``, for a run with several worlds per plan; by default the nominal
+            one.
+        interval_s: time between two frames, s, by default 0.05. Each placement and the end are frames, too.
+        details: whether to record accelerations, penetrations and contacts, too, which only the engine ``mujoco`` does;
+            by default yes. A recorded world is taken as it is, unless ``interval_s`` or ``details`` is given.
         options: without a run, fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``.
 
     Raises:
-        InputError: no such plan or variant, plans or a sweep file that are gone or have changed, or unusable options.
+        InputError: no such plan or variant, a plan or sweep file that is gone or has changed, or unusable options.
         EngineUnavailable: the engine asked for cannot run here.
         PetmjxError: the simulation failed, or the engine records no histories.
     """
@@ -247,7 +246,7 @@ def tell(
 
 
 def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
-    """The run that a source is, if it is one."""
+    """The run, if a source is one; else None."""
     if isinstance(source, RunResults):
         return source
     if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
@@ -265,13 +264,13 @@ def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: 
 
 
 def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:
-    """The story that a run recorded; None where it did not."""
+    """The story of a recorded world; None if the run did not record it."""
     (plan,) = worlds.plans
     history = read_history(run, plan.plan_id, index, plan.n_boxes)
     outcome = read_outcome(run, plan.plan_id, index)
     if history is None or outcome is None:
         return None
-    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])  # in full precision
+    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])  # the history has full precision
     group, variant = worlds.find(plan.plan_id, index)
     row = world_row(run, plan.plan_id, index) or {}
     return Story(
@@ -288,7 +287,7 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
-    """The engine of a run, or the one that takes its place, and a note about that."""
+    """The engine of a run, or its replacement, with a note about that."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(
@@ -301,7 +300,7 @@ def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
 
 
 def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Story:
-    """The story of a world that is simulated now."""
+    """Simulate a world and return its story."""
     (plan,) = worlds.plans
     recording = Recording(replace(record, details=record.details and engine.name == "mujoco"))
     world = SweepRun(worlds, engine, recording=recording).world(plan.plan_id, index)
@@ -324,7 +323,7 @@ def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Sto
 
 
 def _difference(story: Story, run: RunResults) -> str:
-    """How a story differs from the run's row of the same world, in a line; empty where it does not."""
+    """How a story differs from the run's row of the same world, in one line; empty if it does not."""
     row = world_row(run, story.plan.plan_id, story.variant)
     if row is None:
         return ""
@@ -362,19 +361,19 @@ REASONS: Final = {
 
 
 def thresholds_of(story: Story) -> Thresholds:
-    """The limits that the verdict was judged by."""
+    """The limits that decided the verdict."""
     return Thresholds(**story.options.get("thresholds", {}))
 
 
 def sinks_of(story: Story) -> FloatArray | None:
-    """(n,) how far each box comes down by design, m; None: not at all."""
+    """(n,) distance that each box comes down by design, m; None: 0 for all boxes."""
     physics = story.options.get("physics", {})
     gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
     return sinks_m(story.scene, gravity)
 
 
 def reason_in_words(story: Story) -> str:
-    """Why the verdict is what it is, as a sentence without its full stop."""
+    """The reason of the verdict, as a sentence without its full stop."""
     outcome, limits = story.outcome, thresholds_of(story)
     dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
     boxes = "a box" if dropped == 1 else f"{dropped} boxes"
@@ -384,7 +383,7 @@ def reason_in_words(story: Story) -> str:
 
 
 def notes_in_words(story: Story) -> list[str]:
-    """Warnings for the reader, one line each: the story's note, and flags that make the verdict doubtful."""
+    """Warnings for the reader, one line each: the story's note, and lines on flags that make the verdict doubtful."""
     outcome = story.outcome
     notes = [story.note] if story.note else []
     if outcome.verdict is Verdict.INVALID:
@@ -406,7 +405,7 @@ def notes_in_words(story: Story) -> list[str]:
 
 
 def _knife_edge(story: Story) -> str:
-    """The load that is nearest to an edge, on either side: which box's, how near, and when."""
+    """A sentence on the load that is nearest to an edge, inside or outside: of which box, how near, and when."""
     outcome = story.outcome
     nearest: list[tuple[float, int, str]] = []
     for of_boxes, least_m, box, when in (
@@ -427,7 +426,7 @@ def _knife_edge(story: Story) -> str:
 
 
 def _hangs_over(story: Story) -> list[str]:
-    """The box that hangs over while a plan is built, and the box that comes too late to hold it."""
+    """Sentences on the box that hangs over while the plan is built, and on the box that comes too late to hold it."""
     outcome = story.outcome
     if not outcome.build_edge_m < 0:
         return []
@@ -442,7 +441,7 @@ def _hangs_over(story: Story) -> list[str]:
 
 
 def _leans(story: Story) -> str:
-    """Which boxes lie otherwise than planned."""
+    """A sentence on the boxes that do not lie as planned."""
     boxes = story.outcome.boxes
     tilt, lower_m = box_motion.tilt_deg(boxes.quat), -boxes.shift_m[:, 2]
     leaning = contact_tilt_boxes(story.outcome).tolist()
@@ -456,7 +455,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """Which box failed first, when and why, as a sentence; "" where none did."""
+    """Which box failed first, when and why, as a sentence; "" if none did."""
     box = story.outcome.culprit
     if box < 0:
         return ""
@@ -469,13 +468,14 @@ def first_box_in_words(story: Story) -> str:
 
 
 def _gap_mm(story: Story, box: int) -> float:
-    """How far above what is there at its placement a box is planned, mm."""
+    """Gap between the planned place of a box and the bodies below it at its placement, mm."""
     in_order = story.options.get("check") != Check.STATIC
     return float(gaps_mm(story.plan.corner_mm, story.plan.size_mm, in_order)[box])
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """The limits that a box was beyond at the first sign, each with how far; between two frames on a straight line."""
+    """The limits that a box had crossed at the first sign, each with the value. Values between two frames are
+    interpolated."""
     limits = thresholds_of(story)
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
     if not np.isfinite(pos).all():
@@ -495,13 +495,14 @@ def _signs(story: Story, box: int) -> list[str]:
 
 
 def _at(story: Story, values: FloatArray) -> FloatArray:
-    """(k,) values at the first sign, of (f, k) values in frames."""
+    """(k,) values at the first sign, interpolated from (f, k) values in frames."""
     time_s, sign_s = story.history.time_s, story.outcome.first_sign_s
     return np.array([np.interp(sign_s, time_s, column) for column in values.T])
 
 
 def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
-    """Names and values of what the answer depends on most: engine, physics, check, schedule, carrier, solver."""
+    """(name, value) of the settings that the answer depends on most: engine, physics, check, schedule, carrier,
+    solver."""
     options, outcome = story.options, story.outcome
     physics = options.get("physics", "")
     facts = [("engine", story.engine), ("physics", _option_name(physics))]
@@ -516,12 +517,12 @@ def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
 
 
 def _option_name(option: object) -> str:
-    """An option's value; of one that is a table, its name."""
+    """The value of an option; for a table its name."""
     return printable_name(str(option.get("name") if isinstance(option, Mapping) else option))
 
 
 def _value(value: object) -> str:
-    """The value of a variant's column."""
+    """The value of a variant's column, as text."""
     return f"{value:.4g}" if isinstance(value, float) else printable_name(str(value))
 
 

@@ -1,4 +1,4 @@
-"""The command line. It is quick to import: commands import what they need when they run."""
+"""The command line. It imports quickly, because commands import what they need when they run."""
 
 from __future__ import annotations
 

@@ -58,7 +58,7 @@ class _Option:
     """A field as an option.
 
     Attributes:
-        path: the names of fields that lead to it: usually one name, but for instance ``("thresholds", "shift_m")``.
+        path: names of the fields that lead to it: usually one name, but for example ``("thresholds", "shift_m")``.
         section: its heading in the help.
     """
 
@@ -69,12 +69,12 @@ class _Option:
 
     @property
     def name(self) -> str:
-        """Its name as a parameter of a function."""
+        """The option's name as a parameter of a function."""
         return "__".join(self.path)
 
     @property
     def kind(self) -> Any:
-        """The type of the value: the field's if it is plain, else text, which the record checks."""
+        """The type of the value: the field's type if it is plain, else text, which the record checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
         if str in kinds or get_origin(self.info.annotation) is tuple:
             return str
@@ -116,16 +116,17 @@ def takes(
     simulated: str = SIMULATED,
     more: Sequence[tuple[type[CheckedRecord], str]] = (),
 ) -> Callable[[Command], Command]:
-    """Give a command the options of ``Simulation`` and ``RunOptions``: all except some, or only those named.
+    """Give a command the options of ``Simulation`` and ``RunOptions``: all of them, all except some, or only named
+    ones.
 
-    The command gets the options that were typed, and no others, as keyword arguments: fields of the records; records
-    within them as dictionaries. An error about one of these fields names the option as it was typed.
+    The command gets only the options that were typed. They are keyword arguments named after the fields; records within
+    the records are dictionaries. An error about a field names the option as it was typed.
 
     Args:
-        fields: names of fields of the two records; none: all.
+        fields: names of fields of the two records; empty: all fields.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
-        more: further records with their headings. A field of theirs takes the place of one of ``Simulation``.
+        more: further records with their headings. Their fields replace fields of ``Simulation`` with the same name.
     """
     theirs = {name for record, _ in more for name in record.model_fields}
     records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
@@ -181,7 +182,7 @@ def _keyword(name: str, annotation: Any) -> inspect.Parameter:
 
 
 def _options_of(record: type[CheckedRecord], section: str, path: tuple[str, ...] = ()) -> Iterator[_Option]:
-    """The fields with a flag of a record, and of the records within it."""
+    """The fields of a record, and of the records within it, that have a command-line flag."""
     for name, info in record.model_fields.items():
         flag = next((entry for entry in info.metadata if isinstance(entry, CliFlag)), None)
         if flag is not None:
@@ -230,8 +231,8 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """An error's line with the option as it was typed, in place of the field at its beginning. A line that names a file
-    is about what stands there."""
+    """The line of an error with the option as it was typed instead of the field at its beginning. A line that names a
+    file is about the content of that file and stays as it is."""
     for path, option in typed.items():
         named = re.match(rf"(?:simulation\.)?{re.escape(path)}(?=[ :])", line)
         if named:

@@ -1,4 +1,4 @@
-"""Standard output and standard error: terminals, files, pipes, or closed."""
+"""Standard output and standard error, whether they are terminals, files, pipes, or closed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PIPED_WIDTH = 120
 """Columns if standard output is a file or a pipe."""
 
 _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
-"""Replacements for characters that an old terminal does not have; "?" for others."""
+"""Replacements for characters that an old terminal does not have. Other characters become "?"."""
 
 
 def results_console() -> Console:
@@ -33,7 +33,7 @@ def results_console() -> Console:
 
 
 def prepare_streams() -> None:
-    """Make printing safe: standard output and error exist, and characters that they do not have are replaced."""
+    """Make printing safe: open missing standard streams, and replace characters that they cannot encode."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:  # closed by the caller (petmjx … >&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
@@ -45,7 +45,8 @@ def prepare_streams() -> None:
 
 @contextmanager
 def as_notes() -> Iterator[None]:
-    """A ``PlanWarning`` is one line on standard error, at once: a long run in a wrong unit is best stopped."""
+    """Print a ``PlanWarning`` at once, as one line on standard error, so that a user can stop a long run with a wrong
+    unit."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", PlanWarning)
         otherwise = warnings.showwarning

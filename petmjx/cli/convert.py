@@ -48,7 +48,7 @@ def convert(
 
 
 def print_skipped(lines: list[str]) -> None:
-    """Lines about what was skipped, the first ones, on standard error."""
+    """Print the first lines about skipped plans on standard error."""
     for line in lines[:SHOWN_SKIPPED]:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if len(lines) > SHOWN_SKIPPED:

@@ -17,7 +17,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads
 
 ASKED = "What is asked"
-"""Heading of the options of the criteria."""
+"""Heading of the options that change the criteria."""
 
 
 @opt.takes(

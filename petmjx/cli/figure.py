@@ -25,13 +25,13 @@ Png = Annotated[Path | None, _file("png", "The same as a picture.")]
 
 
 def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:
-    """The files that were asked for, checked before anything is worked out.
+    """The requested files, checked before the figure is computed.
 
     Args:
         read: files and folders that the command reads.
 
     Raises:
-        InputError: a name that does not end as its option says, or a file that is there or cannot be written.
+        InputError: a name does not have the ending of its option, or a file exists already or cannot be written.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.figures.figure_files import check_figures

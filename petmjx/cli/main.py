@@ -1,4 +1,4 @@
-"""The application. Errors become one line on standard error and an exit code."""
+"""The command-line application. It turns errors into one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _BY_SIGNAL = {
     signal.SIGINT: ExitCode.INTERRUPTED,
     signal.SIGTERM: ExitCode.TERMINATED,
 }
-"""128 + the number of the signal, as shells have it."""
+"""Exit codes of signals: 128 + the number of the signal, as in shells."""
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
@@ -64,7 +64,7 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParamete
 
 
 _SETTINGS = SimpleNamespace(debug=False)
-"""Values of the options before the command."""
+"""Values of the options that stand before the command."""
 
 app = typer.Typer(
     name="petmjx",
@@ -117,20 +117,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Args:
-        arguments: without the program's name; None: the process's own.
+        arguments: the arguments without the program's name; None: those of this process.
     """
     _SETTINGS.debug = False
     return run_app(app, arguments)
 
 
 def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) -> int:
-    """Run an application, with errors as one line and an exit code."""
+    """Run an application. Errors become one line and an exit code."""
     prepare_streams()
     code = _run(application, arguments)
     try:
         sys.stdout.flush()
     except OSError:
-        # the rest cannot be written; without this Python would try again at its end, and print an error
+        # the remaining output cannot be written; without this Python would try again at exit, and print an error
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -164,7 +164,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
         # The reader of the output has closed it (petmjx … | head); typer and rich then exit.
         return ExitCode.OK
     except OSError as error:
-        if error.filename is not None or error.errno != errno.ENOSPC:  # of files that are named there is an InputError
+        if error.filename is not None or error.errno != errno.ENOSPC:  # for named files an InputError was raised
             return _report(_inside(error), ExitCode.FAILURE)
         return _report(f"cannot write to standard output: {error.strerror}", ExitCode.FAILURE)
     except Exception as error:

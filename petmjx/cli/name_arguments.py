@@ -10,10 +10,11 @@ from petmjx.common.text import printable_name
 
 
 def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
-    """Name → path of each text; empty if none has a name. An existing path is taken as a path, even with a "=" in it.
+    """Name → path of each text; empty if no text has a name. An existing path is taken as a path, even with a "=" in
+    it.
 
     Raises:
-        InputError: only some have a name, or two have the same.
+        InputError: only some texts have a name, or two texts have the same name.
     """
     named = [text.partition("=") for text in texts if not Path(text).exists()]
     pairs = [(name, path) for name, _, path in named if name and path]

@@ -1,4 +1,4 @@
-"""``petmjx score --name``: the plans of several packers in one go."""
+"""Scores the plans of several packers in one go: ``petmjx score --name``."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool) -> None:
-    """Score the plans of each packer into a folder of its own, then compare the packers.
+    """Score the plans of each packer into a separate folder, then compare the packers.
 
     Args:
         plans: name of each packer → its plans.
-        options: as for ``petmjx.score``; ``out`` holds the folders.
+        options: as for ``petmjx.score``; the folders are made in ``out``.
     """
     from petmjx.analysis.packer_comparison import compare_packers
     from petmjx.analysis.packer_runs import check_names

@@ -1,4 +1,4 @@
-"""``petmjx samples --packer physical``."""
+"""Packs orders by search and physics: ``petmjx samples --packer physical``."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 
 MOST_NAMED: Final = 10
-"""Orders of a kind that get a line of their own, or are named in one."""
+"""Most orders of a kind that get a line each, or that one line names."""
 
 
 def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: int, options: Mapping[str, Any]) -> None:
-    """Pack orders by search and physics, write their plans, and say what came of them."""
+    """Pack orders by search and physics, write their plans, and print a summary."""
     from petmjx.packers.pack import Packed, orders_of, pack_each
     from petmjx.packers.packed_orders import PackedOrder
     from petmjx.plans.json_writer import Placement, write_plans
@@ -36,7 +36,7 @@ def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: i
     try:
         with progress(n if orders is None else None) as bar:
             write_plans(out, plans())
-    finally:  # they say why there may be no plan to write
+    finally:  # the errors say why there may be no plan to write
         for error in bad:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     packed = Packed(tuple(packings))
@@ -45,7 +45,7 @@ def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: i
 
 
 def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
-    """A line for each order with boxes left out; of drawn orders for the first ones."""
+    """A line for each order with boxes left out; for drawn orders only for the first ones."""
     incomplete = [packed for packed in packings if packed.left_out]
     few = incomplete if named else incomplete[:MOST_NAMED]
     for packed in few:
@@ -55,7 +55,7 @@ def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
 
 
 def _not_good(packings: list[Any]) -> Iterator[str]:
-    """A line that names orders without a packing that stands as often as asked for."""
+    """A line that names orders without a packing that stands as often as required."""
     shaky = [packed for packed in packings if packed.taken is not None and not packed.good]
     if shaky:
         names = ", ".join(

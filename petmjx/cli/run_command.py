@@ -1,4 +1,4 @@
-"""The common part of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the tables at the end."""
+"""The common part of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the final tables."""
 
 from __future__ import annotations
 
@@ -26,20 +26,19 @@ if TYPE_CHECKING:
 
 
 BURST_S: Final = 2.0
-"""Signals that come closer together than this count as one: pressing Ctrl-C six times in a row is one
-interruption."""
+"""Signals that come closer together than this count as one: pressing Ctrl-C six times in a row is one interruption."""
 
 
 AGAIN_S: Final = 0.05
-"""Time after which a signal comes again that came where an exception would be lost."""
+"""Time after which a signal is sent again if it came where its exception would be lost, s."""
 
 
 class RunInterrupted(Exception):
-    """Ctrl-C or a signal to end, with how far the run came. (A bare KeyboardInterrupt would end inside typer, without a
-    word.)
+    """The run was ended by Ctrl-C or a signal. The message says how far it came. (typer would swallow a bare
+    KeyboardInterrupt without a message.)
 
     Attributes:
-        number: of the signal.
+        number: number of the signal.
     """
 
     def __init__(self, how_far: str, number: int) -> None:
@@ -48,7 +47,7 @@ class RunInterrupted(Exception):
 
 
 class _StopSignal(KeyboardInterrupt):
-    """Raised in the run by a signal to end."""
+    """Raised inside the run by a signal that ends it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -57,10 +56,11 @@ class _StopSignal(KeyboardInterrupt):
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """SIGTERM and SIGHUP end the body as Ctrl-C does, each burst of signals once. Ignored signals stay ignored
+    """Let SIGTERM and SIGHUP end the body as Ctrl-C does, once per burst of signals. Ignored signals stay ignored
     (nohup).
 
-    Python ignores what is raised while an object is finalised, as Ray's often are. A signal then comes again.
+    Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In this case the
+    signal is sent again.
     """
     last_s = -math.inf
 
@@ -84,13 +84,13 @@ def stoppable() -> Iterator[None]:
                 signal.signal(number, stop)
         yield
     finally:
-        if last_s == -math.inf:  # else the process is about to end, and the rest of the burst may still come
+        if last_s == -math.inf:  # else the process is about to end, and more signals of the burst may still come
             for number, handler in before.items():
                 signal.signal(number, handler)
 
 
 def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
-    """A frame and those that led to it."""
+    """A frame and all frames that called it."""
     while frame is not None:
         yield frame
         frame = frame.f_back
@@ -99,13 +99,13 @@ def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
 def run_and_show(
     run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any], as_json: bool
 ) -> None:
-    """Run something with a progress bar and print its tables, or JSON.
+    """Do a run with a progress bar and print its tables, or JSON.
 
     Args:
-        run: called with a watcher and the options, which have the folder.
+        run: called with a watcher and the options, including the folder.
 
     Raises:
-        Interrupted: Ctrl-C, SIGTERM or SIGHUP.
+        RunInterrupted: Ctrl-C, SIGTERM or SIGHUP.
     """
     results = run_watched(run, options)
     if as_json:
@@ -118,7 +118,7 @@ def run_and_show(
 
 
 def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any]) -> RunResults:
-    """Run something with a progress bar; as :func:`run_and_show`, without the tables."""
+    """Do a run with a progress bar, as :func:`run_and_show`, but without printing tables."""
     from petmjx.show.progress import BarWatcher
 
     watcher = BarWatcher()
@@ -139,10 +139,10 @@ def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options
 
 
 def default_folder() -> Path:
-    """Make a folder named after this moment that no other run has.
+    """Make a new folder, named after the current time, that no other run has.
 
     Raises:
-        InputError: it cannot be made.
+        InputError: the folder cannot be made.
     """
     parent = Path("petmjx-results")
     name = datetime.now().strftime("%Y%m%d-%H%M%S")
@@ -159,7 +159,7 @@ def default_folder() -> Path:
 
 
 def remove_empty(folder: Path) -> None:
-    """Take away a folder that was made for a run that did not begin, and the one around it."""
+    """Delete an empty folder that was made for a run that did not begin, and its parent."""
     with suppress(OSError):
         folder.rmdir()
         folder.parent.rmdir()

@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Drawn orders with boxes left out that get a line of their own."""
+"""Most drawn orders with boxes left out that get a line each."""
 
 
 @opt.takes(
@@ -148,7 +148,7 @@ def samples(
                 write_samples(out, n, loose_share=loose_share, progress=count, **how)
             else:
                 write_plans(out, pack_orders(orders, on_bad_order=bad.append, **how), progress=count)
-    finally:  # they say why there may be no plan to write
+    finally:  # the errors say why there may be no plan to write
         for error in bad:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]

@@ -26,7 +26,7 @@ _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "strict", "allow_large", "out", "overwrite",
     "resume", "shard", "workers", "ray",
 )  # fmt: skip
-"""Options of runs that mean nothing for one world."""
+"""Options of runs that have no meaning for one world."""
 
 
 def _file(name: str, text: str) -> Any:
@@ -81,7 +81,7 @@ def show(
 
 
 def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:
-    """The story of a plan. With ``forces`` what a run has recorded without them is simulated again."""
+    """The story of a plan. With ``forces``, a world that was recorded without forces is simulated again."""
     from petmjx.analysis.story import tell
     from petmjx.results.run_folder import RUN_FILE
 
@@ -107,7 +107,7 @@ def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -
 
 
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
-    """Draw each file, with a bar for films, and say what was written."""
+    """Draw each file, with a progress bar for films, and print what was written."""
     from petmjx.analysis.story import headline, notes_in_words
     from petmjx.show.pictures.picture_files import draw
     from petmjx.show.progress import ProgressSink, progress

@@ -1,1 +1,1 @@
-"""A run's folder: written part by part, read again, compared."""
+"""Reads and writes the folder of a run, part by part."""

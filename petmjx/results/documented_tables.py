@@ -1,4 +1,4 @@
-"""Tables that say of each column its unit and what it means, as files: Parquet, where both are metadata, and CSV."""
+"""Writes tables as Parquet and CSV files. The metadata of Parquet has the unit and the meaning of every column."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LONGEST_HEADER: Final = 1 << 20
 
 
 def documented_table(frame: pd.DataFrame, name: str, described: Described) -> pa.Table:
-    """A data frame with unit and description of every column in its metadata; columns as in the frame.
+    """A data frame as an Arrow table, with the unit and the description of every column in its metadata.
 
     Raises:
         KeyError: a column is not described.
@@ -39,14 +39,15 @@ def documented_table(frame: pd.DataFrame, name: str, described: Described) -> pa
 def write_documented_tables(
     folder: Path, tables: Iterable[tuple[str, pd.DataFrame, Described]], others: Mapping[str, Write] | None = None
 ) -> None:
-    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder, which is made if it is not there; all or none.
-    What is there may be replaced: :func:`check_tables_free` was asked.
+    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder: all of them or none.
+
+    The folder is made if it does not exist. Existing files are replaced, so call :func:`check_tables_free` first.
 
     Args:
-        others: name → content of more files.
+        others: file name → content of further files.
 
     Raises:
-        OSError: they cannot be written.
+        OSError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     files = {folder / name: write for name, write in (others or {}).items()}
@@ -64,16 +65,18 @@ def check_tables_free(
     inputs: Iterable[Path] = (),
     others: Mapping[str, IsOurs] | None = None,
 ) -> None:
-    """Check, before minutes of work, that :func:`write_documented_tables` would replace nothing that it may not.
+    """Check that :func:`write_documented_tables` would only replace files that it may replace. It is called before the
+    work that makes the tables, which can take minutes.
 
     Args:
-        tables: their names.
-        overwrite: tables that petmjx wrote there before may be replaced.
-        inputs: files that are read.
-        others: name of each further file → whether one that is there is petmjx's.
+        tables: names of the tables.
+        overwrite: whether tables that petmjx wrote into the folder earlier may be replaced.
+        inputs: files that the command reads; they must not be replaced.
+        others: name of each further file → function that says whether an existing file of this name is petmjx's.
 
     Raises:
-        InputError: a file of these names is not petmjx's, or may not be replaced, or the folder is none.
+        InputError: an existing file of one of these names is not petmjx's or may not be replaced, or ``folder`` is not
+            a folder.
     """
     others = others or {}
     names = [*others, *(f"{name}{suffix}" for name in tables for suffix in (".parquet", ".csv"))]
@@ -85,8 +88,8 @@ def check_tables_free(
 
 
 def is_documented_table(file: Path) -> bool:
-    """Whether a file is a table as :func:`write_documented_tables` writes it: the Parquet file says so itself, and CSV
-    has the columns of the Parquet file beside it."""
+    """Whether :func:`write_documented_tables` may have written a file. A Parquet file shows it by its metadata. A CSV
+    file must have the columns of the Parquet file beside it."""
     if file.suffix == ".csv":
         columns = _documented_columns(file.with_suffix(".parquet"))
         return columns is not None and _header(file) == columns
@@ -103,8 +106,8 @@ def has_keys(file: Path, keys: Iterable[str]) -> bool:
 
 
 def _documented_columns(file: Path) -> list[str] | None:
-    """The columns of a Parquet file of which each has a unit and a description; None for others, and for parts of
-    runs."""
+    """The columns of a Parquet file if each of them has a unit and a description, else None. None for parts of runs,
+    too."""
     try:
         with open_for_arrow(file) as stream:
             schema = pq.read_schema(stream)

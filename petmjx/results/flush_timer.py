@@ -1,4 +1,4 @@
-"""A call after a while, in a thread of its own."""
+"""A timer that calls a function once after some seconds, in its own thread."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ from contextlib import AbstractContextManager
 from typing import Any, Final
 
 AGAIN_S: Final = 10.0
-"""After an error: a disk that is full gets no more than a part to pack in this time, and what waits little older."""
+"""Time between an error and the next attempt, s. On a full disk at most one part is packed in this time, and waiting
+rows get only little older."""
 
 
 class FlushTimer:
-    """Calls once when its time has come, with the lock held. Its thread lasts until it is closed, whatever a call
-    raises: after an error it calls again.
+    """Calls a function once when its time has come, with the lock held.
 
-    Whoever sets it or calls it off holds the lock, too. So a call that was put off or called off does not come, also
-    if its time came while it waited for the lock.
+    The thread runs until :meth:`close`. If the call raises an exception, the timer calls again after ``again_s``.
+
+    Callers of :meth:`set` and :meth:`off` must hold the lock. Then a postponed or cancelled call never happens, even if
+    its time came while the thread waited for the lock.
 
     Args:
-        lock: of all that ``call`` changes.
-        call: what to do then; it may set the alarm again.
-        again_s: how long after an error it calls again, s.
+        lock: protects everything that ``call`` changes.
+        call: the function to call; it may set the timer again.
+        again_s: time between an error and the next call, s.
     """
 
     def __init__(self, lock: AbstractContextManager[Any], call: Callable[[], None], again_s: float = AGAIN_S) -> None:
@@ -38,17 +40,17 @@ class FlushTimer:
         return self._due_s is not None
 
     def set(self, seconds: float) -> None:
-        """Call so many seconds from now, and not when it was to be until now."""
+        """Call after ``seconds``. This replaces an earlier due time."""
         before, self._due_s = self._due_s, time.monotonic() + seconds
-        if before is None or self._due_s < before:  # else the thread wakes at the time of before, and waits on
+        if before is None or self._due_s < before:  # else the thread wakes at the old time and waits again
             self._changed.set()
 
     def off(self) -> None:
-        """Do not call."""
+        """Cancel the call."""
         self._due_s = None
 
     def close(self) -> None:
-        """Call no more, and let the thread end."""
+        """Cancel the call and end the thread."""
         self.off()
         self._closed = True
         self._changed.set()
@@ -66,5 +68,5 @@ class FlushTimer:
         self._due_s = None
         try:
             self._call()
-        except Exception:  # it is tried again: what the call could not do is told by who can raise it
+        except Exception:  # tried again; the error is reported by a caller that can raise it
             self.set(self._again_s)

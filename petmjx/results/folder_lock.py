@@ -1,4 +1,4 @@
-"""One run at a time in a folder: a lock that ends with its process, however that ends."""
+"""A lock that lets one run at a time write into a folder. It ends with its process, even if that is killed."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 
 LOCK_FILE: Final = ".lock"
-"""In the run's folder while a run is on. The file of a killed run is no longer locked, and is taken over."""
+"""File in the run's folder while a run writes. The file of a killed run is no longer locked, so the next run takes it
+over."""
 
 _OURS: Final = re.compile(rb"\d*\n?")
 
 _NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
-"""What file systems that have no locks answer."""
+"""Errors of file systems without locks."""
 
 
 @contextlib.contextmanager
 def held_folder_lock(folder: Path) -> Iterator[bool]:
-    """Hold a folder for one run; yields whether its file system has locks at all.
+    """Lock a folder for one run; yields whether its file system has locks.
 
     Raises:
-        InputError: another run writes there, or the lock's name is taken by something else.
+        InputError: another run writes into the folder, or something else has the name of the lock file.
         OSError: the folder cannot be written.
     """
     descriptor = _lock_descriptor(folder)
@@ -46,7 +47,7 @@ def held_folder_lock(folder: Path) -> Iterator[bool]:
         try:
             yield has_locks
         finally:
-            # before the lock is given back: the next run then finds a new file, or none
+            # remove the file before the lock is released: the next run then finds a new file, or none
             with contextlib.suppress(OSError):
                 (folder / LOCK_FILE).unlink()
     finally:
@@ -63,7 +64,7 @@ def _lock_descriptor(folder: Path) -> int:
 
 
 def _check_ours(descriptor: int, folder: Path) -> None:
-    """Refuse a file with anything but a process's number: it is to be written over, and taken away in the end."""
+    """Refuse a file that holds anything but a process number: a lock file is overwritten, and removed at the end."""
     if not stat.S_ISREG(os.fstat(descriptor).st_mode) or not _OURS.fullmatch(os.pread(descriptor, 32, 0)):
         raise _not_ours(folder)
 
@@ -76,7 +77,7 @@ def _not_ours(folder: Path) -> InputError:
 
 
 def _take(descriptor: int, folder: Path) -> bool:
-    """Lock the file, and make sure that it is still the one in the folder: its last holder may have removed it."""
+    """Lock the file. Returns whether it is still the file in the folder, since its last holder may have removed it."""
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

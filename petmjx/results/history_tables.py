@@ -1,6 +1,6 @@
-"""Which worlds of a run are recorded, and whose histories are kept.
+"""Recorded histories of worlds as rows of the tables ``histories``, ``frames`` and ``contacts``, and back.
 
-Histories as rows of the tables ``histories``, ``frames`` and ``contacts``, and back.
+``Recording`` says which worlds a run records and which histories it keeps.
 """
 
 from __future__ import annotations
@@ -31,11 +31,12 @@ _KEY = ("plan_id", "variant")
 class Recording:
     """What a run records.
 
-    Whether a world fails is known in the end, so with ``failed_only`` all are recorded, and the histories of those that
-    stand are let go at once: nothing is simulated twice, and memory holds the worlds that are under way.
+    Whether a world fails is known only at its end. So with ``failed_only`` all worlds are recorded, and the history of
+    a stable world is dropped as soon as it ends. No world is simulated twice, and memory holds only the histories of
+    worlds in flight.
 
     Attributes:
-        record: what engines are asked for; None: nothing is recorded.
+        record: what the engine records; None: nothing.
         plan_ids: plans whose worlds are recorded; None: all.
         failed_only: keep the histories of worlds that are not stable.
     """
@@ -45,17 +46,17 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """What is recorded of a plan's worlds."""
+        """What is recorded of the worlds of a plan; None: nothing."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:
-        """The outcome, without its history where that is not to be kept."""
+        """The outcome, without its history if that is not kept."""
         if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
             return outcome
         return replace(outcome, history=None)
 
     def missing(self, parts: Parts) -> int:
-        """How many worlds that a run has already should have a history, but have none."""
+        """How many completed worlds of a run should have a history but have none."""
         if self.record is None:
             return 0
         frames = parts.table("frames", _KEY)
@@ -77,10 +78,10 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     """What a run of these plans records.
 
     Args:
-        engine: its name.
+        engine: name of the engine.
 
     Raises:
-        InputError: a plan that is to be recorded is not there, or the engine cannot record what is asked for.
+        InputError: a plan to record is not among ``plans``, or the engine cannot record what the options ask for.
     """
     choice = options.record
     if choice is None:
@@ -103,7 +104,7 @@ def _split(text: str) -> list[str]:
 
 
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))
-"""Kind of drive, and its columns of ``frames``: their name, and their end."""
+"""For each kind of drive: the name and the ending of its columns of ``frames``."""
 
 _XYZ: Final = "xyz"
 _WXYZ: Final = "wxyz"
@@ -111,7 +112,7 @@ _WXYZ: Final = "wxyz"
 
 @dataclass(frozen=True, eq=False)
 class RecordedWorld:
-    """A world that was recorded."""
+    """A recorded world."""
 
     plan_id: str
     variant: int
@@ -119,7 +120,7 @@ class RecordedWorld:
 
     @property
     def size(self) -> int:
-        """Memory of its arrays, bytes."""
+        """Memory of the arrays, bytes."""
         contacts = vars(self.history.contacts) if self.history.contacts is not None else {}
         arrays = [*vars(self.history).values(), *contacts.values()]
         return sum(array.nbytes for array in arrays if isinstance(array, np.ndarray))
@@ -129,7 +130,7 @@ Columns = Mapping[str, Any]
 
 
 def history_columns(worlds: Sequence[RecordedWorld]) -> Columns:
-    """Columns of ``histories``: frame after frame, placed boxes in packing order."""
+    """Columns of ``histories``: frame after frame, and in each frame the placed boxes in packing order."""
     parts = []
     for world in worlds:
         history = world.history
@@ -180,14 +181,14 @@ TABLES: Final[Mapping[str, Callable[[Sequence[RecordedWorld]], Columns]]] = {
     "frames": frame_columns,
     "contacts": contact_columns,
 }
-"""Table → what makes its columns."""
+"""Table → function that makes its columns."""
 
 
 def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> History | None:
-    """The history of a world; None if it was not recorded.
+    """The history of a world; None if the world was not recorded.
 
     Args:
-        n_boxes: of the plan.
+        n_boxes: number of boxes of the plan.
 
     Raises:
         InputError: a part is damaged, or the tables do not fit together.
@@ -236,7 +237,7 @@ def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str =
 
 
 def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
-    """(rows, width) values of frames and boxes; NaN where they were not recorded."""
+    """(rows, width) values of frames and boxes; NaN if they were not recorded."""
     if values is None:
         return np.full((len(indices[0]), width), np.nan)
     return values[indices].reshape(-1, width)
@@ -247,7 +248,7 @@ def _key(history: History, frame: NDArray[np.integer]) -> dict[str, Any]:
 
 
 def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) -> Columns:
-    """The columns of all worlds, one after the other, with the worlds' names."""
+    """The columns of all worlds, one world after the other, with the columns that name the world."""
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
     rows = np.repeat(np.arange(len(worlds)), [len(part["frame"]) for part in parts])
     columns["plan_id"] = pa.array([world.plan_id for world in worlds], pa.string()).take(pa.array(rows))
@@ -256,7 +257,7 @@ def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) 
 
 
 def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """Columns of a world's rows, null as NaN; None where it has none."""
+    """Columns of a world's rows, with null as NaN; None if the world has no rows."""
     rows = rows_of(run, table, plan_id, variant)
     if rows is None:
         return None
@@ -265,7 +266,7 @@ def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, 
 
 
 def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
-    """Whether all rows are of frames and boxes that there are."""
+    """Whether all rows belong to existing frames and boxes."""
     frame, box = boxes["frame"], boxes["box"]
     return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
 

@@ -1,4 +1,4 @@
-"""The tables of a run without a folder: they stay in memory, if they fit into one part."""
+"""The tables of a run without a folder. They stay in memory if they fit into one part."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ class MemoryParts(Parts):
         return [file for file in self.tables if file.parent.name == table]
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-        """One of them, or some of its columns."""
+        """One part, or some of its columns."""
         return with_columns(self.tables[file], file, columns)
 
     def write(self, folder: Path) -> dict[Path, str]:
-        """Write them as files; returns the digest of each. Raises OSError."""
+        """Write the tables as files; returns the digest of each. Raises OSError."""
         return {folder / file: write_table(table, folder / file) for file, table in self.tables.items()}
 
 
 class MemoryTables(Tables):
-    """As the tables of a new run on disk, of which none replaces another."""
+    """Takes the tables of a new run like ``Tables``, but keeps them in memory. No table replaces an earlier one."""
 
     parts: MemoryParts
 
@@ -41,7 +41,7 @@ class MemoryTables(Tables):
         super().__init__(Path(), MemoryParts(Path(), {}))
 
     def write_plans(self, plans: pa.Table, placements: Callable[[], pa.Table | None] = lambda: None) -> bool:
-        """Keep the table ``plans``. What plans say is with those who have them, or in their files."""
+        """Keep the table ``plans``. The placements are not kept: the caller has the plans, or their files have them."""
         self.write_part(0, [("plans", plans)])
         return True
 

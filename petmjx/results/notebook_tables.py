@@ -1,4 +1,4 @@
-"""Tables as notebooks show them: short, and without styles, so that they follow the notebook's theme."""
+"""Tables as short HTML for notebooks. They have no styles, so that they follow the notebook's theme."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.common.text import count_text
 from petmjx.common.units import MM_PER_M
 
 MOST_ROWS: Final = 20
-"""A table shows so many rows at most."""
+"""Largest number of rows that a table shows."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,10 @@ class ShownColumn:
     """A column as notebooks show it.
 
     Attributes:
-        name: of the data frame's column.
+        name: name of the data frame's column.
         head: its heading, with the unit.
         decimals: digits of fractional numbers.
-        factor: to the head's unit.
+        factor: converts the values to the unit in the heading.
     """
 
     name: str
@@ -46,7 +46,7 @@ WORLD_COLUMNS: Final = (
     ShownColumn("max_tilt_deg", "tilt °", 1),
     ShownColumn("rest_top_force_n", "rest force N", 1),
 )
-"""Columns of ``worlds``. The variant is left out where there is only the nominal one."""
+"""Columns of ``worlds``. The variant is left out if only the nominal one exists."""
 
 
 def worlds_as_html(title: str, worlds: pd.DataFrame) -> str:
@@ -64,10 +64,10 @@ def block_as_html(lines: Sequence[str], tables: Sequence[str]) -> str:
 
 
 def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute: str) -> str:
-    """The first rows of a data frame. Columns that it lacks are left out.
+    """The first rows of a data frame. Columns that the frame lacks are left out.
 
     Args:
-        attribute: where the whole data frame is: ``.worlds``.
+        attribute: attribute that holds the whole data frame, such as ``.worlds``.
     """
     columns = [column for column in columns if column.name in frame]
     heads = "".join(f"<th>{html.escape(column.head)}</th>" for column in columns)

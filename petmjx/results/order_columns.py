@@ -1,4 +1,4 @@
-"""Plans compared with their orders, as a run's folder keeps it: columns of ``plans``, and blocks of ``run.json``."""
+"""The comparison of plans with their orders in a run's folder: columns of ``plans`` and blocks of ``run.json``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from petmjx.results.run_tables import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` of ``run.json``. Numbers stand in ``counts``."""
+    """The block ``orders`` of ``run.json``. Its numbers are in ``counts``."""
     return {
         "file": check.file,
         "digest": check.digest,
@@ -28,10 +28,10 @@ def counts_block(check: OrderCheck) -> dict[str, Any]:
 
 
 def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
-    """What a run found; None: it was not compared with orders.
+    """The order check of a run; None: the run was not compared with orders.
 
     Raises:
-        InputError: its table ``plans`` is damaged.
+        InputError: the run's table ``plans`` is damaged.
     """
     block = info.get("orders")
     if block is None:
@@ -60,11 +60,12 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
 
 
 def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
-    """The check of a whole run from those of all its shards, which were compared with the same orders."""
+    """The order check of a whole run, from the checks of all its shards. All shards were compared with the same
+    orders."""
     counts = {
         field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
     }
-    # unusable orders are no shard's: each shard has all of them
+    # unusable orders belong to no shard: each shard lists all of them
     counts["unusable_orders"] = checks[0].counts.unusable_orders
     return replace(
         checks[0],
@@ -75,6 +76,6 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
 
 
 def _sum(values: Sequence[int | None]) -> Any:
-    """None if one of them is not known."""
+    """The sum; None if one of the values is not known."""
     known = [value for value in values if value is not None]
     return sum(known) if len(known) == len(values) else None

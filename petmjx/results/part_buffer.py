@@ -1,5 +1,7 @@
-"""Parts of a run's results: worlds are gathered row by row, counted, and become tables. A thread may write one part
-while the next one is gathered."""
+"""Gathers finished worlds row by row and turns them into the tables of a part.
+
+A thread may write one part while the next one is gathered.
+"""
 
 from __future__ import annotations
 
@@ -25,35 +27,35 @@ from petmjx.results.table_files import Tables
 from petmjx.results.world_counts import COUNTED, WorldCounts
 
 WORLDS_PER_PART: Final = 1_000
-"""A part then has about 43,000 boxes, 3 MB: there are few files, and a crash loses little, two parts at most."""
+"""A part has about 43,000 boxes, 3 MB. So a run has few files, and a crash loses at most two parts."""
 
 SECONDS_PER_PART: Final = 60.0
-"""A world is on disk at the latest after this time and what it takes to write a part, even if worlds finish slowly."""
+"""Longest time that a world waits for its part to be written. It holds even if worlds finish slowly."""
 
 LANDING_S: Final = 1.0
-"""How often it is looked whether a part has landed that a thread writes."""
+"""Time between two looks at whether the thread has written its part, s."""
 
 HISTORY_BYTES_PER_PART: Final = 64 << 20
-"""Histories of a part, in memory: of about 60 worlds of 43 boxes, a third as many with details."""
+"""Memory of the histories of a part: about 60 worlds of 43 boxes, or 20 worlds with details."""
 
 _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
-"""Columns of ``worlds`` that are fields of an outcome, beside its metrics."""
+"""Columns of ``worlds`` that are fields of an outcome, in addition to its metrics."""
 
 
 def _block_columns() -> list[Column]:
-    """The values kept for each box; the schema of ``boxes`` says which of them are written."""
+    """The metrics kept for each box. The schema of ``boxes`` says which of them are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One finished world that waits to be written. It has copies, so an engine may reuse its arrays.
+    """One finished world that waits to be written. The row has copies, so the engine may reuse its arrays.
 
     Attributes:
-        cells: columns of ``worlds`` that are not made from boxes.
+        cells: columns of ``worlds`` that are not reductions over boxes.
         block: (boxes, columns) metrics of boxes, in the order of ``_block_columns``.
-        attempts: empty if there was only one.
-        recorded: its history; None if there is none.
+        attempts: all attempts; empty if the world needed only one.
+        recorded: the recorded world with its history; None if it has none.
     """
 
     plan: Plan
@@ -73,7 +75,7 @@ class Row:
         params: Mapping[str, Any],
         interval_n: FloatArray | None = None,
     ) -> Row:
-        """Copy from an outcome what is written; its ``state`` is not kept.
+        """Copy what is written from an outcome. Its ``state`` is not kept.
 
         Raises:
             ValueError: the outcome does not belong to the plan (another number of boxes).
@@ -91,7 +93,7 @@ class Row:
         values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]
         values.append(np.full((n, len(FORCE_INTERVAL)), np.nan) if interval_n is None else interval_n)
         block = np.concatenate(values, axis=1, dtype=np.float64)
-        block[outcome.n_placed :] = np.nan  # never placed; where the answer is yes or no, it reads as "no"
+        block[outcome.n_placed :] = np.nan  # never placed; boolean columns read NaN as "no"
         history = outcome.history
         recorded = None if history is None else history_tables.RecordedWorld(plan.plan_id, variant, history)
         return cls(plan, cells, block, tuple(attempts) if len(attempts) > 1 else (), recorded)
@@ -99,7 +101,7 @@ class Row:
 
 @dataclass
 class Part:
-    """The rows of one part, and its number.
+    """The rows of one part, and the number of the part.
 
     Attributes:
         history_bytes: memory of the rows' histories.
@@ -115,7 +117,8 @@ class Part:
         self.history_bytes += row.recorded.size if row.recorded is not None else 0
 
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
-        """The names of its tables and what they hold; ``worlds`` comes last. Without a schema ``boxes`` is left out."""
+        """(name, table) of every table of the part; ``worlds`` comes last. ``boxes`` is left out if it has no
+        schema."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in history_tables.TABLES.items() if recorded else ():
             columns = columns_of(recorded)
@@ -128,7 +131,7 @@ class Part:
         yield "worlds", self.worlds(schemas["worlds"])
 
     def counted(self, before: WorldCounts) -> WorldCounts:
-        """The counts before, and those of its rows."""
+        """The counts ``before`` plus those of the part's rows."""
         counts = replace(before, verdicts=Counter(before.verdicts))
         cells = [row.cells for row in self.rows]
         counts.add(*([cell[name] for cell in cells] for name in COUNTED))
@@ -178,12 +181,12 @@ class Part:
 
 @dataclass
 class _Pending:
-    """The part that is being gathered, and what was written before it."""
+    """The part that is being gathered, and the counts of all parts before it."""
 
     part: Part
     counts: WorldCounts = field(default_factory=WorldCounts)
     since_s: float = 0.0
-    """When its first world came (monotonic clock). Time before that, such as for compiling, does not count."""
+    """Arrival of the first world (monotonic clock). Time before it, such as for compiling, does not count."""
 
     def following(self) -> _Pending:
         """The next part, once this one is written."""
@@ -191,15 +194,17 @@ class _Pending:
 
 
 class _PartInFlight(NamedTuple):
-    """A part that a thread writes, with what was written before it, and the digests of its files to come."""
+    """A part that a thread writes, with the counts of the parts before it and the future digests of its files."""
 
     pending: _Pending
     digests: Future[dict[Path, str]]
 
 
 class PartBuffer:
-    """Gathers worlds for one part after the other. A thread may write a part while the next one is gathered; it counts
-    when it has landed, and is gathered again if it cannot be written. Whoever calls holds a lock.
+    """Gathers worlds for one part after the other. Callers hold a lock.
+
+    A thread may write a part while the next one is gathered. The part counts when it has landed. If it cannot be
+    written, its worlds are gathered again.
     """
 
     def __init__(self) -> None:
@@ -209,35 +214,35 @@ class PartBuffer:
 
     @property
     def counts(self) -> WorldCounts:
-        """Of the worlds in parts that count."""
+        """Counts of the worlds in parts that count."""
         beside = self._beside
         return (self._pending if beside is None else beside.pending).counts
 
     @property
     def part(self) -> Part:
-        """The one that is gathered."""
+        """The part that is being gathered."""
         return self._pending.part
 
     def begin(self, number: int, counts: WorldCounts | None = None) -> None:
-        """Gather for the part of this number, with no world so far; none may be on its way.
+        """Begin an empty part with this number. No part may be in flight.
 
         Args:
-            counts: of the parts that count, if it is known better.
+            counts: counts of the parts that count; None: those known so far.
         """
         self._pending = _Pending(Part(number), counts or self._pending.counts)
 
     def add(self, row: Row) -> None:
-        """Gather one more world."""
+        """Add one world to the part."""
         if not self.part.rows:
             self._pending.since_s = time.monotonic()
         self.part.add(row)
 
     def is_old(self, seconds: float) -> bool:
-        """Whether the first world of the part came so long ago."""
+        """Whether the first world of the part came at least ``seconds`` ago."""
         return bool(self.part.rows) and time.monotonic() - self._pending.since_s >= seconds
 
     def due_s(self, seconds: float) -> float | None:
-        """In which time something is to be done though no world comes; None: nothing waits.
+        """Time until something must be done even if no world comes, s; None: nothing waits.
 
         Args:
             seconds: how long the first world of a part may wait.
@@ -248,28 +253,28 @@ class PartBuffer:
         return min(due, default=None)
 
     def is_full(self, worlds: int) -> bool:
-        """Whether the part has so many worlds, or as large histories as one may have."""
+        """Whether the part has ``worlds`` worlds, or its histories have reached their limit of memory."""
         return len(self.part.rows) >= worlds or self.part.history_bytes >= HISTORY_BYTES_PER_PART
 
     def written(self) -> None:
-        """The part is written, and the next one is gathered."""
+        """Note that the part is written, and begin the next one."""
         # one assignment: an interrupt before it writes the same part again
         self._pending = self._pending.following()
 
     def write_beside(self, tables: Tables, schemas: Mapping[str, pa.Schema]) -> None:
-        """Let the thread write the part; none is beside it."""
+        """Let the thread write the part. No other part may be in flight."""
         with defer_signals(afterwards=True):
             digests = self._thread.submit(tables.files_of, self.part.number, self.part.tables(schemas))
             self._beside, self._pending = _PartInFlight(self._pending, digests), self._pending.following()
 
     def land(self, tables: Tables, *, wait: bool) -> bool:
-        """Let the part count that the thread has written, and the run's plans; whether there was any.
+        """Let the part that the thread has written count, and the run's plans. Returns whether anything landed.
 
         Args:
-            wait: until it is written.
+            wait: whether to wait until the thread has ended.
 
         Raises:
-            OSError: it could not be written. Its worlds are gathered again, before those that came since.
+            OSError: the part could not be written. Its worlds are gathered again, before the worlds that came since.
         """
         plans = tables.land_placements(wait=wait)
         if self._beside is None or not (wait or self._beside.digests.done()):
@@ -289,7 +294,7 @@ class PartBuffer:
         return True
 
     def close(self) -> None:
-        """No part is written beside others any more."""
+        """End the thread."""
         self._thread.shutdown()
 
 

@@ -1,9 +1,9 @@
-"""Worlds of a large run by the part that they come to in the end, so that no part is written twice.
+"""Buffers worlds by destination part, so that a large run is written in plan order without a final sort.
 
-Smaller runs write parts as worlds finish, and sort them in the end (petmjx.results.row_order). Of a million worlds that
-would be to write the run again. Engines get worlds in the order given, some ten thousand at a time, so that all worlds
-of a part finish within a short time of each other: they wait for each other in memory. Where that takes too long, what
-is there of a part is written early, and once more with the rest of it.
+Smaller runs write parts as worlds finish and sort them at the end (petmjx.results.row_order). A run of a million worlds
+would have to be written twice for that. Engines get worlds in the order given, about ten thousand at a time. So all
+worlds of a part finish within a short time, and they wait in memory until the part is complete. If that takes too long,
+the finished worlds of the part are written early. They are written once more together with the rest of the part.
 """
 
 from __future__ import annotations
@@ -24,27 +24,29 @@ from petmjx.results.table_files import Tables
 from petmjx.results.world_counts import WorldCounts
 
 LARGE: Final = 50_000
-"""Runs of more worlds have their parts in order from the beginning."""
+"""Runs with more worlds than this write their parts in order from the beginning."""
 
 LARGE_PART: Final = 10_000
-"""Worlds of such a part: of ``worlds`` a megabyte, of ``boxes`` with 43 a world 30. A million worlds are 100 parts."""
+"""Worlds in a part of a large run: 1 MB of ``worlds``, and 30 MB of ``boxes`` at 43 boxes a world. A million worlds are
+100 parts."""
 
 MOST_WAITING_BYTES: Final = 512 << 20
-"""Of tables that wait in memory: 130,000 worlds of 43 boxes."""
+"""Largest memory of waiting tables: 130,000 worlds of 43 boxes."""
 
 PIECE_WORLDS: Final = 500
-"""Worlds of a part whose rows become a piece of its tables: without ``boxes`` it takes a tenth of the memory."""
+"""When this number of rows of a part waits, they become a piece: tables, which take a tenth of the memory if ``boxes``
+is not kept."""
 
 
 @dataclass(frozen=True)
 class Places:
-    """The place of each world in a run whose plans all have the same variants.
+    """The rank of each world in a run whose plans all have the same variants.
 
     Attributes:
-        plan_ids: of the run's own plans, in the order given.
-        n_variants: of each plan; they are numbered without a gap.
-        first: the number of the first one.
-        per_part: worlds of a part.
+        plan_ids: ids of the plans of this run, in the order given.
+        n_variants: variants of each plan, numbered without a gap.
+        first: number of the first variant.
+        per_part: worlds in a part.
     """
 
     plan_ids: Sequence[str]
@@ -65,15 +67,15 @@ class Places:
         return -(-self.n_worlds // self.per_part)
 
     def rank(self, plan_id: str, variant: int) -> int:
-        """Which of all worlds it is, from 0."""
+        """The place of a world among all worlds, from 0."""
         return self._place[plan_id] * self.n_variants + variant - self.first
 
     def size(self, number: int) -> int:
-        """Worlds of a part."""
+        """Number of worlds in a part."""
         return min(self.per_part, self.n_worlds - number * self.per_part)
 
     def ranks(self, table: pa.Table) -> NDArray[np.int64] | None:
-        """(n,) of each row's world; None where a row is of a world that the run does not have."""
+        """(n,) rank of each row's world; None if a row belongs to a world that the run does not have."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         place = np.array([self._place.get(plan_id, -1) for plan_id in plans.dictionary.to_pylist()], dtype=np.int64)
         of_plan = place[np.asarray(plans.indices)]
@@ -86,15 +88,15 @@ class Places:
 
 @dataclass
 class _DestinationPart:
-    """The worlds of a part that are in memory, and where the others are.
+    """A part that is not complete yet: its worlds in memory, and the numbers of parts that hold its early worlds.
 
     Attributes:
-        pieces: tables of the worlds that came before ``rows``, by name.
-        n_pieces: their worlds.
-        nbytes: of pieces, and of the metrics of rows.
-        since_s: when the first of them came (monotonic clock).
-        early: numbers of parts that were written too early.
-        n_early: their worlds.
+        pieces: tables by name, of the worlds that came before ``rows``.
+        n_pieces: number of worlds in ``pieces``.
+        nbytes: memory of ``pieces`` and of the metrics of ``rows``.
+        since_s: arrival of the first world in memory (monotonic clock).
+        early: numbers of the parts that were written early.
+        n_early: number of worlds in these parts.
     """
 
     rows: list[Row] = field(default_factory=list)
@@ -111,46 +113,47 @@ class _DestinationPart:
         return self.n_pieces + len(self.rows)
 
     def add(self, row: Row) -> None:
-        """One world more."""
+        """Add one world."""
         if not self.count:
             self.since_s = time.monotonic()
         self.rows.append(row)
         self.nbytes += row.block.nbytes
 
     def make_piece(self, schemas: Mapping[str, pa.Schema]) -> None:
-        """Of the rows, if there are any."""
+        """Turn the rows into a piece."""
         if self.rows:
             piece = dict(Part(0, self.rows).tables(schemas))
             self.nbytes += sum(table.nbytes for table in piece.values()) - sum(row.block.nbytes for row in self.rows)
-            # one assignment: an interrupt before it keeps the rows, one after it the piece
+            # one assignment: an interrupt before it leaves the rows, an interrupt after it leaves the piece
             self.rows, self.pieces, self.n_pieces = [], [*self.pieces, piece], self.n_pieces + len(self.rows)
 
     def written_early(self, number: int) -> None:
-        """What is in memory is in a part with this number now."""
+        """Note that the worlds in memory were written early, in the part with this number."""
         self.early.append(number)
         self.n_early += self.count
         self.rows, self.pieces, self.n_pieces, self.nbytes = [], [], 0, 0
 
 
 class DestinationBuffer:
-    """Gathers worlds by part, and writes them.
+    """Gathers worlds by destination part and writes the parts.
 
     Args:
-        schemas: of their tables.
+        places: gives the rank of each world.
+        schemas: schemas of the tables.
 
     Attributes:
-        counts: of worlds that are written.
+        counts: counts of the written worlds.
     """
 
     def __init__(self, places: Places, schemas: Mapping[str, pa.Schema]) -> None:
         self._places, self._schemas = places, schemas
         self._waiting: dict[int, _DestinationPart] = {}
         self._next_early = places.n_parts
-        self._nbytes = 0  # of all that waits; to add it up for each world takes longer than to keep the world
+        self._nbytes = 0  # of all waiting parts: adding this up for every world would be slow
         self.counts = WorldCounts()
 
     def goes_on(self, parts: Parts, counts: WorldCounts) -> bool:
-        """Take up parts that are there; False where they are in another order, or of other sizes."""
+        """Resume from existing parts. False if these are in another order or of other sizes."""
         self.counts = counts
         for file in parts.files("worlds"):
             number, ranks = part_number(file), self._places.ranks(parts.read(file, ("plan_id", "variant")))
@@ -170,7 +173,7 @@ class DestinationBuffer:
         return True
 
     def add(self, row: Row) -> list[int]:
-        """Keep one more world; returns the parts to write now: its own if that is whole, all if they take too much
+        """Add one world; returns the parts to write now: its part if that is complete, all parts if they take too much
         memory."""
         number = self._places.rank(row.plan.plan_id, row.cells["variant"]) // self._places.per_part
         waiting = self._waiting.setdefault(number, _DestinationPart())
@@ -184,22 +187,23 @@ class DestinationBuffer:
         return [number] if self._whole(number) else []
 
     def late(self, seconds: float) -> list[int]:
-        """Parts of which a world waits for longer than this."""
+        """Parts with a world that has waited longer than ``seconds``."""
         now = time.monotonic()
         return [n for n, waiting in self._waiting.items() if waiting.count and now - waiting.since_s >= seconds]
 
     def due_s(self, seconds: float) -> float | None:
-        """In which time :meth:`late` will name a part; None: no world waits."""
+        """Time until :meth:`late` names a part, s; None: no world waits."""
         since = min((waiting.since_s for waiting in self._waiting.values() if waiting.count), default=None)
         return None if since is None else max(since + seconds - time.monotonic(), 0.0)
 
     def left(self, early: bool = False) -> list[int]:
-        """Parts of which worlds wait; ``early``: also those that were written in pieces and are whole."""
+        """Parts with waiting worlds. With ``early`` also parts whose worlds were all written early, in several
+        parts."""
         return [n for n, waiting in self._waiting.items() if waiting.count or (early and self._whole(n))]
 
     def write(self, number: int, tables: Tables) -> bool:
-        """Write what there is of a part; returns whether parts that were written early are of no more use. Raises
-        OSError."""
+        """Write the worlds of a part that have come. Returns whether parts that were written early became obsolete.
+        Raises OSError."""
         tables.land_placements(wait=False)
         waiting, is_complete = self._waiting[number], self._whole(number)
         before = waiting.nbytes
@@ -227,7 +231,7 @@ class DestinationBuffer:
     def _joined(
         self, parts: Parts, early: Sequence[int], pieces: Sequence[Mapping[str, pa.Table]]
     ) -> Iterator[tuple[str, pa.Table]]:
-        """The tables of a part, in order, from what was written early and from pieces; ``worlds`` comes last."""
+        """The tables of a part in order, joined from early parts and from pieces; ``worlds`` comes last."""
         for name in ("boxes", "attempts", "worlds"):
             tables = [parts.read(file) for file in parts.numbered(name, early)]
             tables += [piece[name] for piece in pieces if name in piece]

@@ -1,7 +1,7 @@
-"""The plans of a run as it keeps them, in the table ``placements``: a row a box, of all that a plan says.
+"""The table ``placements``: all fields of a run's plans, with one row per box.
 
-So a run can be shown, told and reported from its folder alone, wherever its plans came from and wherever it was moved.
-A value that is null was not given; NaN is a value of its own.
+With this table a run can be shown and reported from its folder alone, even if the files of its plans are gone or the
+folder was moved. Null means that a value was not given. NaN is a value of its own.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NUMBERS: Final = ("mass_kg", "sequence", "orientation", *SPARSE)
 
 
 def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
-    """The table; None where a text of the plans cannot be written as UTF-8."""
+    """The table; None if a text of the plans cannot be written as UTF-8."""
     plans, schema = list(plans), placements_schema()
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, Any] = {"plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts)}
@@ -51,12 +51,12 @@ def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
 
 
 def _texts(values: Sequence[tuple[str, ...]], counts: Sequence[int]) -> list[str | None]:
-    """Those of all boxes; None where a plan has none."""
+    """The texts of all boxes; None for the boxes of plans without this field."""
     return [text for texts, count in zip(values, counts, strict=True) for text in texts or (None,) * count]
 
 
 def _numbers(values: Sequence[Any], counts: Sequence[int]) -> tuple[Any, Any]:
-    """Those of all boxes, and where a plan has none."""
+    """The numbers of all boxes, and a mask of the boxes of plans without this field."""
     known = [np.zeros(count) if array is None else array for array, count in zip(values, counts, strict=True)]
     lacks = np.repeat([array is None for array in values], counts) if values else np.zeros(0, bool)
     return np.concatenate(known) if known else np.zeros(0), lacks
@@ -70,10 +70,11 @@ def _array(values: Any, kind: pa.DataType) -> pa.Array:
 
 
 def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collection[str]) -> dict[str, Plan]:
-    """Plans that a run keeps, by id: those that are what it simulated, in the order of its table.
+    """The plans in a run's table, by id, in the order of the table. A plan that differs from the simulated one is left
+    out.
 
     Args:
-        records: what the run says of its plans, by id.
+        records: the run's records of its plans, by id.
         wanted: ids of the plans to find.
 
     Raises:
@@ -88,7 +89,7 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
     for plan_id, rows in _by_plan(table):
         try:
             plan = _plan(plan_id, records[plan_id].source, rows)
-        except InputError:  # as somebody has changed it
+        except InputError:  # somebody has changed the rows
             continue
         if plan_digest(plan) == records[plan_id].digest:
             plans[plan_id] = plan
@@ -96,7 +97,7 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
 
 
 def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
-    """The rows of each plan, which are together."""
+    """(id, rows) of each plan. The rows of a plan are adjacent."""
     codes = table["plan_id"].combine_chunks().dictionary_encode() if table.num_rows else None
     if codes is None:
         return
@@ -107,7 +108,7 @@ def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
 
 
 def _plan(plan_id: str, source: str, rows: pa.Table) -> Plan:
-    """Raises InputError: it is none."""
+    """A plan from its rows. Raises InputError if the rows are not a plan."""
     fields: dict[str, Any] = {}
     for name, field in _TEXTS.items():
         fields[field] = () if rows[name].null_count else tuple(rows[name].to_pylist())

@@ -1,4 +1,7 @@
-"""The plans of a run, found again: as it keeps them, or in its files. Its other tables have no sizes of boxes."""
+"""Finds the plans of a run again: in its table ``placements``, or in the files that it names.
+
+The other tables of a run have no sizes of boxes.
+"""
 
 from __future__ import annotations
 
@@ -19,13 +22,13 @@ from petmjx.results.run_reader import RunResults
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """What was found of the plans of a run.
+    """The plans of a run, as far as they were found.
 
     Attributes:
-        plans: those that are what the run simulated, by id.
-        missing: ids of those that were not read, sorted.
+        plans: plans that equal those that the run simulated, by id.
+        missing: ids of plans that were not read, sorted.
         changed: ids of plans that were read but have changed since, sorted.
-        gone: files that the run names and that are not there.
+        gone: files that the run names but that no longer exist.
     """
 
     plans: Mapping[str, Plan]
@@ -40,12 +43,13 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run, and take those that are what it simulated.
+    """Find the plans of a run. Only plans that equal the simulated ones are taken.
 
     Args:
-        records: what the run says of its plans, by id; of a plan without a record any version is taken.
+        records: the run's records of its plans, by id. A plan without a record is taken in any version.
         wanted: ids of the plans to find.
-        given: where they are now; None: what the run was given or keeps, and else the files that it names.
+        given: where the plans are now; None: the plans that the run was given or keeps, and for the rest the files that
+            it names.
 
     Raises:
         InputError: ``given`` cannot be used.
@@ -78,14 +82,15 @@ def how_read(info: Mapping[str, Any]) -> RunOptions:
     """The options with which a run read its plans: units, anchor and articles.
 
     Raises:
-        InputError: they are damaged.
+        InputError: the options are damaged.
     """
     config = info.get("config", {})
     return RunOptions(**{name: config[name] for name in ("units", "anchor", "articles") if name in config})
 
 
 def plan_file(source: str) -> Path | None:
-    """The file that a plan came from; None: it is gone. Bundled plans may have been elsewhere, on another machine."""
+    """The file that a plan came from; None: it no longer exists. Bundled plans may have another path on this
+    machine."""
     file, bundled = Path(source), bundled_path()
     if file.is_file():
         return file

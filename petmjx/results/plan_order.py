@@ -1,4 +1,4 @@
-"""The order in which plans were given, and rows in that order: plan after plan, of each variant after variant."""
+"""The order in which plans were given, and sorting of rows by it: by plan, then by variant."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class PlanOrder:
     """The plans of a run in the order in which they were given.
 
     Attributes:
-        plan_ids: all of them; none where the run does not say.
-        numbers: which of the plans given each one is, counting those that were skipped.
+        plan_ids: ids of all plans; empty if the run does not say.
+        numbers: place of each plan among the plans given, counting skipped plans.
     """
 
     plan_ids: Sequence[str]
@@ -32,10 +32,10 @@ class PlanOrder:
 
     @classmethod
     def of(cls, parts: Parts) -> Self:
-        """What the table ``plans`` says.
+        """The order in the table ``plans``.
 
         Raises:
-            InputError: it is damaged.
+            InputError: the table is damaged.
         """
         plan_ids: list[str] = []
         numbers: list[int | None] = []
@@ -49,23 +49,23 @@ class PlanOrder:
         return pa.array(self.plan_ids, pa.string())
 
     def places(self, plan_ids: pa.ChunkedArray) -> NDArray[np.int64]:
-        """(n,) places of plans in the order given; those that it does not have come last."""
+        """(n,) places of plans in the order given; unknown plans come last."""
         places = pc.index_in(plan_ids, value_set=self._ids)
         return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
 
     def keys(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) numbers by which worlds are sorted; those of two worlds differ."""
+        """(n,) sort keys of worlds. Different worlds have different keys."""
         return self.places(table["plan_id"]) * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
 
     def ordered(self, table: pa.Table) -> pa.Table:
-        """The rows in order; rows of one world stay as they are."""
+        """The rows in order. The rows of one world keep their order."""
         if not self.plan_ids or not len(table):
             return table
         keys = self.keys(table)
         return table if is_sorted(keys) else table.take(np.argsort(keys, kind="stable"))
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
-        """The numbers of plans, as the index of a frame with a row a plan."""
+        """The numbers of plans, as the index of a frame with one row per plan."""
         number_of = dict(zip(self.plan_ids, self.numbers, strict=True))
         numbers = [number_of.get(plan_id, -1) for plan_id in plan_ids]
         plain = not number_of or numbers == list(range(len(numbers)))
@@ -73,5 +73,5 @@ class PlanOrder:
 
 
 def is_sorted(keys: NDArray[np.int64]) -> bool:
-    """Whether numbers do not fall."""
+    """Whether the numbers never decrease."""
     return bool((keys[1:] >= keys[:-1]).all())

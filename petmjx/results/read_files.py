@@ -1,4 +1,4 @@
-"""Which files a command reads, so that it does not write them (petmjx.common.overwrite_guard)."""
+"""Lists the files that a command reads, so that it does not overwrite them (petmjx.common.overwrite_guard)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from petmjx.results.run_folder import RUN_FILE, TABLES
 
 
 def source_files(*sources: Any) -> list[Path]:
-    """The files and folders that are read where these are named: of a run its ``run.json`` and its tables, of another
-    folder its files of plans, else the file.
+    """The files and folders that are read from some sources. For a run these are its ``run.json`` and its tables, for
+    another folder its files of plans, and for a file the file itself.
 
     Args:
-        sources: paths, lists of paths, or None. Others, such as data frames and runs in memory, are no files.
+        sources: paths, lists of paths, or None. Other values, such as data frames and runs in memory, have no files.
     """
     files: list[Path] = []
     for source in sources:
@@ -26,7 +26,7 @@ def source_files(*sources: Any) -> list[Path]:
         elif isinstance(source, list | tuple):
             files += source_files(*source)
         elif isinstance(source, str | PathLike):
-            with suppress(OSError, ValueError):  # what cannot be read is told by who reads it
+            with suppress(OSError, ValueError):  # the code that reads it reports the error
                 files += _files_of(Path(source))
     return files
 

@@ -1,7 +1,4 @@
-"""The worlds that a run's folder already has, for a run that goes on with it.
-
-The run that is in a folder, for one that goes on with it.
-"""
+"""The earlier run in a folder, for a run that resumes it: its worlds, its ``run.json`` and its files."""
 
 from __future__ import annotations
 
@@ -28,14 +25,14 @@ _COLUMNS: Final = ("plan_id", "variant", *COUNTED, "culprit", "n_steps")
 
 
 class CompletedWorlds:
-    """Which worlds there are, and what their rows in the table ``worlds`` say.
+    """The completed worlds of a run, with their rows in the table ``worlds``.
 
     Args:
-        parts: of a run; None: there is no world.
-        columns: of ``worlds``, beside those that every run has.
+        parts: files of the run; None: no world is completed.
+        columns: columns of ``worlds`` to read, in addition to those that every run has.
 
     Raises:
-        InputError: a part is damaged or missing, or has a world that another one has too.
+        InputError: a part is damaged or missing, or a world is there twice.
     """
 
     def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
@@ -51,7 +48,8 @@ class CompletedWorlds:
             self._index(self._table, parts)
 
     def _index(self, table: pa.Table, parts: Parts | None) -> None:
-        """Sort the rows by plan and variant: some bytes a world, where a dictionary of all would take hundreds."""
+        """Sort the rows by plan and variant. This takes a few bytes per world; a dictionary of all worlds would take
+        hundreds."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         plan = np.asarray(plans.indices, dtype=np.int64)
         variant = np.asarray(table["variant"], dtype=np.int64)
@@ -73,12 +71,12 @@ class CompletedWorlds:
         return variant in self._rows_of(plan_id)
 
     def n_of(self, plan_id: str) -> int:
-        """How many worlds of a plan there are."""
+        """Number of completed worlds of a plan."""
         first, end = self._spans.get(plan_id, (0, 0))
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → row of a plan's worlds. Runs ask plan by plan, so that of the last one is kept."""
+        """Variant → row, for the worlds of a plan. Runs ask plan by plan, so the result for the last plan is kept."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
             rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
@@ -86,12 +84,12 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """Column → value of one world, null as None; None where it is not recorded."""
+        """Column → value of one world, with null as None; None if the world is not completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
     def counts(self) -> WorldCounts:
-        """How many worlds came to what."""
+        """Counts of the worlds, by verdict and reason."""
         counts = WorldCounts()
         if self._table is not None:
             counts.add_worlds(self._table)
@@ -110,7 +108,7 @@ def engine_of_run(folder: Path) -> str | None:
     """The engine of the run in a folder; None: no run of petmjx can be read there."""
     try:
         engine = read_info(folder).get("identity", {}).get("engine")
-    except InputError:  # whoever goes on with the run says what is wrong with it
+    except InputError:  # the code that resumes the run reports the error
         return None
     return engine if isinstance(engine, str) else None
 
@@ -118,13 +116,13 @@ def engine_of_run(folder: Path) -> str | None:
 def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
-    """Its ``run.json``, its files, and warnings: those about worlds that are not simulated again.
+    """The ``run.json`` of the earlier run, its files, and its warnings about worlds that are not simulated again.
 
     Args:
-        versions: package → version of the run that goes on.
+        versions: package → version, for the run that resumes.
 
     Raises:
-        InputError: it is another run, or damaged.
+        InputError: the folder has another run, or the run is damaged.
     """
     info = read_info(folder)
     if manifest is None:
@@ -140,7 +138,7 @@ def resume_state(
             warnings.append(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
     parts = parts.with_worlds()
     lacking = parts.lacking_boxes() if info["config"].get("keep") != WORLDS else []
-    if lacking:  # petmjx before 0.3 left such folders where a merge was cut short
+    if lacking:  # petmjx before 0.3 left such folders when a merge was cut short
         if parts.files("frames"):
             raise InputError(
                 f"{folder / 'boxes' / part_name(lacking[0])}: missing, though the worlds of this part are there; "

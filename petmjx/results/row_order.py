@@ -1,4 +1,4 @@
-"""Puts the worlds of a run, written as they finished, into the order in which plans were given."""
+"""Sorts the parts of a run, written as worlds finished, into the order in which plans were given."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from petmjx.results.run_folder import part_name, write_all_hidden
 from petmjx.results.run_tables import Parts, open_part
 
 SORTED: Final = ("boxes", "attempts", "worlds")
-"""Histories stay where they are: they are large, and found by their worlds (petmjx.results.run_reader)."""
+"""The tables that are sorted. Histories are not sorted: they are large, and readers find them by their worlds
+(petmjx.results.run_reader)."""
 
 BYTES_AT_A_TIME: Final = 256 << 20
-"""Of a table, as Parquet counts them, that are sorted in memory: 50,000 worlds of 43 boxes. A run with more is read
-once for each such share."""
+"""Bytes of a table, as Parquet counts them, that are sorted in memory at a time: 50,000 worlds of 43 boxes. A larger
+run is read several times, once for each share of this size."""
 
 
 @dataclass(frozen=True)
 class SortedParts:
-    """Parts in order, beside their places.
+    """Sorted parts that are written but not yet renamed to their final paths.
 
     Attributes:
-        hidden: place → where the file is.
-        digests: place → digest.
+        hidden: final path → path of the hidden file.
+        digests: final path → digest.
     """
 
     hidden: dict[Path, Path] = field(default_factory=dict)
     digests: dict[Path, str] = field(default_factory=dict)
 
     def remove(self) -> None:
-        """Take away what has not taken its place."""
+        """Delete the files that were not renamed."""
         for file in self.hidden.values():
             file.unlink(missing_ok=True)
 
@@ -44,16 +45,16 @@ class SortedParts:
 def sort_parts(
     parts: Parts, given: PlanOrder, first: int, worlds_per_part: int, bytes_at_a_time: int = BYTES_AT_A_TIME
 ) -> SortedParts | None:
-    """Write the parts of a run once more, in order; None where they are.
+    """Write the parts of a run once more, sorted; None if they are sorted already.
 
     Args:
         first: number of the first new part.
-        worlds_per_part: most worlds of a part.
-        bytes_at_a_time: bounds the memory that it takes.
+        worlds_per_part: most worlds in a part.
+        bytes_at_a_time: limit of the bytes that are sorted at a time.
 
     Raises:
         InputError: a part is damaged.
-        OSError: no room.
+        OSError: a file cannot be written.
     """
     tables = parts.table("worlds", ("plan_id", "variant"))
     keys = np.concatenate([np.empty(0, np.int64), *(given.keys(table) for table in tables)])
@@ -80,7 +81,7 @@ def sort_parts(
 
 
 def _worlds_at_a_time(parts: Parts, table: str, worlds: int, worlds_per_part: int, most: int) -> int:
-    """How many worlds are sorted at a time: whole parts, at least one."""
+    """How many worlds are sorted at a time: a multiple of ``worlds_per_part``."""
     size = 0
     for file in parts.files(table):
         with open_part(file) as parquet:
@@ -109,7 +110,7 @@ def _rows(
 
 
 def _cut(rows: pa.Table, ranks: NDArray[np.int64], worlds_per_part: int) -> Iterator[tuple[int, pa.Table]]:
-    """The rows of each part, with its number."""
+    """(number, rows) of each part."""
     if not len(ranks):
         return
     numbers = range(int(ranks[0]) // worlds_per_part, int(ranks[-1]) // worlds_per_part + 1)

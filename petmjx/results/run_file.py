@@ -1,4 +1,4 @@
-"""What ``run.json`` must look like for petmjx to go on from it. It may have been edited, or come from elsewhere."""
+"""Checks ``run.json`` before petmjx uses its entries. The file may have been edited, or come from elsewhere."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _ORDER_FIELDS: Final[dict[str, Any]] = {
     name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()
 }
 _OrderCounts = create_model("_OrderCounts", __base__=_PartialRecord, **_ORDER_FIELDS)
-"""All of ``OrderCounts``, none of it left out."""
+"""All fields of ``OrderCounts``."""
 
 
 class _Counts(_PartialRecord):
@@ -87,32 +87,33 @@ class RunFile(_PartialRecord):
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None
-    """Of runs that were compared with orders, as ``counts.orders``."""
+    """Only in runs that were compared with orders, like ``counts.orders``."""
     parts: dict[TableName, dict[PartName, Digest]]
-    """The files that count."""
+    """Table → file name → digest, for the files that count."""
     digest: Digest | None = None
-    """All other entries."""
+    """Digest of all other entries."""
 
 
 _OPTIONAL: Final = ("orders", "digest")
 
 
 def run_digest(info: Mapping[str, Any]) -> str:
-    """Digest of all entries of a ``run.json`` but ``digest``, whatever their order and the spaces between them."""
+    """Digest of all entries of a ``run.json`` except ``digest``. It does not depend on their order or on white
+    space."""
     rest = {name: value for name, value in info.items() if name != "digest"}
     text = json.dumps(rest, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
 
 
 def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
-    """Write a run's entries and their digest into ``run.json``. Raises OSError."""
+    """Write the entries of a run and their digest into ``run.json``. Raises OSError."""
     entries = to_json(info)
     entries["digest"] = run_digest(entries)
     write_text(json.dumps(entries, indent=2, ensure_ascii=False, allow_nan=False) + "\n", folder / RUN_FILE)
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:
-    """Check the entries that are there.
+    """Check the entries that exist.
 
     Raises:
         InputError: "DIR/run.json: counts.worlds must be a whole number, got None".

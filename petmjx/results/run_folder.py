@@ -1,20 +1,20 @@
-"""A run's folder: which files it has, and how they are written.
+"""The layout of a run's folder, and how its files are written.
 
-    DIR/run.json                    options, versions, device, counts, what was skipped
+    DIR/run.json                    options, versions, device, counts, skipped plans
     DIR/worlds/part-*.parquet       one row per world
     DIR/boxes/part-*.parquet        one row per box of each world
     DIR/attempts/part-*.parquet     one row per attempt, for worlds that needed more than one
-    DIR/histories/part-*.parquet    worlds that were recorded: one row per frame and placed box
+    DIR/histories/part-*.parquet    recorded worlds: one row per frame and placed box
     DIR/frames/part-*.parquet       one row per frame: the carrier, and what shakes it
     DIR/contacts/part-*.parquet     one row per contact of each frame, if details were recorded
     DIR/summary/part-*.parquet      sweeps: the answers
-    DIR/plans/part-*.parquet        a row a plan, with its digest: what a run was of
-    DIR/placements/part-*.parquet   a row a box of its plans: all that they say
-    DIR/.lock                       while a run writes there
+    DIR/plans/part-*.parquet        one row per plan of the run, with its digest
+    DIR/placements/part-*.parquet   one row per box of its plans, with all fields
+    DIR/.lock                       exists while a run writes
 
 Every file appears whole or not at all. A part counts once ``run.json`` lists it, with its digest
-(petmjx.results.run_tables); others are left from a kill. Parts of ``worlds``, ``boxes`` and ``attempts`` with the same
-number belong together, and so do those of ``histories``, ``frames`` and ``contacts``.
+(petmjx.results.run_tables). Unlisted parts were left by a killed run. Parts of ``worlds``, ``boxes`` and ``attempts``
+with the same number belong together, and so do those of ``histories``, ``frames`` and ``contacts``.
 """
 
 from __future__ import annotations
@@ -41,13 +41,14 @@ from petmjx.common.safe_read import open_for_arrow, read_regular
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
-"""Tables of which a part may be missing: none of its worlds has a row there."""
+"""Tables that may lack a part, if none of its worlds has a row in the table."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
 
 ROWS_PER_GROUP: Final = 131_072
-"""Of ``boxes`` some megabytes, which a reader can take one after the other, and of ``worlds`` a part."""
+"""Rows in a row group of Parquet. A group of ``boxes`` has a few megabytes, so that readers can take it group by group.
+A part of ``worlds`` is one group."""
 
 DIGEST_BYTES: Final = 16
 _BLOCK: Final = 1 << 20
@@ -55,11 +56,11 @@ _BLOCK: Final = 1 << 20
 _PART: Final = re.compile(r"part-\d{5,}\.parquet")
 _HIDDEN: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)\.[0-9a-f]{32}\.tmp")
 MOST_RUN_FILE_BYTES: Final = 1 << 30
-"""A million lines about skipped plans take 200 MB."""
+"""Largest ``run.json``. A million lines about skipped plans take 200 MB."""
 
 
 def part_name(number: int) -> str:
-    """File name of a part: the same in ``worlds``, ``boxes`` and all other tables of worlds."""
+    """File name of a part. It is the same in ``worlds``, ``boxes`` and all other tables of worlds."""
     return f"part-{number:05d}.parquet"
 
 
@@ -74,14 +75,16 @@ def part_files(folder: Path, table: str) -> list[Path]:
 
 
 MOST_AT_ONCE: Final = 8
-"""Tables that are read or written at the same time: to pack them takes a processor, to bring them to disk only time."""
+"""Number of tables that are read or written at the same time. Packing a table needs a processor; writing it to disk
+only takes time."""
 
 Write = Callable[[BinaryIO], object]
 """Writes the content of a file."""
 
 
 def parquet(table: pa.Table) -> Write:
-    """A table as Parquet. What is measured hardly repeats: a dictionary of it takes as long as all else, and room."""
+    """A table as Parquet. Measured values hardly repeat, so they get no dictionary: it would double the time and take
+    space."""
     repeats = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
     return lambda file: pq.write_table(
         table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP, use_dictionary=repeats
@@ -94,15 +97,15 @@ def csv(table: pa.Table) -> Write:
 
 
 def text(content: str) -> Write:
-    """A text as UTF-8. What is no UTF-8, as names of files may be, is escaped as in JSON."""
+    """A text as UTF-8. Characters that UTF-8 cannot encode, as in some file names, are escaped as in JSON."""
     return lambda file: file.write(content.encode(errors="backslashreplace"))
 
 
 def write_together(files: Mapping[Path, Write]) -> None:
-    """Write several files: each appears whole, and none before all are on disk. Folders are not made.
+    """Write several files. Each appears whole, and none appears before all are on disk. Folders are not made.
 
     Raises:
-        OSError: one cannot be written; what was there before is as it was.
+        OSError: a file cannot be written; existing files are unchanged.
     """
     hidden: dict[Path, Path] = {}
     try:
@@ -117,7 +120,7 @@ def write_together(files: Mapping[Path, Write]) -> None:
 
 
 def appear(hidden: Mapping[Path, Path]) -> None:
-    """Rename files that are whole: path → where it was written."""
+    """Rename finished hidden files to their final paths. ``hidden`` maps final path → path of the hidden file."""
     for path, temporary in hidden.items():
         os.replace(temporary, path)
     for folder in {path.parent for path in hidden}:
@@ -129,7 +132,8 @@ def appear(hidden: Mapping[Path, Path]) -> None:
 
 
 def write_hidden(table: pa.Table, path: Path) -> tuple[Path, str]:
-    """Write a table beside its place; returns where it is, for :func:`appear`, and its digest."""
+    """Write a table to a hidden file beside its final path. Returns the hidden path, for :func:`appear`, and the
+    digest."""
     path.parent.mkdir(exist_ok=True)
     temporary = _hidden_path(path)
     try:
@@ -140,10 +144,10 @@ def write_hidden(table: pa.Table, path: Path) -> tuple[Path, str]:
 
 
 def write_all_hidden(tables: Mapping[Path, pa.Table]) -> dict[Path, tuple[Path, str]]:
-    """As :func:`write_hidden`, many tables at the same time: path → where it is, and its digest.
+    """As :func:`write_hidden`, for many tables at the same time. Returns final path → hidden path and digest.
 
     Raises:
-        OSError: one cannot be written; then none is left.
+        OSError: a table cannot be written; then no hidden file is left.
     """
     with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-write") as pool:
         writing = {path: pool.submit(write_hidden, table, path) for path, table in tables.items()}
@@ -157,14 +161,14 @@ def write_all_hidden(tables: Mapping[Path, pa.Table]) -> dict[Path, tuple[Path, 
 
 
 def write_table(table: pa.Table, path: Path) -> str:
-    """Write one Parquet file so that it appears whole or not at all; returns its digest. The run's folder is never made
-    anew."""
+    """Write one Parquet file so that it appears whole or not at all; returns its digest. A missing run folder is not
+    made again."""
     path.parent.mkdir(exist_ok=True)
     return _write_whole(path, parquet(table))
 
 
 def write_text(content: str, path: Path) -> None:
-    """Write one text file so that it appears whole or not at all; as :func:`text`."""
+    """Write one text file, encoded as by :func:`text`, so that it appears whole or not at all."""
     _write_whole(path, text(content))
 
 
@@ -176,7 +180,7 @@ def copy_file(source: Path, path: Path) -> str:
 
 
 def digest_of(stream: BinaryIO) -> str:
-    """Hexadecimal digest (BLAKE2b) of what a file has from here on: a gigabyte a second."""
+    """Hexadecimal digest (BLAKE2b) of the rest of a file, from its current position. It reads a gigabyte per second."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     while block := stream.read(_BLOCK):
         digest.update(block)
@@ -184,7 +188,8 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one. Its plans alone do not count: they come before ``run.json``."""
+    """Whether a folder has a run, or parts of one. The tables of plans alone do not count: they are written before
+    ``run.json``."""
     tables = (table for table in TABLES if table not in ("plans", "placements"))
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
 
@@ -193,12 +198,12 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
     """Check that a run may write into a folder. Nothing is changed.
 
     Args:
-        overwrite: a run that is there is to be replaced.
-        resume: it is to go on.
+        overwrite: whether an existing run is to be replaced.
+        resume: whether an existing run is to be resumed.
 
     Raises:
-        InputError: the folder has a run, and neither is set; or it has a file, folder or link with a name of a run's
-            files that is none of petmjx's own.
+        InputError: the folder has a run, and neither option is set; or a file, folder or link has the name of a run's
+            file but was not written by petmjx.
     """
     parts = {file: table for table in TABLES for file in part_files(folder, table)}
     hidden = [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
@@ -206,13 +211,13 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
     def is_ours(file: Path) -> bool:
         if file.name == RUN_FILE:
-            return resume or _listed_parts(file) is not None  # of one that goes on its reader says what is wrong
+            return resume or _listed_parts(file) is not None  # on resume the reader reports errors
         return file in hidden or file in listed or _is_part_of(parts[file], file)
 
     def check(*files: Path) -> None:
         check_outputs(files, overwrite=True, folder=folder, is_ours=is_ours)
 
-    # also the folders that are to be made: a path within them is looked at from the top
+    # folders that are to be made are checked, too: ``check`` walks down each path from the top
     check(folder / RUN_FILE, *(folder / table / "x" for table in TABLES))
     listed = _listed_parts(folder / RUN_FILE) or ()
     check(*parts, *hidden)
@@ -225,7 +230,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
 
 def _listed_parts(run_file: Path) -> frozenset[Path] | None:
-    """The files that a ``run.json`` lists; None: it is not there, or petmjx did not write it."""
+    """The files that a ``run.json`` lists; None: the file does not exist, or petmjx did not write it."""
     try:
         tables = json.loads(read_regular(run_file, MOST_RUN_FILE_BYTES))["parts"]
         return frozenset(run_file.parent / table / name for table, names in tables.items() for name in names)
@@ -234,7 +239,7 @@ def _listed_parts(run_file: Path) -> frozenset[Path] | None:
 
 
 def _is_part_of(table: str, file: Path) -> bool:
-    """Whether a file is a part of a table of a run, whichever: it says so itself."""
+    """Whether the metadata of a file says that it is a part of this table, of any run."""
     try:
         with open_for_arrow(file) as stream:
             metadata = pq.read_schema(stream).metadata or {}
@@ -244,7 +249,7 @@ def _is_part_of(table: str, file: Path) -> bool:
 
 
 def make_room(folder: Path) -> None:
-    """Delete the files of the run that a folder has, and no others; :func:`check_run_folder` was asked.
+    """Delete the files of the run in a folder, and no other files. Call :func:`check_run_folder` first.
 
     ``run.json`` is deleted first: after a crash the folder then has no run, instead of a run without some parts.
 
@@ -258,14 +263,14 @@ def make_room(folder: Path) -> None:
 
 
 def tidy(folder: Path) -> None:
-    """Take away the temporary files that killed runs have left; :func:`check_run_folder` was asked."""
+    """Delete the temporary files that killed runs have left. Call :func:`check_run_folder` first."""
     for place in (folder, *(folder / table for table in TABLES)):
         for file in _own_files(place, _HIDDEN):
             file.unlink()
 
 
 def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
-    """Take away the parts that a kill has left.
+    """Delete the parts that a killed run has left.
 
     Args:
         kept: table → files that stay.
@@ -278,18 +283,18 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
 
 
 def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
-    """The files of a folder, if it is one, with names of petmjx's own."""
+    """The files of a folder whose names match a pattern of petmjx's; none if the path is not a folder."""
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 
 
 def _hidden_path(path: Path) -> Path:
-    """Where a file is written before it takes its place."""
+    """Temporary path of a file, before it is renamed to ``path``."""
     return path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
 
 
 def _write(path: Path, write: Write) -> str:
-    """Write a new file and bring it to disk; returns its digest."""
-    # a name that nobody knows, and never a file that is there already: nothing can be planted in its place
+    """Write a new file and flush it to disk; returns its digest."""
+    # the name is secret and an existing file is never opened, so nobody can plant a file or a link in its place
     how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     with open(os.open(path, how, 0o666), "w+b") as file:
         write(file)

@@ -1,4 +1,4 @@
-"""What ``run.json`` says of a run while its worlds finish, and where its tables are kept."""
+"""Gathers the entries of ``run.json`` while worlds finish, and knows where the tables are kept."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from petmjx.results.table_files import Tables
 from petmjx.results.world_counts import WorldCounts
 
 RUNNING: Final = "running"
-"""The status of a run that has not ended; or was killed."""
+"""The status of a run that has not ended, or that was killed."""
 
 
 class RunInfo:
     """Gathers the entries of ``run.json``, except the list of files.
 
     Attributes:
-        skipped: plans and files that are not simulated, and why.
-        warnings: about the whole run, each once.
+        skipped: plans and files that are not simulated, each with the reason.
+        warnings: warnings about the whole run, each once.
         odd_plans: a line for each plan with overlapping, floating or outside boxes.
         timings: seconds by name.
-        earlier_s: seconds to which these are added.
+        earlier_s: timings of the resumed run, to which ``timings`` are added.
         head: entries that are known when the run begins.
     """
 
@@ -74,7 +74,7 @@ class RunInfo:
         }
 
     def skip(self, skipped: Skipped) -> None:
-        """Record a plan or a file that is not simulated, and why."""
+        """Record a plan or a file that is not simulated, with the reason."""
         self.skipped.append(skipped)
 
     def warn(self, message: str) -> None:
@@ -82,10 +82,10 @@ class RunInfo:
         self.warnings[message] = None
 
     def entries(self, counts: WorldCounts) -> dict[str, Any]:
-        """What there is to say now.
+        """The entries as of now.
 
         Args:
-            counts: of the worlds that are written.
+            counts: counts of the written worlds.
         """
         seconds = Counter(self.earlier_s)
         seconds.update({**self.timings, "wall_s": round(time.monotonic() - self._started, 3)})
@@ -116,8 +116,8 @@ class RunFolder(RunInfo):
     """
 
     def _hold(self, out_dir: str | Path | None) -> None:
-        """Name the folder; None: tables are held in memory."""
-        self._lock = threading.Lock()  # of what is gathered, of tables and of run.json
+        """Set the folder; None: tables are kept in memory."""
+        self._lock = threading.Lock()  # protects gathered rows, tables and run.json
         self._is_behind = False  # whether run.json could not be written the last time
         self._in_memory = out_dir is None
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
@@ -131,12 +131,12 @@ class RunFolder(RunInfo):
 
     @property
     def counts(self) -> WorldCounts:
-        """Of the worlds that are written."""
+        """Counts of the written worlds."""
         raise NotImplementedError
 
     @property
     def info(self) -> dict[str, Any]:
-        """What ``run.json`` says now, without its digest. Counts are of worlds on disk."""
+        """The entries of ``run.json`` as of now, without the digest. Counts are of worlds on disk."""
         return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def _write_info(self) -> None:
@@ -157,7 +157,7 @@ class RunFolder(RunInfo):
 
     @contextlib.contextmanager
     def _unless_temporary(self) -> Iterator[None]:
-        """Take away a temporary folder if the run has not come to its end."""
+        """Delete a temporary folder if the run did not finish."""
         try:
             yield
         finally:

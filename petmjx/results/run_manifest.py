@@ -1,4 +1,4 @@
-"""What a run is: the settings and plans that its results depend on, and how two runs differ in them."""
+"""The manifest of a run: the settings and plans that its results depend on, and how two manifests differ."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from petmjx.results.run_tables import Parts
 from petmjx.results.schema import plans_schema
 
 DIGEST_BYTES: Final = 8
-"""Of one plan's digest; 2^64 values make two of a million plans equal by chance once in 30 million such runs."""
+"""Bytes of a plan's digest. With 2^64 values, two of a million plans have the same digest by chance in one of 30
+million runs."""
 
 MOST_NAMED: Final = 4
-"""Differences that a message names; of more it says how many there are."""
+"""Most differences that a message names; further ones are only counted."""
 
 
 def plan_digest(plan: Plan) -> str:
-    """Hexadecimal digest (BLAKE2b) of everything in a plan that reaches the results."""
+    """Hexadecimal digest (BLAKE2b) of everything in a plan that affects the results."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     digest.update(repr((plan.plan_id, plan.item_ids, plan.articles)).encode("utf-8", "backslashreplace"))
     for values in (plan.size_mm, plan.corner_mm, plan.mass_kg, plan.sequence):
@@ -47,15 +48,15 @@ def plan_digest(plan: Plan) -> str:
 
 
 class PlanRecord(NamedTuple):
-    """What a run says of a plan.
+    """A run's record of one plan.
 
     Attributes:
-        digest: of everything in it that reaches the results.
+        digest: digest of everything in the plan that affects the results.
         source: the file it came from.
-        volume_m3: of its boxes.
-        extent_x_m, extent_y_m: of its bounding box.
+        volume_m3: volume of its boxes.
+        extent_x_m, extent_y_m: extents of its bounding box.
         height_m: height of its highest box above the carrier.
-        number: which of the plans given it is, counting those that were skipped; None: not known.
+        number: its place among the plans given, counting skipped plans; None: not known.
     """
 
     digest: str
@@ -80,7 +81,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     """The records of plans by id, in the order given.
 
     Args:
-        numbers: plan id → which of the plans given it is; None: all are there.
+        numbers: plan id → its place among the plans given; None: no plan was skipped.
     """
     numbers = numbers or {plan.plan_id: number for number, plan in enumerate(plans)}
     return {plan.plan_id: PlanRecord.of(plan, numbers.get(plan.plan_id)) for plan in plans}
@@ -93,7 +94,7 @@ class Manifest:
     Attributes:
         settings: JSON-like: command, simulation, sweep, engine, shard.
         plans: all plans by id, also those of other shards, in the order given.
-        placements: makes the table ``placements`` of the run's own plans; None: it keeps none.
+        placements: makes the table ``placements`` of the plans of this run; None: the run keeps none.
     """
 
     settings: Mapping[str, Any]
@@ -102,7 +103,7 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """As it stands in ``run.json``. The digest does not depend on the order of plans."""
+        """The identity as written to ``run.json``. Its digest does not depend on the order of plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
@@ -111,7 +112,7 @@ class Manifest:
         """The table ``plans``.
 
         Args:
-            ordered: plan id → how it compares with its order; None: no columns about orders.
+            ordered: plan id → counts of its comparison with its order; None: no columns about orders.
         """
         columns: dict[str, Sequence[Any]] = {
             "plan_id": list(self.plans),
@@ -129,7 +130,7 @@ class Manifest:
         """The manifest of a run, from its tables and its ``run.json``.
 
         Raises:
-            InputError: it has none, or it is damaged.
+            InputError: the run has no manifest, or the manifest is damaged.
         """
         folder, files = parts.folder, parts.files("plans")
         if "identity" not in info or not files:
@@ -143,7 +144,7 @@ class Manifest:
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
-        """What differs from another manifest, in a line; empty where nothing does.
+        """The differences from an earlier manifest, in one line; empty if there is none.
 
         Args:
             without: settings that may differ.
@@ -173,8 +174,8 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings with the names of the command: the sweep of a score is its number of worlds and its errors. Entries
-    that are only written if the option is on count as false otherwise."""
+    """Settings with the names that the command uses. The sweep of a score is written as its number of worlds and its
+    errors. An entry that is only written if its option is on counts as false if it is missing."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     sweep = settings.get("sweep")
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
@@ -189,7 +190,7 @@ def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of them has confidence, which is said
+                continue  # only one of the two has confidence, which is reported
             inner = f"{path}.{name}" if path else str(name)
             yield from _setting_differences(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):

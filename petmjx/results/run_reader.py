@@ -1,6 +1,6 @@
-"""Single worlds in a run's tables, without reading the rest.
+"""Reads the folder of a run into pandas data frames, or single worlds without reading the rest.
 
-Reads a run's folder into pandas data frames. The files in it: petmjx.results.run_folder.
+The layout of the folder: petmjx.results.run_folder.
 """
 
 from __future__ import annotations
@@ -43,19 +43,20 @@ from petmjx.results.schema import check_version, data_frame, placements_schema, 
 from petmjx.results.table_files import Tables
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → the table whose parts of the same numbers say which worlds it has; ``worlds`` for all others."""
+"""Table → the table that tells which worlds a part of it has, by the part with the same number. For tables that are not
+named here it is ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """A world's row of ``worlds``, column → value, null as None; None where there is no such world."""
+    """A world's row of ``worlds``: column → value, with null as None. None if the world does not exist."""
     rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
 
 def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
-    """A world's outcome, as far as the tables have it; None where there is no such world.
+    """A world's outcome, as far as the tables have it; None if the world does not exist.
 
-    Values of boxes that were never placed are NaN, and measured ones have the precision of the table ``boxes``.
+    Values of boxes that were never placed are NaN. Measured values have the precision of the table ``boxes``.
     """
     row = world_row(run, plan_id, variant)
     boxes = rows_of(run, "boxes", plan_id, variant)
@@ -85,7 +86,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
 
 
 def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
-    """A world's rows of a table of a run; None where it has none.
+    """The rows of one world in a table of a run; None if it has none.
 
     Raises:
         InputError: a damaged or missing part.
@@ -103,8 +104,8 @@ def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: S
     """The rows of some worlds in a table of a run, part by part: the rest is never in memory.
 
     Args:
-        worlds: ``plan_id`` and ``variant`` of each.
-        columns: of the table.
+        worlds: ``plan_id`` and ``variant`` of each world.
+        columns: columns of the table to read.
 
     Raises:
         InputError: a damaged or missing part.
@@ -140,9 +141,9 @@ class RunResults:
     """The results of a run. Tables are read when they are first used.
 
     Attributes:
-        parts: the files of the tables, for reading some columns only.
+        parts: the files of the tables; with it a caller can read single columns.
         info: ``run.json``.
-        held: the plans by id, if they were given as objects instead of files.
+        held: the plans by id, if they were given as objects and not as files.
     """
 
     parts: Parts
@@ -157,17 +158,17 @@ class RunResults:
         return f"RunResults({self.where}: {count_text(counts.get('worlds', 0), noun)}, {verdicts}; {status})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: one line about the run, and its first worlds."""
+        """HTML for notebooks: one line about the run, and its first worlds."""
         return worlds_as_html(repr(self), self.worlds)
 
     @property
     def where(self) -> str:
-        """The run's folder, or that it has none."""
+        """The run's folder as text, or a text that says that it has none."""
         return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
 
     @property
     def unfinished(self) -> str | None:
-        """How an unfinished run ended, such as ``interrupted``; then worlds are missing. None if it finished."""
+        """How an unfinished run ended, such as ``interrupted``. Worlds are then missing. None if the run finished."""
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
 
@@ -190,7 +191,7 @@ class RunResults:
         object.
 
         Raises:
-            PetmjxError: that one cannot be written.
+            PetmjxError: the temporary folder cannot be written.
         """
         if not isinstance(self.parts, MemoryParts):
             return self.parts.folder
@@ -212,8 +213,9 @@ class RunResults:
         """One row per world, in the order in which plans were given. ``culprit`` is a nullable integer; other missing
         numbers are NaN.
 
-        Of a score without ``confidence`` the index is the number of the plan: ``worlds.verdict[k]`` is plan k, and a
-        KeyError where that has no row: it was skipped, belongs to another shard, or the run did not come to it.
+        In a score without ``confidence`` the index is the number of the plan: ``worlds.verdict[k]`` is the verdict of
+        plan k. It raises a KeyError if plan k has no row, because it was skipped, belongs to another shard, or was not
+        reached.
         """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
@@ -223,8 +225,8 @@ class RunResults:
 
     @cached_property
     def skipped(self) -> pd.DataFrame:
-        """What was not simulated, and why: ``number`` (of the plan, as in ``plans``; null for other entries, such as a
-        damaged file), ``plan_id``, ``source``, ``error``."""
+        """Plans and files that were not simulated, with the reason: ``number`` (of the plan, as in ``plans``; null for
+        other entries, such as a damaged file), ``plan_id``, ``source``, ``error``."""
         columns = ["number", "plan_id", "source", "error"]
         frame = pd.DataFrame(self.info.get("skipped", []), columns=columns)
         return frame.astype({"number": "Int32"} | dict.fromkeys(columns[1:], "str"))
@@ -234,7 +236,7 @@ class RunResults:
         """One row per box of each world, in packing order.
 
         Raises:
-            InputError: the run kept none.
+            InputError: the run did not keep this table.
         """
         if not self.keeps_boxes:
             raise InputError(f"{self.where}: the run kept no boxes (keep {WORLDS})")
@@ -242,7 +244,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """As ``boxes``; without rows where the run kept none."""
+        """As ``boxes``, but without rows if the run did not keep the table."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property
@@ -257,12 +259,12 @@ class RunResults:
 
     @cached_property
     def histories(self) -> pd.DataFrame:
-        """One row per frame and placed box of each world that was recorded; often empty."""
+        """One row per frame and placed box of each recorded world; often empty."""
         return self._read("histories")
 
     @cached_property
     def frames(self) -> pd.DataFrame:
-        """One row per frame of each world that was recorded: the carrier, and what shook it."""
+        """One row per frame of each recorded world: the carrier and its drive."""
         return self._read("frames")
 
     @cached_property
@@ -272,16 +274,15 @@ class RunResults:
 
     @cached_property
     def plans(self) -> pd.DataFrame:
-        """One row per plan, also those of other shards, in the order in which they were given. Missing counts are
-        null."""
+        """One row per plan in the order given, including the plans of other shards. Missing counts are null."""
         parts = self.parts.table("plans")
         frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
         return frame.astype({name: "Int32" for name in frame.columns if name in ("number", *PlanOrderCounts._fields)})
 
     @cached_property
     def placements(self) -> pd.DataFrame:
-        """One row per box of the plans that were simulated, with all that they say of it. Runs in memory have none:
-        they have the plans, or the files."""
+        """One row per box of the simulated plans, with all fields of the plan. A run in memory has no rows: its plans
+        are held as objects or in their files."""
         parts = self.parts.table(PLACEMENTS)
         frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
         return frame
@@ -317,11 +318,11 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
     """Open the folder of a run.
 
     Args:
-        held: its plans by id, if they are in no file.
+        held: plans of the run by id, if they are in no file.
 
     Raises:
-        InputError: there is no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. The tables raise
-            it too when they are read, for a damaged or missing part.
+        InputError: the folder has no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. Reading a
+            table raises it, too, if a part is damaged or missing.
     """
     folder = path_of(path, "path")
     info = read_info(folder)
@@ -329,10 +330,10 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
 
 
 def read_info(folder: Path) -> dict[str, Any]:
-    """``run.json`` as it stands there.
+    """The entries of ``run.json``.
 
     Raises:
-        InputError: no run there, an unreadable or damaged ``run.json``, or results of a newer petmjx.
+        InputError: no run in the folder, an unreadable or damaged ``run.json``, or results of a newer petmjx.
     """
     file = folder / RUN_FILE
     try:
@@ -353,7 +354,8 @@ def read_info(folder: Path) -> dict[str, Any]:
 
 
 def split_warnings(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """The warnings of a ``run.json``: about the whole run, and a line for each odd plan. The latter come last."""
+    """The warnings of a ``run.json`` as two lists: those about the whole run, and a line for each odd plan. In the file
+    the lines about odd plans come last."""
     warnings = list(info.get("warnings", []))
     first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
     return warnings[:first_odd], warnings[first_odd:]

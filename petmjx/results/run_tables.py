@@ -1,4 +1,4 @@
-"""The files of a run's tables: which of them count, and whether they are still what the run wrote."""
+"""Reads the table files that ``run.json`` lists, and checks that they are what the run wrote."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from petmjx.results.run_folder import MOST_AT_ONCE, OF_WORLDS, digest_of, part_n
 from petmjx.results.schema import check_version, schema_version_of
 
 LISTED: Final = "parts"
-"""Entry of ``run.json``: table → file name → digest. Files that are not listed there were left by a killed run,
-and are not read."""
+"""Entry of ``run.json``: table → file name → digest. Files that it does not list were left by a killed run and are not
+read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Tables of a run may take so many bytes in memory, or as many times their size on disk as other files may: boxes at
-rest, and columns without a value, are packed to a hundredth."""
+"""Memory that the tables of a run may always take, bytes. Above it the general limit holds, relative to their size on
+disk. Boxes at rest and columns without values are packed to a hundredth, so small files may unpack to large tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""The machine's memory is the bound of large runs, of which a table is in memory at once."""
+"""Largest memory of a table, bytes. It is so high because the real bound of large runs is the machine's memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Parts:
     """The files of a run's tables. Each is checked once, when it is first read.
 
     Attributes:
-        folder: the run's.
+        folder: the run's folder.
         digests: table → file name → digest.
     """
 
@@ -54,24 +54,25 @@ class Parts:
 
     @classmethod
     def of(cls, folder: Path, info: Mapping[str, Any]) -> Self:
-        """The files of the run in a folder, with its ``run.json``."""
+        """The files of the run in a folder, from the entries of its ``run.json``."""
         return cls(folder, info[LISTED])
 
     def files(self, table: str) -> list[Path]:
-        """The files of a table, in order; they need not be there."""
+        """The listed files of a table, in order. They may be missing on disk."""
         return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-        """One of these files, or some of its columns.
+        """One of these files as a table, or some of its columns.
 
         Raises:
-            InputError: missing, not what the run wrote, without one of the columns, or of a newer petmjx.
+            InputError: the file is missing, is not what the run wrote, lacks one of the columns, or is of a newer
+                petmjx.
         """
         self.check(file)
         return read_part(file, columns)
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """All parts of a table, read at the same time; as :meth:`read`."""
+        """All parts of a table, as :meth:`read`; they are read in parallel."""
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
@@ -80,7 +81,7 @@ class Parts:
             return list(pool.map(lambda file: self.read(file, columns), files))
 
     def _check_size(self, files: Sequence[Path], columns: Sequence[str] | None) -> None:
-        """Check that together files take no more memory than such files may. Raises InputError."""
+        """Check that the files together do not take too much memory. Raises InputError."""
         needed = file_bytes = 0
         for file in files:
             self.check(file)
@@ -91,23 +92,23 @@ class Parts:
             raise InputError(f"{files[0].parent}: its rows would take {size(needed)}, too much for files of their size")
 
     def check_tables(self, tables: Iterable[str]) -> None:
-        """Check all files of tables; as :meth:`check`."""
+        """Check all files of some tables with :meth:`check`."""
         for file in (file for table in tables for file in self.files(table)):
             self.check(file)
 
     def add(self, digests: Mapping[Path, str]) -> None:
-        """More files, which were just written, with their digests."""
+        """Add files that were just written, with their digests."""
         for file, digest in digests.items():
             self.digests.setdefault(file.parent.name, {})[file.name] = digest
         self._checked.update(digests)
 
     def without(self, *tables: str) -> Parts:
-        """The files of all other tables."""
+        """The files without those of these tables."""
         kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
         return Parts(self.folder, kept, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """The files without parts of worlds of these numbers."""
+        """The files without the parts of worlds with these numbers."""
         gone = {part_name(number) for number in numbers}
         kept = {
             table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
@@ -116,15 +117,15 @@ class Parts:
         return Parts(self.folder, kept, set(self._checked))
 
     def numbered(self, table: str, numbers: Collection[int]) -> list[Path]:
-        """The files of a table's parts of these numbers, where there are such."""
+        """The files of a table's parts with these numbers, as far as they exist."""
         return [file for file in self.files(table) if part_number(file) in numbers]
 
     def with_worlds(self) -> Parts:
-        """The files without those whose part of ``worlds`` was deleted: deleting it means that these worlds are to
-        be simulated again.
+        """The files without those whose part of ``worlds`` was deleted. A user deletes such a part to have its worlds
+        simulated again.
         """
         gone = {file.name for file in self.files("worlds") if not file.exists()}
-        if not gone or self.files("frames"):  # which histories these worlds have is not known
+        if not gone or self.files("frames"):  # it is not known which histories belong to these worlds
             return self
         kept = {
             table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
@@ -133,19 +134,19 @@ class Parts:
         return Parts(self.folder, kept)
 
     def lacking_boxes(self) -> list[int]:
-        """Numbers of the parts of ``worlds`` without one of ``boxes``."""
+        """Numbers of parts that ``worlds`` has and ``boxes`` lacks."""
         have = {part_number(file) for file in self.files("boxes")}
         return [number for number in map(part_number, self.files("worlds")) if number not in have]
 
     def next_number(self, *tables: str) -> int:
-        """The number of the next part: no file of these tables has it."""
+        """The number of the next part, which no file of these tables has."""
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:
         """Check that a file is what the run wrote.
 
         Raises:
-            InputError: it is not.
+            InputError: the file is missing or has changed.
         """
         if file in self._checked:
             return
@@ -178,7 +179,7 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """One Parquet file, or some of its columns.
 
     Raises:
-        InputError: missing, damaged, without one of the columns, or of a newer petmjx.
+        InputError: the file is missing, is damaged, lacks one of the columns, or is of a newer petmjx.
     """
     with open_part(file) as parquet:
         schema = parquet.schema_arrow
@@ -199,7 +200,7 @@ def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> 
     """Some columns of a part; None: all.
 
     Raises:
-        InputError: it lacks one.
+        InputError: the part lacks a column.
     """
     for name in columns or ():
         if name not in table.column_names:
@@ -209,10 +210,10 @@ def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> 
 
 @contextlib.contextmanager
 def open_part(file: Path) -> Iterator[pq.ParquetFile]:
-    """A part, in whatever folder.
+    """Open a part in any folder.
 
     Raises:
-        InputError: missing, or not a whole Parquet file.
+        InputError: the file is missing, or is not a whole Parquet file.
     """
     try:
         with open_for_arrow(file) as stream, pq.ParquetFile(stream) as parquet:

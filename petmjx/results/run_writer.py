@@ -1,4 +1,4 @@
-"""Writes a run's folder, part by part, while worlds finish. The files in it: petmjx.results.run_folder."""
+"""Writes the folder of a run, part by part, while worlds finish. Its layout: petmjx.results.run_folder."""
 
 from __future__ import annotations
 
@@ -39,27 +39,31 @@ from petmjx.results.world_counts import COUNTED, WorldCounts
 class RunWriter(RunFolder):
     """Writes one run's results as its worlds finish. A context manager.
 
-    At the end, also after Ctrl-C or an error, gathered worlds are written as a last part, and ``run.json`` says how the
-    run ended: ``finished``, ``interrupted`` or ``failed``. Memory holds a part that is gathered and one being written.
+    At the end, also after Ctrl-C or an error, the gathered worlds are written as a last part, and ``run.json`` says how
+    the run ended: ``finished``, ``interrupted`` or ``failed``. Memory holds the part that is being gathered and the
+    part that is being written.
 
     Args:
-        out_dir: the run's folder; made if it is not there. None: the run stays in memory if it is no more than a part;
-            a larger one is written to a temporary folder, which goes with its results.
+        out_dir: the run's folder; it is made if it does not exist. None: a run of at most one part stays in memory. A
+            larger run is written to a temporary folder, which is removed together with its results.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
-        dynamic, force_intervals: as in ``petmjx.results.schema.schemas``; ``boxes``: whether this table is kept.
-        versions: package → version; Python's own is added. ``device``: name of that on which the worlds ran.
+        dynamic, force_intervals: as in ``petmjx.results.schema.schemas``.
+        boxes: whether the table ``boxes`` is kept.
+        versions: package → version; the version of Python is added.
+        device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
-        places: of its worlds, in a run so large that no part shall be written twice.
-        manifest: what the run is of; without one it cannot be resumed.
-        orders: how its plans compare with their orders; those of now also where a run is resumed.
-        overwrite, resume: replace a run that is in the folder, or continue it, if it is the same.
-        worlds_per_part, seconds_per_part: a part is written when one of them is reached.
+        places: ranks of its worlds, for a run so large that no part should be written twice; else None.
+        manifest: settings and plans of the run; a run without it cannot be resumed.
+        orders: how its plans compare with their orders. A resumed run takes this check, not the earlier one.
+        overwrite: replace a run in the folder.
+        resume: continue the run in the folder, if it has the same manifest.
+        worlds_per_part, seconds_per_part: a part is written when one of these limits is reached.
 
     Attributes:
-        recorded: the worlds of a resumed run that are there already.
+        recorded: the completed worlds of a resumed run.
 
-    Raises InputError if the folder has a run already (another one, with ``resume``), or cannot be written.
+    Raises InputError if the folder already has a run (with ``resume``: another run), or cannot be written.
     """
 
     def __init__(
@@ -92,7 +96,7 @@ class RunWriter(RunFolder):
         self.recorded = CompletedWorlds()
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
-        self._alarm: FlushTimer | None = None  # of a run in a folder
+        self._alarm: FlushTimer | None = None  # only for a run in a folder
         self._gathering = PartBuffer()
         self._by_place = None if places is None else DestinationBuffer(places, self.schemas)
         self._until_exit = contextlib.ExitStack()
@@ -107,7 +111,7 @@ class RunWriter(RunFolder):
         return self
 
     def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
-        """What was written, after the end.
+        """The results of the run, after its end.
 
         Args:
             held: the run's plans by id, if they are in no file.
@@ -125,10 +129,10 @@ class RunWriter(RunFolder):
         return (self._by_place or self._gathering).counts
 
     def _open(self) -> None:
-        """Take the folder, and write what is known before the first world.
+        """Lock the folder, and write everything that is known before the first world.
 
         Raises:
-            InputError: it cannot be written, or has a run that is not to be replaced or resumed.
+            InputError: the folder cannot be written, or has a run that is not to be replaced or resumed.
         """
         with contextlib.ExitStack() as until_exit:
             try:
@@ -151,7 +155,7 @@ class RunWriter(RunFolder):
             self._until_exit = until_exit.pop_all()
 
     def _leave_memory(self) -> None:
-        """Go on in a temporary folder. Raises InputError if it cannot be written."""
+        """Move the run from memory to a temporary folder. Raises InputError if it cannot be written."""
         before = self.parts
         assert isinstance(before, MemoryParts)
         self._temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
@@ -161,10 +165,10 @@ class RunWriter(RunFolder):
         self.parts.add(before.write(self.out_dir))
 
     def _go_on(self) -> None:
-        """Take up the run that is in the folder.
+        """Resume the run in the folder.
 
         Raises:
-            InputError: it is another run, or damaged.
+            InputError: the folder has another run, or the run is damaged.
         """
         info, parts, warnings = resume_state(self.out_dir, self._manifest, self.head["versions"])
         self.warnings |= dict.fromkeys(warnings)
@@ -173,10 +177,10 @@ class RunWriter(RunFolder):
         self._tables = Tables(self.out_dir, parts.without("summary"))
         self._gathering.begin(self.parts.next_number(*OF_WORLDS), self.recorded.counts())
         if self._by_place is not None and not self._by_place.goes_on(parts, self._gathering.counts):
-            self._by_place = None  # they are in another order, or of other sizes
+            self._by_place = None  # the parts are in another order, or of other sizes
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
-        self._write_info()  # before files go that it listed, and after a kill the run must not look finished
+        self._write_info()  # before listed files are deleted; and after a kill the run must not look finished
         self._tables.drop_others()
         if self._write_plans():
             self._write_info()
@@ -187,7 +191,7 @@ class RunWriter(RunFolder):
     ) -> None:
         if self.status != RUNNING:  # it has ended, and another run may have the folder by now
             return
-        # of several Ctrl-C in a row the first one ends the run; the others must not cost what it has gathered
+        # the first of several Ctrl-C ends the run; the later ones must not lose gathered worlds
         closing = contextlib.closing(self._gathering)
         with defer_signals(afterwards=error is None), self._unless_temporary(), self._until_exit, closing:
             trouble = self._write_rest()
@@ -198,23 +202,23 @@ class RunWriter(RunFolder):
             else:
                 self.status, self.error = "failed", one_line(cause)
             if error is not None and trouble is not None:
-                # the error that ended the body is the one to tell; this one is kept beside it, until the run goes on
+                # the error that ended the body is raised; this one is only noted in run.json, until the run is resumed
                 also = f"the last part could not be written: {one_line(trouble)}"
                 self.error = f"{self.error}; {also}" if self.error else also
             with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
                 self._write_info()
                 if cause is not None and not self._in_memory:
-                    with contextlib.suppress(OSError):  # a part that was half written, which others might read
+                    with contextlib.suppress(OSError):  # a part from an unfinished write, which readers might find
                         self._tables.drop_others()
             if error is None and trouble is not None:
                 raise trouble
 
     def _write_rest(self) -> Exception | None:
-        """Write what is gathered, at the end; returns why it could not be written."""
+        """Write the gathered worlds at the end; returns the error if they could not be written."""
         with self._lock:
             if self._alarm is not None:
                 self._alarm.close()
-            with contextlib.suppress(Exception):  # what could not be written is gathered, and tried once more
+            with contextlib.suppress(Exception):  # what could not be written is gathered again and written below
                 self._land()
             try:
                 self._write_part(last=True)
@@ -223,7 +227,7 @@ class RunWriter(RunFolder):
         return None
 
     def _write_plans(self) -> bool:
-        """Write the plans if there are none that say the same; returns whether it did."""
+        """Write the table ``plans`` unless an equal one exists; returns whether it was written."""
         of_plan, manifest = self.orders.of_plan if self.orders else None, self._manifest
         return manifest is not None and self._tables.write_plans(manifest.table(of_plan), manifest.placements)
 
@@ -237,19 +241,19 @@ class RunWriter(RunFolder):
         params: Mapping[str, Any] | None = None,
         interval_n: FloatArray | None = None,
     ) -> None:
-        """Add one finished world, and write a part if there are enough.
+        """Add one finished world, and write a part if it is full.
 
         Args:
-            plan: the world's plan; ``outcome`` has the same boxes in the same order.
+            plan: plan of the world; ``outcome`` has the same boxes in the same order.
             variant: 0 is nominal.
-            schedule: name, as in the results.
+            schedule: name of the schedule, as in the results.
             outcome: copied; its arrays may be reused, and its ``state`` is not kept.
             attempts: all attempts in order, if the world needed more than one.
             params: parameter → value; missing ones become null.
-            interval_n: (boxes, 2) least and most force on top at rest, N; None: not known.
+            interval_n: (boxes, 2) least and most force on the top of each box at rest, N; None: not known.
 
         Raises:
-            ValueError: an outcome of another plan, or a parameter that the run does not have.
+            ValueError: the outcome is of another plan, or the run does not have a parameter.
             PetmjxError: the part cannot be written (a full disk).
         """
         values = {param.name: None for param in self.params} | dict(params or {})
@@ -270,14 +274,15 @@ class RunWriter(RunFolder):
                 self._land(wait=False)
 
     def _set_alarm(self, anew: bool = True) -> None:
-        """Have written in time what waits, though no world follows. ``anew``: also if the alarm is set."""
+        """Set the timer, so that waiting worlds are written in time even if no world follows. With ``anew`` also if it
+        is set already."""
         waits = self._gathering if self._by_place is None else self._by_place
         if self._alarm is not None and (anew or not self._alarm.is_set):
             due_s = waits.due_s(self._seconds_per_part)
             self._alarm.off() if due_s is None else self._alarm.set(due_s)
 
     def flush(self) -> None:
-        """Write what has been gathered, so that others can read the folder before the run ends.
+        """Write the gathered worlds, so that other programs can read them before the run ends.
 
         Raises:
             PetmjxError: the part cannot be written.
@@ -286,7 +291,7 @@ class RunWriter(RunFolder):
             self._write_part(last=True)
 
     def adopt(self, parts: Parts) -> None:
-        """Take over the worlds of another run, which has the same columns.
+        """Copy the worlds of another run, which has the same columns.
 
         Raises:
             InputError: a part is damaged.
@@ -305,10 +310,10 @@ class RunWriter(RunFolder):
             self._write_info()
 
     def put_in_order(self) -> None:
-        """Put all rows into the order in which plans were given, for runs without missing worlds.
+        """Sort all rows into the order in which plans were given, for a run without missing worlds.
 
-        Until then parts are written as worlds finish. Where there is no room for the tables twice they stay so, and a
-        warning says it.
+        Until then parts are in the order in which worlds finished. If the disk has no room for a second copy of the
+        tables, they keep that order, and the run gets a warning.
 
         Raises:
             PetmjxError: the last part or ``run.json`` cannot be written.
@@ -326,7 +331,7 @@ class RunWriter(RunFolder):
             place = {plan_id: at for at, plan_id in enumerate(plans)}
             self._gathering.part.rows.sort(key=lambda row: (place[row.plan.plan_id], row.cells["variant"]))
             if not self.parts.files("worlds"):
-                return  # the part that waits is all there is
+                return  # the waiting part is the only one
             self._write_part()
             try:
                 done = sort_parts(self.parts, given, self._gathering.part.number, self._worlds_per_part)
@@ -341,11 +346,12 @@ class RunWriter(RunFolder):
                     self._tables.drop_others()
 
     def _time_is_up(self) -> None:
-        """Write what waits though it is no whole part, with the lock held. After an error the alarm calls again."""
+        """Write waiting worlds although their part is not full, with the lock held. After an error the timer calls
+        again."""
         if self._by_place is not None:
             self._write_by_place(self._by_place.late(self._seconds_per_part))
         else:
-            with contextlib.suppress(Exception):  # what could not be written is gathered again, and may be old
+            with contextlib.suppress(Exception):  # worlds that could not be written are gathered again, and may be old
                 self._land(wait=False)
             if self._gathering.is_old(self._seconds_per_part):
                 self._write_part()
@@ -354,7 +360,8 @@ class RunWriter(RunFolder):
         self._set_alarm()
 
     def _write_part(self, last: bool = False, beside: bool = False) -> None:
-        """Write the gathered part, with the lock held. ``beside``: by a thread; ``last``: a run in memory stays so."""
+        """Write the gathered part, with the lock held. With ``beside`` a thread writes it. With ``last`` a run in
+        memory stays in memory."""
         if self._by_place is not None:
             self._write_by_place(self._by_place.left())
             return
@@ -368,23 +375,23 @@ class RunWriter(RunFolder):
                 self._leave_memory()
             if beside:
                 self._gathering.write_beside(self._tables, self.schemas)
-                self._set_alarm()  # it is to land, also if no world follows
+                self._set_alarm()  # the part must land even if no world follows
                 return
             self._tables.write_part(part.number, part.tables(self.schemas))
         self._gathering.written()
         self._write_info()
 
     def _land(self, wait: bool = True) -> None:
-        """Let the part count that was written beside others, with the lock held."""
+        """Let the part that the thread has written count, with the lock held."""
         with self._writing():
             landed = self._gathering.land(self._tables, wait=wait)
         if landed:
             self._write_info()
 
     def _write_by_place(self, numbers: Sequence[int]) -> None:
-        """Write what there is of some parts of a large run, with the lock held. One that cannot be written does not
-        keep the others from disk."""
-        with contextlib.ExitStack() as parts:  # calls all, whatever some of them raise
+        """Write the waiting worlds of some parts of a large run, with the lock held. If one part cannot be written, the
+        others are written all the same."""
+        with contextlib.ExitStack() as parts:  # calls all of them, even if some raise
             for number in reversed(numbers):
                 parts.callback(self._write_one, number)
 

@@ -43,7 +43,7 @@ def _column(name: str, kind: pa.DataType, unit: str, text: str) -> pa.Field:
 
 @dataclass(frozen=True)
 class Param:
-    """A parameter of a sweep's variants: one more column of ``worlds``. ``type`` is float, int, bool or str."""
+    """A parameter of a sweep's variants: an additional column of ``worlds``. ``type`` is float, int, bool or str."""
 
     name: str
     unit: str = DIMENSIONLESS
@@ -195,16 +195,16 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
 
 
 def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals: bool = False) -> dict[str, pa.Schema]:
-    """Schemas of ``worlds``, ``boxes``, ``attempts`` (one row per attempt, for worlds that needed more than one), and
-    those of recorded worlds: ``histories``, ``frames``, ``contacts``.
+    """Table → schema, for ``worlds``, ``boxes``, ``attempts`` (one row per attempt, for worlds that needed more than
+    one), and for the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
     Args:
-        params: of a sweep's variants; the last columns of ``worlds``.
-        dynamic: of a run with profiles: ``boxes`` has the metrics that only they have in addition.
-        force_intervals: whether ``boxes`` has the intervals of forces at rest.
+        params: parameters of a sweep's variants; they are the last columns of ``worlds``.
+        dynamic: whether the run has profiles; ``boxes`` then has additional metrics.
+        force_intervals: whether ``boxes`` has intervals of the forces at rest.
 
     Raises:
-        ValueError: two columns with the same name.
+        ValueError: two columns have the same name.
     """
     worlds = (*_WORLD_COLUMNS, *_metrics(metrics.world_columns()), *_FLAGS, *(param.column() for param in params))
     names = [column.name for column in worlds]
@@ -219,10 +219,11 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals
 
 
 def plans_schema(ordered: bool = False) -> pa.Schema:
-    """Schema of ``plans``: what the run was of, to tell whether another run has the same plans.
+    """Schema of ``plans``. The table tells whether two runs have the same plans.
 
     Args:
-        ordered: of a run that was compared with orders: with ``petmjx.plans.order_matching.PlanOrderCounts``.
+        ordered: whether the run was compared with orders; the table then has the columns of
+            ``petmjx.plans.order_matching.PlanOrderCounts``.
     """
     texts = _texts(
         plan_id="id of the packing plan", digest="of everything that affects results", source="the file it came from"
@@ -231,7 +232,7 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
 
 
 def placements_schema() -> pa.Schema:
-    """Schema of ``placements``: what the run's plans say of each box, so that the folder needs no files of plans."""
+    """Schema of ``placements``: all fields of the run's plans, so that the folder does not depend on the plan files."""
     return _schema("placements", _PLACEMENT_COLUMNS)
 
 
@@ -270,8 +271,8 @@ _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if met
 
 
 def data_frame(table: pa.Table) -> pd.DataFrame:
-    """A table as a data frame. Numbers of boxes and steps, which may be missing, have the type that pandas gives those
-    of which some are: one type, whatever worlds there are."""
+    """A table as a data frame. The columns ``_NUMBERS`` are always float64, as pandas makes them if values are missing,
+    so that the type does not depend on the worlds."""
     frame: pd.DataFrame = table.to_pandas()
     return frame.astype({name: "float64" for name in _NUMBERS if name in frame})
 

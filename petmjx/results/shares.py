@@ -1,6 +1,6 @@
 """Shares of worlds that stand, with confidence intervals.
 
-Two shares from the same trials: interval of their difference, exact test, correction for many tests.
+For two shares from the same trials: the interval of their difference, an exact test, and a correction for many tests.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ DEFAULT_CONFIDENCE = 0.95
 
 ALL_PLANS = "all"
 ONE_PLAN = "plan"
-"""``scope`` of summary rows over all plans together, whose ``plan_id`` is null, and of rows about one plan."""
+"""Values of the column ``scope``: of summary rows over all plans together, whose ``plan_id`` is null, and of rows about
+one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
 """Columns that say what a summary row is about."""
@@ -33,8 +34,8 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. It is always inside [0, 1], and it has a width at shares of
-    0 and 1 too, where the usual ± interval has none.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval is always inside [0, 1]. It also has a width at
+    shares of 0 and 1, where the usual ± interval has none.
 
     Raises:
         ValueError: successes outside 0 … n, or a confidence outside (0, 1).
@@ -56,13 +57,15 @@ def wilson_interval(
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Worlds in groups: over all plans and for each plan; all of them (axis "") and by axis value.
+    """Aggregate worlds in groups: over all plans and for each plan, and in each case over all worlds (axis "") and by
+    axis value.
 
     Args:
-        columns: what is computed of each group, as pandas' ``agg`` takes it: name=(column, function).
+        columns: aggregates of each group, as pandas' ``agg`` takes them: name=(column, function).
 
     Returns:
-        Columns ``KEYS`` and those asked for. Rows over all plans come first; no plan's id can be taken for theirs.
+        The columns ``KEYS`` and the aggregates. Rows over all plans come first; the column ``scope`` tells them from
+        rows about a plan, whatever its id.
     """
     parts = []
     for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
@@ -78,20 +81,20 @@ def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple
 
 
 def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
-    """The share of worlds that stand, for every value of every axis, with its Wilson 95 % interval where it has one.
+    """The share of worlds that stand, for every value of every axis. Shares with random draws have a Wilson 95 %
+    interval.
 
     Invalid worlds say nothing about the pallet: they are counted separately and are not in the share. Worlds without a
-    value on an axis (the nominal one) do not count there.
+    value on an axis (the nominal world) are left out of the rows of this axis.
 
-    Only draws have an interval: a world without anything random comes out the same every time, and a row that has
-    such a world has none. Worlds of one draw are not independent of each other. So the interval is that of as many
-    trials as there are draws, whatever the number of worlds: the mean of one draw's worlds varies at most as much as
-    one world does.
+    A world without anything random has the same outcome every time, so a row with such a world has no interval. Worlds
+    of one draw are not independent of each other. So the number of trials is the number of draws, whatever the number
+    of worlds: the mean over the worlds of a draw varies at most as much as one world does.
 
     Args:
         worlds: rows with ``plan_id``, ``verdict`` and a column for each axis; ``draw``, if it is there, is equal for
             worlds that share their random numbers, and null for worlds without any.
-        axes: parameter columns; a row of the summary is about one value of one of them, over all the others.
+        axes: parameter columns; a row of the summary is about one value of one axis, over all values of the other axes.
 
     Returns:
         Columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 where the row has no interval), low, high;
@@ -123,7 +126,7 @@ def _text(value: object) -> str:
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Trials by what came of them in a and in b.
+    """Counts of trials by success in a and in b.
 
     Attributes:
         both, only_a, only_b, neither: successes.
@@ -149,8 +152,8 @@ def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDEN
     """Confidence interval of share b − share a: Newcombe's square-and-add interval; (−1, 1) without trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
-    paired data", Statistics in Medicine 17, 2635–2650, method 10: the Wilson intervals of both shares are put together
-    with their correlation, which is made smaller by a correction for continuity where it is positive.
+    paired data", Statistics in Medicine 17, 2635–2650, method 10: it combines the Wilson intervals of both shares with
+    their correlation. A positive correlation is reduced by a continuity correction.
     """
     n = counts.n
     if n == 0:
@@ -178,9 +181,8 @@ def _correlation(counts: PairedCounts) -> float:
 
 
 def mcnemar_p(counts: PairedCounts) -> float:
-    """P-value (two-sided) of McNemar's exact test: of the trials in which a and b differ, are as many a's as b's?
-
-    1 where they differ in none.
+    """P-value (two-sided) of McNemar's exact test: among the trials in which a and b differ, do a and b succeed equally
+    often? 1 if they differ in no trial.
 
     Raises:
         InputError: SciPy is not installed.
@@ -196,7 +198,7 @@ def mcnemar_p(counts: PairedCounts) -> float:
 
 
 def holm(p_values: Sequence[float]) -> FloatArray:
-    """P-values corrected for their number, so that the chance of any false alarm stays below the level.
+    """P-values corrected for the number of tests, so that the chance of any false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
     6, 65–70: the smallest of m is multiplied by m, the next one by m − 1, …; none becomes smaller than one before it.

@@ -1,4 +1,4 @@
-"""The files of a run that is being written: which of them ``run.json`` is to list, and which go."""
+"""Writes and deletes the table files of a run in progress, and keeps the list of files that count."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ from petmjx.results.run_tables import Parts
 class Tables:
     """A run's tables on disk. All methods raise ``OSError`` where a file cannot be written.
 
-    New files have new numbers, so that a killed run leaves either the old or the new ones: ``run.json`` says which.
+    New files have new numbers, so that old and new files exist side by side until ``run.json`` lists the new ones. A
+    killed run is then either in the old or in the new state.
 
     Attributes:
         parts: the files that count.
@@ -36,14 +37,15 @@ class Tables:
     def __init__(self, folder: Path, parts: Parts | None = None) -> None:
         self._folder = folder
         self._placements: Future[tuple[Path, str] | None] | None = None
-        self._content: Callable[[], pa.Table | None] = lambda: None  # of placements
+        self._content: Callable[[], pa.Table | None] = lambda: None  # makes the table placements
         self.parts = parts or Parts(folder, {})
 
     def write_plans(self, plans: pa.Table, placements: Callable[[], pa.Table | None] = lambda: None) -> bool:
-        """Write the table ``plans``, beside one with other content; returns whether an equal one was missing.
+        """Write the table ``plans`` unless an equal one exists; returns whether it was written. A table with other
+        content is not overwritten.
 
-        A thread writes ``placements`` where it is missing, while the first worlds are simulated; it counts once it has
-        landed.
+        A thread writes ``placements`` if it is missing, while the first worlds are simulated. That table counts once it
+        has landed.
         """
         if self._placements is None and not self.parts.files("placements"):
             self._content = placements
@@ -65,9 +67,10 @@ class Tables:
         return None if content is None else write_hidden(content, self._folder / "placements" / part_name(0))
 
     def land_placements(self, *, wait: bool) -> bool:
-        """Let the table count that the thread has written; whether there was one. ``wait``: until it is written.
+        """Let the table that the thread has written count; returns whether one landed. With ``wait`` it waits until the
+        thread has ended.
 
-        After an error the thread begins again: the next call may let the table count.
+        After an error the thread begins again, and the next call may let the table count.
         """
         if self._placements is None or not (wait or self._placements.done()):
             return False
@@ -87,7 +90,7 @@ class Tables:
         return written is not None
 
     def drop_placements(self) -> None:
-        """Wait for the thread, and take away what it wrote, if that does not count."""
+        """Wait for the thread, and delete its file if it does not count."""
         if self._placements is not None:
             with contextlib.suppress(Exception):
                 if (written := self._placements.result()) is not None:
@@ -95,11 +98,11 @@ class Tables:
             self._placements = None
 
     def write_part(self, number: int, tables: Iterable[tuple[str, pa.Table]]) -> None:
-        """Write the tables of a part, by name. None counts before all are there."""
+        """Write the tables of a part, by name. No file counts before all are written."""
         self.parts.add(self.files_of(number, tables))
 
     def files_of(self, number: int, tables: Iterable[tuple[str, pa.Table]]) -> dict[Path, str]:
-        """The same, but none counts; returns the digest of each file."""
+        """As :meth:`write_part`, but no file counts. Returns the digest of each file."""
         digests: dict[Path, str] = {}
         for table, content in tables:
             place = self._folder / table / part_name(number)
@@ -107,18 +110,19 @@ class Tables:
         return digests
 
     def forget(self, numbers: Collection[int]) -> None:
-        """Parts of worlds that others have taken the place of: they go with :meth:`drop_others`."""
+        """Let the parts of worlds with these numbers no longer count, since other parts have replaced them.
+        :meth:`drop_others` deletes the files."""
         self.parts = self.parts.without_numbers(numbers)
 
     def write_first(self, table: str, content: pa.Table) -> None:
-        """Write the only part of a table; one that is there is replaced."""
+        """Write the only part of a table. It replaces an existing one."""
         self.write_part(0, [(table, content)])
 
     def copies_of(self, others: Parts) -> dict[Path, str]:
-        """Copy the worlds of another run; none counts. Returns the digest of each file.
+        """Copy the worlds of another run. The copies do not count yet. Returns the digest of each file.
 
         Raises:
-            InputError: one of its files is damaged or missing.
+            InputError: a file of the other run is damaged or missing.
         """
         first = self.parts.next_number(*OF_WORLDS)
         others.check_tables(OF_WORLDS)
@@ -132,7 +136,7 @@ class Tables:
         return digests
 
     def replace(self, done: SortedParts) -> None:
-        """Let sorted parts take the place of the others, which stay until :meth:`drop_others`."""
+        """Let sorted parts replace the present ones, whose files stay until :meth:`drop_others`."""
         try:
             appear(done.hidden)
         except OSError:
@@ -142,5 +146,5 @@ class Tables:
         self.parts.add(done.digests)
 
     def drop_others(self) -> None:
-        """Take away parts that do not count."""
+        """Delete the parts that do not count."""
         drop_parts(self._folder, self.parts.files)

@@ -1,4 +1,4 @@
-"""Values as plain JSON values."""
+"""Conversion of values to plain JSON values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Counts of worlds, as they stand in ``run.json``."""
+"""Counts of worlds, as ``run.json`` has them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ COUNTED: Final = ("verdict", "reason", "attempt", "flags")
 
 @dataclass
 class WorldCounts:
-    """Worlds by verdict and reason, and how many needed more than one attempt. Worlds that still moved at their ends,
-    whose verdict may change with time: ``moving`` counts stable ones, ``moving_by_shift`` those unstable by shift.
-    ``leans``: stable ones that are not as planned."""
+    """Counts of worlds by verdict and reason, and of worlds that needed more than one attempt.
+
+    The verdict of a world that still moves at its end may change with time. ``moving`` counts such worlds that are
+    stable, ``moving_by_shift`` such worlds that are unstable by shift. ``leans`` counts stable worlds that are not as
+    planned.
+    """
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)
     retried: int = 0
@@ -31,7 +34,7 @@ class WorldCounts:
     def add(
         self, verdicts: Sequence[str], reasons: Iterable[str], attempts: Iterable[int], flags: Iterable[int]
     ) -> None:
-        """Count the rows of a part; ``attempts``: which attempt gave the verdict, from 1."""
+        """Count the rows of a part. ``attempts`` has the number of the attempt that gave the verdict, from 1."""
         reasons = [*reasons]
         for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
             self.verdicts[Verdict(verdict), Reason(reason)] += count
@@ -43,7 +46,7 @@ class WorldCounts:
             self.leans += bool(flag & Flag.LEANS) and verdict == Verdict.STABLE
 
     def add_worlds(self, worlds: pa.Table) -> None:
-        """Count the rows of a table ``worlds`` (its columns ``COUNTED``): a million in a tenth of a second."""
+        """Count the rows of a table ``worlds`` by its columns ``COUNTED``. A million rows take a tenth of a second."""
         groups = worlds.group_by(["verdict", "reason"]).aggregate([([], "count_all")])
         for row in groups.to_pylist():
             self.verdicts[Verdict(row["verdict"]), Reason(row["reason"])] += row["count_all"]
@@ -58,7 +61,7 @@ class WorldCounts:
         self.leans += having(Flag.LEANS, "verdict", Verdict.STABLE.value)
 
     def as_json(self) -> dict[str, Any]:
-        """Worlds by verdict, and those that are not stable by reason."""
+        """The counts as plain JSON values: all worlds by verdict, and worlds that are not stable by reason."""
         by_reason: dict[str, dict[str, int]] = {Verdict.UNSTABLE.value: {}, Verdict.INVALID.value: {}}
         by_verdict = {verdict.value: 0 for verdict in Verdict}
         for (verdict, reason), count in sorted(self.verdicts.items()):

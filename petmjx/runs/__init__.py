@@ -1,1 +1,1 @@
-"""Runs: which worlds are made of plans, scores, sweeps and searches, and their summaries."""
+"""Runs: scores, sweeps and searches. Makes worlds of plans, simulates them, and summarises the results."""

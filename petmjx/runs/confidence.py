@@ -1,4 +1,4 @@
-"""How sure a score is: the share of worlds that stand with the errors of a stated robot and its cartons.
+"""Scores with confidence: the share of worlds that stand with the errors of a stated robot and its cartons.
 
 It is a sweep of single errors with replicates and the nominal world, with a summary of its own. Users read about it in
 docs/confidence.md.
@@ -32,7 +32,7 @@ READY_MADE: Final = "confidence"
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Chance of at least one false alarm among all plans of a run whose shares do not depend on how boxes are placed."""
+"""Chance of at least one false alarm in a run if no plan's share depends on how boxes are placed."""
 
 PLACING: Final = "placing"
 """The axis, and the column of worlds, that says how boxes with errors were placed."""
@@ -64,25 +64,25 @@ _OF_BOTH: Final = {
     "number of plans by Holm's method",
     "placing_matters": f"whether that is below {SIGNIFICANCE:g}: the two shares differ beyond chance",
 }
-"""Columns of a run whose worlds with errors were placed both ways."""
+"""Columns of a run whose worlds with errors were placed both ways, carried and appearing."""
 
 _TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing_matters"})
-"""Columns that are no numbers."""
+"""Columns that are not numbers."""
 
 
 def confidence_sweep(
     n_worlds: int, errors: Path | None, simulation: Mapping[str, Any], *, exact_too: bool = False
 ) -> Sweep:
-    """The sweep that asks how sure the scores of plans are.
+    """The sweep of a score with confidence.
 
     Args:
         n_worlds: worlds with errors for each plan, beside the nominal one.
         errors: a sweep file of errors, or the name of a ready-made one; None: ``READY_MADE``.
         simulation: fields of ``Simulation`` that replace those of the file.
-        exact_too: as of ``petmjx.options.run_options.Confidence``: each world with errors is there twice.
+        exact_too: as in ``petmjx.options.run_options.Confidence``: each world with errors is simulated twice.
 
     Raises:
-        InputError: an unusable file, or one that has more than single errors; or ``exact_too`` where boxes are not
+        InputError: an unusable file, a file with more than single errors, or ``exact_too`` although boxes are not
             carried.
     """
     error_sweep = load_sweep(find_sweep(errors or READY_MADE), plans_given=True, simulation=simulation)
@@ -99,7 +99,7 @@ def confidence_sweep(
 
 
 def _error_sweep_fault(sweep: Sweep) -> str:
-    """The line about something that a file of errors may not have; empty if there is nothing wrong."""
+    """A line on the first thing that a file of errors may not have; empty if there is none."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
     if sweep.profiles:
@@ -117,12 +117,12 @@ def _error_sweep_fault(sweep: Sweep) -> str:
 
 
 def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
-    """One row a plan, in the order given: its nominal verdict, and the share that stands with errors.
+    """One row per plan, in the order given: its nominal verdict, and the share that stands with errors.
 
     Columns: docs/confidence.md.
 
     Args:
-        parts: of the run, all of them written and in order.
+        parts: files of the run, all written and in order.
         both: whether worlds with errors were placed both ways (``exact_too``).
     """
     columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
@@ -150,7 +150,8 @@ def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
-    """Of each plan, in how many unstable worlds a box could not be placed, and in how many others boxes fell."""
+    """For each plan, the number of unstable worlds in which a box could not be placed, and the number of other worlds
+    in which boxes fell."""
     fails = drawn["verdict"].astype(str) == Verdict.UNSTABLE.value
     missed = (drawn["flags"].to_numpy(np.int64) & int(Flag.NOT_PLACED)) != 0
     counted = pd.DataFrame({"plan_id": drawn["plan_id"], "n_not_placed": fails & missed, "n_fell": fails & ~missed})
@@ -158,7 +159,8 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """Of each plan the draws that stand in one way alone, among those with a verdict in both, and the test of them."""
+    """For each plan, the draws that stand with only one way of placing, among draws with a verdict for both ways, and
+    the test of these numbers."""
     both = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (both[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
@@ -178,10 +180,10 @@ def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
 
 
 def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
-    """Write the table ``summary`` of a run with confidence, whose parts are all written and in order.
+    """Write the table ``summary`` of a run with confidence. All its parts must be written and in order.
 
     Args:
-        axes: names of the axes of its sweep.
+        axes: names of the axes of the sweep.
 
     Raises:
         PetmjxError: the file cannot be written.
@@ -192,7 +194,7 @@ def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
 
 
 def contradiction_mask(summary: pd.DataFrame) -> pd.Series[bool]:
-    """For each plan, whether most worlds with errors come out against its nominal verdict, beyond chance."""
+    """For each plan, whether most worlds with errors contradict its nominal verdict, beyond chance."""
     stands = summary["verdict"] == Verdict.STABLE.value
     falls = summary["verdict"] == Verdict.UNSTABLE.value
     return (stands & (summary["high"] < EVEN)) | (falls & (summary["low"] > EVEN))

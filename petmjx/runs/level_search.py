@@ -1,4 +1,4 @@
-"""The search for the largest level survived, and how a plan failed above it."""
+"""The search for the largest level survived, and the way in which a plan failed above it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.options.simulation import Thresholds
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
 MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
-"""Reason of an unstable world → how it failed, as in the column ``mode``."""
+"""Reason of an unstable world → the way in which it failed, as in the column ``mode``."""
 
 
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
@@ -36,11 +36,12 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass(frozen=True)
 class Probe:
-    """What a search reads of a world. Its row in ``worlds`` says the same, so that a search can go on from there.
+    """The values of a world that a search needs. Its row in ``worlds`` has the same values, so that a search can be
+    resumed.
 
     Attributes:
-        culprit: box that failed first, −1 for none.
-        mode: how it failed: `failure_mode`.
+        culprit: the box that failed first; −1 for none.
+        mode: the way in which it failed (`failure_mode`).
         moving: whether boxes still moved when its time was up, so that longer waiting may change its verdict.
         values: columns that the sweep adds to ``worlds``.
     """
@@ -53,13 +54,13 @@ class Probe:
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """Of a world that was simulated; ``tilt_deg``: from where on a box that failed is said to have tilted."""
+        """The probe of a simulated world. A failed box that tilted by more than ``tilt_deg`` failed by tilt."""
         moving = Flag.MOVING in outcome.flags
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
     @classmethod
     def from_row(cls, row: Mapping[str, Any]) -> Probe:
-        """Of a world's row, column → value, null as None."""
+        """The probe from a world's row: column → value, with null as None."""
         culprit = -1 if row["culprit"] is None else int(row["culprit"])
         return cls(Verdict(row["verdict"]), culprit, row["mode"], bool(row["flags"] & Flag.MOVING), row)
 
@@ -69,11 +70,12 @@ class SearchBracket:
     """What a search knows about one item: a placement, a profile and a direction.
 
     Attributes:
-        stands_at_rest: whether it stood before any profile; if not, nothing is tested.
+        stands_at_rest: whether the placement stood before any profile; if not, nothing is tested.
         survived: index of the largest level survived below every failure; −1: none.
-        failed: index of the smallest level that failed; the number of levels: none; 0 where it does not stand at rest.
-        highest: index of the largest level survived at all.
-        box, mode: which box failed first at ``failed`` (or at rest), −1 for none, and how it failed.
+        failed: index of the smallest level that failed; the number of levels if none failed; 0 if it does not stand at
+            rest.
+        highest: index of the largest level survived, even above a failure.
+        box, mode: the box that failed first at ``failed`` (or at rest), −1 for none, and the way in which it failed.
     """
 
     stands_at_rest: bool
@@ -88,16 +90,16 @@ class SearchBracket:
 
     @property
     def monotone(self) -> bool:
-        """Whether no tested level above the smallest that failed was survived."""
+        """Whether every tested level above the smallest failed one also failed."""
         return self.highest <= self.failed
 
 
 class Bisection:
     """Search for the largest level survived, for many items (placement × profile × direction) at once.
 
-    Levels are on a common grid, so an answer is exact to the grid's step, and the same levels are tested in any order
-    of answers. Each time up to ``sections`` levels of an item are tested side by side, evenly spread between the
-    largest survived and the smallest failed. Items do not wait for one another.
+    Levels are on a common grid. So an answer is exact to the grid's step, and the tested levels do not depend on the
+    order of answers. In each round up to ``sections`` levels of an item are tested side by side, evenly spread between
+    the largest survived and the smallest failed level. Items do not wait for one another.
 
     It assumes that a pallet that survives a level survives all lower ones. This can be wrong: a stronger push may press
     a box against its neighbour, where it jams. If a tested level above a failed one was survived, the answer is the
@@ -105,12 +107,12 @@ class Bisection:
 
     Args:
         levels: (n_levels,) rising; g, or scale.
-        at_rest: of each item, its world before any profile. Items that do not stand are through at once, with
-            nothing survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
+        at_rest: for each item, its world before any profile. Items that do not stand are finished at once, with no
+            level survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
         sections: levels of an item tested at a time, ≥ 1; 1 is plain bisection.
 
     Attributes:
-        items: what is known of each item.
+        items: the bracket of each item.
     """
 
     def __init__(
@@ -134,17 +136,17 @@ class Bisection:
         return SearchBracket(True, survived, len(self.levels), survived)
 
     def bounds(self, item: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """(item, level index) of the largest level survived and of the smallest that failed."""
+        """(item, level index) of the largest level survived and of the smallest level that failed."""
         bracket = self.items[item]
         return (item, bracket.survived), (item, bracket.failed)
 
     def largest_survived(self, item: int) -> float | None:
-        """Level in g, or scale; None: none."""
+        """Largest level survived below every failure, in g, or scale; None: none."""
         survived = self.items[item].survived
         return float(self.levels[survived]) if survived >= 0 else None
 
     def first_failed(self, item: int) -> float | None:
-        """Level in g, or scale; None: none up to the highest, or nothing was tested."""
+        """Smallest level that failed, in g, or scale; None: no level failed, or nothing was tested."""
         bracket = self.items[item]
         return (
             float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None
@@ -159,7 +161,8 @@ class Bisection:
         return [(item, bracket.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
-        """Record the worlds of tests: of all levels that were requested for an item, and for any number of items.
+        """Record the worlds of tests. They must cover all levels that were requested for an item; any number of items
+        is allowed.
 
         An invalid world has not survived; its mode is the reason why it is invalid.
         """
@@ -176,7 +179,7 @@ class Bisection:
             elif level < bracket.failed:
                 bracket.failed = level
                 bracket.box, bracket.mode = world.culprit, world.mode
-        # Failures came first: a level survived above a failed one must not raise the answer.
+        # Failures were recorded first: a level survived above a failed one must not raise the answer.
         for bracket, level in survivors:
             bracket.highest = max(bracket.highest, level)
             if level < bracket.failed:

@@ -1,4 +1,4 @@
-"""Joins the shards of a run to one run."""
+"""Joins the shards of a run into one run."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""What makes a row of a search's summary unique, and sorts it."""
+"""Columns that identify a row of a search's summary, and by which rows are sorted."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
-    """Join all shards of a run; the tables are those of the run without shards.
+    """Join all shards of a run. The result has the same tables as the run without shards.
 
     Args:
-        shards: folders of the N runs with ``shard`` 1/N to N/N, finished, in any order.
+        shards: folders of the N finished runs with ``shard`` 1/N to N/N, in any order.
         out: folder for the whole run.
         overwrite: replace the results that ``out`` holds.
 
     Raises:
-        InputError: a shard is missing, not finished, of another run or compared with other orders, or a world is
-            there twice.
+        InputError: a shard is missing, is not finished, belongs to another run or was compared with other orders; or
+            two shards have the same world.
     """
     folders = [path_of(shard, "shards") for shard in list_of(shards, "shards", object, "folders")]
     out = path_of(out, "out")
@@ -85,10 +85,10 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
 
 
 def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
-    """The runs by number of their shards.
+    """The runs, sorted by the numbers of their shards.
 
     Raises:
-        InputError: one is no shard or not finished, or not all shards are there once.
+        InputError: a run is not a shard or is not finished, or a shard is missing or there twice.
     """
     run_by_shard: dict[int, RunResults] = {}
     of: set[int] = set()
@@ -117,7 +117,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
 
 
 def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
-    """Raises InputError where two shards have the same world, none has any of a plan, or boxes are missing."""
+    """Raises InputError if two shards have the same world, no shard has a world of a plan, or boxes are missing."""
     home: dict[tuple[str, int], Path] = {}
     for run in runs:
         for boxes in run.parts.files("boxes"):
@@ -134,13 +134,13 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
 
 
 def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
-    """What all plans say; None where a shard has kept none."""
+    """The table ``placements`` of all plans; None if a shard has not kept it."""
     tables = [run.parts.table(PLACEMENTS) for run in runs]
     return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
 
 
 def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
-    """How all plans compare with their orders; None: no shard was compared.
+    """The order check of all plans; None: no shard was compared with orders.
 
     Raises:
         InputError: not all shards were compared with the same orders.
@@ -157,7 +157,7 @@ def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
 
 
 def _of_shard(run: RunResults) -> dict[str, Any]:
-    """What ``run.json`` of the whole run keeps of a shard."""
+    """The entries about a shard in ``run.json`` of the whole run."""
     info = run.info
     return {
         "shard": info["identity"]["shard"],
@@ -170,7 +170,7 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
 
 
 def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
-    """Lines that several shards have about the same input, each once, in order of first appearance."""
+    """Note skipped plans and warnings of the shards, each line once, in order of first appearance."""
     entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
     skipped = (
         Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))
@@ -185,7 +185,7 @@ def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
-    """A line for each package that shards had in other versions than the first: results may depend on it."""
+    """A line for each package whose version differs from that of the first shard, since results may depend on it."""
     first = runs[0].info["versions"]
     for run in runs[1:]:
         versions = run.info["versions"]
@@ -197,7 +197,8 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
 
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
-    """Shares are taken of all worlds anew; answers of searches are each plan's own."""
+    """Write the table ``summary``. Shares are computed again from all worlds. Answers of searches are joined, since
+    each belongs to one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

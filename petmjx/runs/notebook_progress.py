@@ -1,4 +1,4 @@
-"""The progress of a run that Python started: in a notebook a bar below the cell, else lines on standard error."""
+"""Progress of a run that Python started: a bar below the cell in a notebook, else lines on standard error."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ LINE_S: Final = 5.0
 """Time between two lines of a script, s."""
 
 REFRESH_S: Final = 0.25
-"""Least time between two drawings of the bar, s. Each goes to the browser."""
+"""Least time between two drawings of the bar, s. Each drawing is sent to the browser."""
 
 
 class NotebookBar:
     """Watches a run from a notebook.
 
     Args:
-        display: shows HTML and returns what changes it: ``update(html)``.
+        display: shows HTML and returns a function ``update(html)`` that changes it.
     """
 
     def __init__(self, display: Callable[[str], Callable[[str], None]], clock: Callable[[], float] = time.monotonic):
@@ -69,8 +69,8 @@ class NotebookBar:
 
 
 class ScriptLines:
-    """Watches a run from a script: a line at its beginning, one every ``LINE_S`` seconds, and a last one, by a thread:
-    they come while no world ends, too.
+    """Watches a run from a script: a line at its beginning, one every ``LINE_S`` seconds, and a last one. A thread
+    writes them, so they also come while no world ends.
 
     Args:
         write: takes each line; by default standard error.
@@ -94,7 +94,7 @@ class ScriptLines:
             self.end()
 
     def end(self) -> None:
-        """Say how far the run came, once; nothing follows."""
+        """Write the last line, once."""
         if not self._ended.is_set():
             self._ended.set()
             self._say_pace()
@@ -117,10 +117,10 @@ class ScriptLines:
 
 
 def notebook_bar() -> NotebookBar | None:
-    """A bar for the notebook that this process is the kernel of; None elsewhere. IPython is not imported for it."""
+    """A bar if this process is the kernel of a notebook, else None. It does not import IPython."""
     ipython: Any = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
-    if shell is None or not hasattr(shell, "kernel"):  # a terminal's IPython has none
+    if shell is None or not hasattr(shell, "kernel"):  # IPython in a terminal has no kernel
         return None
     from IPython.display import HTML, display
 

@@ -1,4 +1,4 @@
-"""Finds again what a run was of: its plans in the files that it names, and its sweep from what ``run.json`` says."""
+"""Restores the plans and the sweep of an earlier run: from the files that it names, or from its folder."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from petmjx.runs.sweep_worlds import SweepPlan
 
 
 def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) -> Plan:
-    """A plan as the run had it.
+    """A plan as the run simulated it.
 
     Args:
-        plans: where to look for it; None: the plan that the run was given or keeps, or the file that it read.
+        plans: where to look for the plan; None: the plan that the run was given or keeps, or the file that it read.
 
     Raises:
-        InputError: the run has no such plan, its file is gone, or it has changed since.
+        InputError: the run has no such plan, or the plan's file is gone or has changed.
     """
     manifest = Manifest.read(run.parts, run.info)
     if plan_id not in manifest.plans:
@@ -63,10 +63,10 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
 def worlds_of_run(
     run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
 ) -> tuple[SweepPlan, int]:
-    """A plan's worlds in a run, and which of them is asked for: by default the nominal one.
+    """The worlds of a plan in a run, and the index of the requested one: by default the nominal one.
 
     Raises:
-        InputError: as :func:`plan_of_run` and :func:`sweep_of_run`; or there is no such variant.
+        InputError: as :func:`plan_of_run` and :func:`sweep_of_run`; or the variant does not exist.
     """
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
     if variant is None and not sweep.nominal:
@@ -77,16 +77,16 @@ def worlds_of_run(
     if variant is not None:
         try:
             worlds.find(plan_id, variant)
-        except InputError as error:  # which tells of the sweep's file; a score has none, and people named the run
+        except InputError as error:  # it names the sweep's file; a score has none, and the user named the run
             raise InputError(f"{run.path}: plan {printable_name(plan_id)} has no variant {variant}") from error
     return worlds, variant or 0
 
 
 def sweep_of_run(run: RunResults) -> Sweep:
-    """The sweep of a run; of a score the nominal one.
+    """The sweep of a run; for a score the nominal sweep.
 
     Raises:
-        InputError: its file is gone or has changed since, or ``run.json`` is damaged.
+        InputError: the sweep's file is gone or has changed, or ``run.json`` is damaged.
     """
     config, file = run.info["config"], run.path / RUN_FILE
     if not isinstance(config.get("simulation"), Mapping):
@@ -103,7 +103,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
     except (TypeError, KeyError, AttributeError):
         raise InputError(f"{file}: damaged: config.sweep.file is missing") from None
     if isinstance(tables, dict):
-        with suppress(InputError):  # a file of a profile is gone: the sweep's own file may still be there
+        with suppress(InputError):  # the file of a profile is gone; the sweep's own file may still exist
             kept = sweep_of_tables(tables, named, True, changes)
             kept = kept.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else kept
             if sweep_identity(kept) == _identity(run.info):
@@ -112,7 +112,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = named if named.is_file() else find_sweep(named.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
-    both = PLACING in config["sweep"].get("axes", {})  # of errors alone this is no axis
+    both = PLACING in config["sweep"].get("axes", {})  # not an axis of the sweep of errors itself
     sweep = (
         confidence_sweep(worlds, sweep_file, changes, exact_too=both)
         if worlds

@@ -1,6 +1,6 @@
-"""One run, whole: plans → worlds → engine → results. Every score and every sweep goes this way.
+"""Runs one score or sweep from start to end: plans → worlds → engine → results.
 
-Which worlds it makes of its plans is its study (petmjx.runs.study).
+The study of the run makes the worlds of its plans (petmjx.runs.study).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from petmjx.world.option_lint import notes_about
 from petmjx.world.scene import Scene
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
-"""(n, 2) least and most force on top of each box at rest, N; None where a world has none."""
+"""Computes (n, 2) least and largest force on the top of each box at rest, N; None if a world has none."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class RunStart:
         what: the user's word for a world: "plan", or "world" where plans have several.
         total: number of worlds; None if it is not known (searches).
         size: one line with the number of worlds and steps, and the estimated time.
-        choice: which engine, and why.
-        progress: kept up to date by the engine.
-        recorded: worlds that a resumed run has already; they are part of the total.
+        choice: the engine, and the reason for it.
+        progress: updated by the engine.
+        recorded: number of completed worlds of a resumed run; they are part of the total.
     """
 
     what: str
@@ -80,13 +80,13 @@ def simulate(
     watcher: Watcher | None = None,
     intervals: Intervals | None = None,
 ) -> RunResults:
-    """Run something to its end.
+    """Run a study to its end.
 
     Args:
-        ask: makes the study of the plans that were read.
-        sim: its options.
+        ask: makes the study from the plans that were read.
+        sim: options of the simulation.
         plans: as for ``petmjx.score``.
-        intervals: works out the intervals of forces that ``options.force_intervals`` asks for.
+        intervals: computes the intervals of forces that ``options.force_intervals`` asks for.
 
     Raises:
         InputError: unusable plans or options.
@@ -110,7 +110,7 @@ def simulate(
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *late], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
-    hands_over = not options.record_details  # which C MuJoCo records alone
+    hands_over = not options.record_details  # only C MuJoCo records them
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
@@ -119,12 +119,12 @@ def simulate(
 
 @dataclass(eq=False)
 class _Run:
-    """A run whose input has proved good and whose engine is there.
+    """A run with valid input and an available engine.
 
     Attributes:
-        found: how plans were read: what was skipped, and warnings.
-        records: what the run says of its plans, by id.
-        intervals_s: time that went into intervals of forces.
+        found: the result of reading the plans, with skipped entries and warnings.
+        records: the run's records of its plans, by id.
+        intervals_s: time spent on intervals of forces, s.
     """
 
     study: Study
@@ -140,7 +140,7 @@ class _Run:
     intervals_s: float = 0.0
 
     def identity(self) -> dict[str, Any]:
-        """What must be the same for a run that goes on."""
+        """The settings that must be the same in a run that resumes."""
         return {
             "command": self.study.command,
             "simulation": self.study.sim.model_dump(mode="json"),
@@ -152,7 +152,7 @@ class _Run:
         }
 
     def config(self) -> dict[str, Any]:
-        """What ``run.json`` says of how the run was asked for."""
+        """The entry ``config`` of ``run.json``: all options of the run."""
         return {
             "command": self.study.command,
             **self.study.config,
@@ -164,7 +164,8 @@ class _Run:
         }
 
     def _places(self) -> Places | None:
-        """Of worlds of a large run. Histories stay where they are, so that runs with some are not among these."""
+        """Ranks of the worlds of a large run, else None. Runs that record histories get None, because histories are not
+        sorted."""
         study = self.study
         if study.total is None or study.total <= LARGE or self.recording.record is not None:
             return None
@@ -172,7 +173,7 @@ class _Run:
         return Places(plan_ids, study.total // len(plan_ids), study.first_variant)
 
     def results(self, watcher: Watcher | None, held: Mapping[str, Plan]) -> RunResults:
-        """Simulate what is missing, and write everything where the options say.
+        """Simulate the missing worlds, and write everything to the folder in the options.
 
         Args:
             held: plans that are in no file, by id.
@@ -202,7 +203,7 @@ class _Run:
                 self._write(writer, world)
                 if watcher is not None:
                     watcher.world_done(world)
-            self.engine.retire()  # while rows are put in order: workers take a second or two to end
+            self.engine.retire()  # before rows are sorted: workers take a second or two to end
             writer.timings.update(study.timings(), compile_s=self.progress.compile_s)
             if options.force_intervals:
                 writer.timings["intervals_s"] = round(self.intervals_s, 3)
@@ -241,8 +242,8 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) least and most force on top of each box, N; None where that is not asked for, and after a drive, since
-        nothing tells where the carrier stands then."""
+        """(n, 2) least and largest force on the top of each box, N. None if it is not requested, and after a drive,
+        since the place of the carrier is then not known."""
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()

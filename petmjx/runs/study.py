@@ -1,6 +1,7 @@
-"""Which worlds a run makes of its plans, and what it says of them.
+"""``Study``: which worlds a run makes of its plans, and how it summarises them.
 
-A score's are here: one a plan, the plan as it is. Studies with variants are in petmjx.runs, and build on this.
+The study of a score is here: one world per plan, the plan as it is. Studies with variants build on it
+(petmjx.runs.sweep_study).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from petmjx.world.scene import Scene, build_scenes
 from petmjx.world.variants import UNCHANGED, Variant
 
 MAX_WORLDS: Final = 1_000_000
-"""More worlds than this are refused, unless the user allows them (``allow_large``)."""
+"""A run with more worlds is refused unless the user allows it (``allow_large``)."""
 
 NOMINAL: Final = Variant(0, UNCHANGED)
 
@@ -42,10 +43,10 @@ class FinishedWorld:
     """One world with its final outcome.
 
     Attributes:
-        placement: the outcome of the placement from which it was forked; None for a world that was simulated from its
+        placement: the outcome of the placement from which the world was forked; None if it was simulated from its
             beginning.
-        driven: whether its drive was simulated. If the placement does not stand, the world has its outcome; without
-            early stop it is shaken, too, but is not stable.
+        driven: whether the drive was simulated. If the placement does not stand, the world has the outcome of the
+            placement. Without early stop it is still shaken, but it is not stable.
     """
 
     plan: Plan
@@ -59,27 +60,27 @@ class FinishedWorld:
 
 @dataclass(eq=False, kw_only=True)
 class Study(ABC):
-    """What a run asks of its plans: which worlds it makes of them, and what it says of these.
+    """What a run asks of its plans: the worlds that it makes of them, and their summary.
 
     Attributes:
         sim: the options of every world, before attempts change them.
-        everything: the plans that can be simulated, also those of other shards.
-        plans: those of this run.
-        work: what all worlds cost, for estimates of time.
-        n_worlds: number of worlds, at most.
-        known: whether that is their number, whatever comes of them: not in a search.
-        first_variant: number of each plan's first world; the others follow without a gap, if their number is known.
-        amount: what is simulated, in words.
+        everything: all plans that can be simulated, including the plans of other shards.
+        plans: the plans of this run.
+        work: the amount of work of all worlds, for estimates of time.
+        n_worlds: largest possible number of worlds.
+        known: whether this is the exact number, whatever the outcomes: not in a search.
+        first_variant: variant of each plan's first world. Further variants follow without a gap if ``known``.
+        amount: the amount of simulation in words.
         command: "score" or "sweep", as the results name it.
         what: the user's word for a world.
-        skipped: plans that this study cannot take.
+        skipped: plans that this study cannot simulate.
         notes: warnings about the whole run.
         params: columns of ``worlds`` that tell a plan's worlds apart.
         dynamic: whether worlds have drives.
-        axes: names of a sweep's.
+        axes: names of the axes of a sweep.
         has_errors: whether places or sizes have errors in some worlds.
-        identity: what worlds depend on, beside plans and ``sim``.
-        config: what ``run.json`` says of the study, beside options.
+        identity: the settings that worlds depend on, in addition to plans and ``sim``.
+        config: entries of ``run.json`` about the study, in addition to options.
     """
 
     sim: Simulation
@@ -107,11 +108,11 @@ class Study(ABC):
         return self.n_worlds if self.known else None
 
     def size(self, seconds: float | None, recorded: int = 0) -> str:
-        """One line with the number of worlds, and how many steps and how much time they are expected to take.
+        """One line with the number of worlds, and the expected number of steps and time.
 
         Args:
-            seconds: for all of them; None: not known.
-            recorded: worlds that the run has already. Steps and time are those of the others.
+            seconds: expected time of all worlds, s; None: not known.
+            recorded: number of completed worlds. Steps and time are those of the other worlds.
         """
         share = 1 - recorded / max(self.n_worlds, 1)
         left = " left" if recorded else ""
@@ -122,16 +123,16 @@ class Study(ABC):
     def worlds(
         self, engine: Engine, recorded: CompletedWorlds, recording: Recording, progress: Progress
     ) -> Iterator[FinishedWorld]:
-        """Simulate what is missing; yield each world when it is final, in any order.
+        """Simulate the missing worlds. Yields each world when it is final, in any order.
 
         Args:
-            recorded: the worlds that the run already has.
+            recorded: the completed worlds of the run.
             recording: which worlds' histories are recorded.
-            progress: kept up to date.
+            progress: updated meanwhile.
         """
 
     def values(self, world: FinishedWorld) -> Mapping[str, Any]:
-        """A world's values of ``params``."""
+        """The values of ``params`` for a world."""
         return {}
 
     def timings(self) -> Mapping[str, float]:
@@ -139,12 +140,12 @@ class Study(ABC):
         return {}
 
     def summarise(self, writer: RunWriter) -> None:
-        """Write the table ``summary`` of a run whose worlds are all there."""
+        """Write the table ``summary``, when all worlds of the run are written."""
         return None
 
 
 class Nominal(Study):
-    """One world a plan, the plan as it is: a score.
+    """The study of a score: one world per plan, the plan as it is.
 
     Raises:
         InputError: more than a million plans, without ``allow_large``.

@@ -33,13 +33,13 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DistributionShape
 
 MAX_AXIS_VALUES: Final = 100_000
-"""Most values of one axis: a range with a typing error in its step must not fill the memory."""
+"""Most values of one axis, so that a range with a typing error in its step does not fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
-"""Largest level (g), scale or factor. More is a typing error: shocks of packed goods stay below 100 g."""
+"""Largest level (g), scale or factor. A larger value is a typing error: shocks of packed goods stay below 100 g."""
 MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
-"""Smallest factor on masses: MuJoCo refuses bodies without mass."""
+"""Smallest factor on masses, since MuJoCo refuses bodies without mass."""
 MAX_ERROR: Final = 10_000.0
 """Largest error of a place, mm."""
 MAX_SIZE_ERROR_MM: Final = 1000.0
@@ -76,7 +76,7 @@ def _axis_text(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """The tag of a union: a table (or a list), or anything else."""
+    """Chooses the branch of a union: a table (or a list), or anything else."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -130,7 +130,7 @@ class Range(CheckedRecord, Generic[Number]):
     def values(self) -> tuple[float, ...]:
         """The values, rounded so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
-            # slightly more than the quotient, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
+            # slightly increased against rounding, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
         else:
             count = self.count or 2
@@ -232,13 +232,13 @@ _Table = Annotated[
 _Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(DistributionShape.NORMAL, 0.0, sd)), Tag(VALUE)]
 _Height = Annotated[Spread, AfterValidator(lambda height: Distribution(DistributionShape.FIXED, height)), Tag(VALUE)]
 Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
-"""Distributions; a plain number is the standard deviation of a normal one around 0."""
+"""Distributions. A plain number is the standard deviation of a normal distribution around 0."""
 Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
-"""Distributions; a plain number is that height itself."""
+"""Distributions. A plain number is the height itself."""
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A check of errors against a smaller range than that of places."""
+    """A check that errors lie in ±``largest``, a smaller range than that of places."""
 
     def check(given: Any) -> Any:
         for error in _value_list(given):
@@ -262,7 +262,7 @@ class AxisKind:
         unit: of its column in the results; "1" for factors, "" for names.
         values: the type that checks its values.
         meaning: one line.
-        changes: fields of `PlacementChange` that get its value; none: the axis changes the drive.
+        changes: fields of `PlacementChange` that get the value of the axis; empty: the axis changes the drive.
         suffix: end of the column's name, after the name of the axis.
         plain: for axes of errors: the distribution that a plain number means. Normal: the number is the standard
             deviation, around 0. Fixed: it is the value itself.
@@ -330,7 +330,8 @@ AXIS_KINDS: Final = {
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
-"""All axes of sweep files, in the order of nesting: of each half the last axis varies fastest."""
+"""All axes of sweep files, in the order of nesting. Among the axes of placements, and among those of drives, the last
+axis varies fastest."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
@@ -355,7 +356,7 @@ class Axis:
 
     @property
     def random(self) -> bool:
-        """Whether replicates differ in it."""
+        """Whether replicates differ in this axis."""
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
@@ -366,8 +367,8 @@ class Axis:
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as the results have it. A distribution is written as a plain number if all values of the axis can be,
-        else as text."""
+        """A value as written to the results. Distributions are written as plain numbers if this is possible for all
+        values of the axis, else as text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)
@@ -375,7 +376,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number that a sweep file can have for a value; None if it needs a table."""
+        """The plain number that stands for a value in a sweep file; None if the value needs a table."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is DistributionShape.FIXED:

@@ -1,6 +1,6 @@
-"""The variants of a sweep, which are the same for every plan: their number, and each one.
+"""The variants of a sweep, which are the same for every plan, and the identity of a sweep.
 
-What of a sweep its results depend on: two sweeps of one identity have the same worlds.
+Two sweeps with the same identity have the same worlds.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
-"""Variants that are made once for all plans: they take 1 kB each. More are made for every plan."""
+"""Up to this number, variants are made once for all plans; each takes 1 kB. Larger numbers are made again for every
+plan."""
 
 Point = Mapping[str, Value]
 """A value on each axis, by the axis's name."""
@@ -148,7 +149,7 @@ class Design:
                 yield placement, variants
 
     def draws(self) -> dict[int, int]:
-        """Index of each variant with something random → its draw. Variants of one draw share their random numbers.
+        """Index of each variant with random values → its draw. Variants of one draw share their random numbers.
 
         In a grid a draw is a replicate, with random numbers of each plan's own. In a sample it is the variant itself,
         whose parameters are the same for every plan.
@@ -221,7 +222,7 @@ def _n_points(axes: Iterable[Axis]) -> int:
 
 
 _BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
-"""Fields of a sweep file that change no world, or are compared separately."""
+"""Fields of a sweep file that change no world, or that are compared separately."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
@@ -241,7 +242,7 @@ def _values(axis: Axis) -> object:
 
 
 def _digest(sweep: Sweep, name: str) -> str:
-    """Digest of what a profile's first realisation does. Realisations differ by random numbers alone."""
+    """Digest of the first realisation of a profile. Realisations differ only by random numbers."""
     profile = sweep.profiles[name]
     excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))
     digest = hashlib.blake2b(f"{excitation.kind} {excitation.samples.shape}".encode(), digest_size=8)

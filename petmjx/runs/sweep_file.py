@@ -1,6 +1,7 @@
-"""The ready-made sweep files: in ``sweeps/`` of a checkout, or their copies in an installed package.
+"""Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
 
-Sweep files (``sweeps/*.toml``): reading and checking. What they may contain: docs/sweeps.md.
+Ready-made files are in ``sweeps/`` of a checkout, or copied into an installed package. What sweep files may contain:
+docs/sweeps.md.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ class Search(CheckedRecord):
         return self
 
     def tests(self, n_levels: int) -> int:
-        """Most worlds that one question needs: the sum of the levels over all rounds."""
+        """Largest number of worlds that one question needs: the sum of the levels over all rounds."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -184,7 +185,7 @@ class Sweep(CheckedRecord):
 
     @property
     def strength(self) -> Strength:
-        """What a search looks for: a level, or a scale. Its value is the name of the axis."""
+        """The quantity that a search looks for: a level, or a scale. Its value is the name of the axis."""
         levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
         return Strength.LEVEL if levels else Strength.SCALE
 
@@ -197,7 +198,8 @@ class Sweep(CheckedRecord):
         if self.search is None:
             return np.zeros(0)
         lower, upper = self.search.lower, self.search.upper
-        # A hair less than the quotient, so that 0 … 2 by 0.01 has `upper` once and not also a level beside it.
+        # Slightly reduced against rounding, so that 0 … 2 by 0.01 ends with `upper` once, without a second level next
+        # to it.
         count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
         return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
@@ -207,7 +209,7 @@ class Sweep(CheckedRecord):
         return given or DEFAULT_TOLERANCE[self.strength]
 
     def resolved(self) -> dict[str, Any]:
-        """What ``run.json`` has of the sweep: every setting, with defaults, as plain JSON values."""
+        """The sweep as written to ``run.json``: every setting, with defaults, as plain JSON values."""
         record = {
             "file": self.file,
             "tables": _json_tables(self._tables),
@@ -312,7 +314,8 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: the caller gives plans, so the file may name none, and those that it names may be missing.
+        plans_given: whether the caller gives plans. The file then need not name plans, and plans that it names may be
+            missing.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:
@@ -325,13 +328,11 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 def sweep_of_tables(
     tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
 ) -> Sweep:
-    """As :func:`load_sweep`, of the tables of a file that was there once."""
+    """As :func:`load_sweep`, but from the tables of an earlier file."""
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        simulation_table.pop(
-            "carrier", None
-        )  # of a run that is looked at again: its file may be gone, or another one by now
+        simulation_table.pop("carrier", None)  # for an earlier run: its file may be gone or changed by now
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
         changes: dict[str, Any] = {"plans": None if plans_given else _existing_files(sweep.plans, path.parent)}
@@ -345,7 +346,7 @@ def sweep_of_tables(
 
 
 def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Tables of TOML as JSON has them; None where they have times, infinities or too many levels."""
+    """Tables of TOML as JSON; None if they have times, infinities or too many levels."""
     try:
         return None if tables is None else json.loads(json.dumps(tables, allow_nan=False))
     except (TypeError, ValueError, RecursionError):

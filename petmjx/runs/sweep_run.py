@@ -1,11 +1,7 @@
-"""How much of a sweep is simulated at the same time, and what it has cost.
-
-What a sweep's runner tells: placements that have settled, answers of searches.
-
-Runs a sweep: simulates each placement once, forks the settled states into all drives, and searches levels.
+"""Runs a sweep: simulates each placement once, forks its settled state into all drives, and searches levels.
 
 The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
-``Batching`` limits what is in memory, for sweeps of any size.
+``Batching`` limits the memory, for sweeps of any size.
 """
 
 from __future__ import annotations
@@ -42,11 +38,11 @@ class Batching:
     """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
 
     Attributes:
-        undriven: most worlds without a drive in one call of the engine; their states are not kept.
-        placements: most settled states that are kept; one with 43 boxes takes 10 to 20 KB.
-        worlds: most variants into which these states are forked (a single placement may have more).
-        drives: most forked worlds in one call of the engine; in a search the first tests of all its items.
-        histories: most settled states whose histories are kept with them; one with 43 boxes takes 1 MB.
+        undriven: most worlds without a drive in one call of the engine. Their states are not kept.
+        placements: most settled states that are kept. A state with 43 boxes takes 10 to 20 KB.
+        worlds: most variants into which the kept states are forked (a single placement may have more).
+        drives: most forked worlds in one call of the engine. In a search these are the first tests of all items.
+        histories: most settled states that are kept together with their histories. A history with 43 boxes takes 1 MB.
     """
 
     undriven: int = DEFAULT_CHUNK_WORLDS
@@ -58,7 +54,7 @@ class Batching:
 
 @dataclass
 class Tally:
-    """What a sweep has cost so far. Steps are world-steps after the soft start, of each world's last attempt."""
+    """The cost of a sweep so far. Steps are world-steps after the soft start, in the last attempt of each world."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -79,11 +75,11 @@ class SettledPlacement:
 
     @cached_property
     def load_height_m(self) -> float:
-        """Of the load at rest, m: the same for all its drives."""
+        """Height of the load at rest, m. It is the same for all drives of the placement."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """What a fork came to, judged with its placement. Its history begins with that of the placement."""
+        """The outcome of a fork, judged together with its placement. Its history begins with that of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
             judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
@@ -101,7 +97,7 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world with this outcome: no step was simulated for it."""
+        """A world with the outcome of the placement. No step was simulated for it."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome)
 
@@ -111,8 +107,8 @@ class Answer:
     """The answer of a search for one placement, profile and direction.
 
     Attributes:
-        largest_survived, first_failed: level in g, or scale; None where there is none.
-        at_largest, at_failure: what the worlds that say so came to; None where no world was simulated for it.
+        largest_survived, first_failed: level in g, or scale; None if there is none.
+        at_largest, at_failure: probes of the worlds at these two levels; None if no world was simulated there.
     """
 
     group: PlacementGroup
@@ -125,8 +121,8 @@ class Answer:
 
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
-"""The attempts at placements whose states are kept, and at their forks. A state counts time in steps, so no world can
-start from a state that was reached with half the timestep: the attempt with half the timestep is left out."""
+"""The attempts for placements whose states are kept, and for their forks. The attempt with half the timestep is left
+out: a state counts time in steps, so no world can start from a state that was reached with half the timestep."""
 
 Test = tuple[int, int]
 """Item of a search and index of the tested level, as in `Bisection`."""
@@ -141,7 +137,7 @@ class _PlacementWorld(World):
 
 @dataclass(frozen=True, eq=False)
 class _DriveWorld(World):
-    """A fork as a world that the engine simulates; ``test``: which test of a search it is."""
+    """A fork as a world that the engine simulates. ``test`` is its test of a search."""
 
     settled: SettledPlacement
     change: Variant
@@ -154,11 +150,11 @@ class SweepRun:
 
     Args:
         plan: what to simulate.
-        engine: placements and drives run on this one object, since only it can use its states.
-        progress: kept up to date; while boxes are placed its message says how many placements have ended.
+        engine: runs placements and drives. One object does both, since no other can use its states.
+        progress: updated meanwhile. While boxes are placed, its message says how many placements have ended.
         on_answer: called with each answer of a search.
-        values_of: columns that the sweep adds to a world's row, column → value: answers are made from them.
-        recorded: the worlds that the run already has; they are not simulated again.
+        values_of: gives the columns that the sweep adds to a world's row (column → value). Answers are made from them.
+        recorded: the completed worlds of the run. They are not simulated again.
         recording: which worlds' histories are recorded, and kept.
     """
 
@@ -180,7 +176,7 @@ class SweepRun:
 
     def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate everything that is missing; yield each world when it is final, in any order."""
-        # of drives many may end when these have just begun: what looks at outcomes starts while boxes are placed
+        # many drives may end soon after they begin, so the check pool is started while boxes are placed
         known = self.plan.sweep.search is None
         self._lookers = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if known else None
         try:
@@ -202,10 +198,10 @@ class SweepRun:
                 yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
 
     def world(self, plan_id: str, index: int) -> FinishedWorld:
-        """One world alone, simulated as among all others.
+        """Simulate one world alone, exactly as in the whole sweep.
 
         Args:
-            index: of the variant, as in ``worlds``.
+            index: index of the variant, as in ``worlds``.
 
         Raises:
             InputError: the plan has no such variant.
@@ -220,16 +216,17 @@ class SweepRun:
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
-        """Placements with worlds that are missing; of a search every one, since its worlds follow from each other."""
+        """Placements with missing worlds. In a search these are all placements, since its worlds follow from each
+        other."""
         return (group for group in self.plan.groups(self._whole) if not group.variants or self._missing(group))
 
     def _whole(self, plan: Plan) -> bool:
-        """Whether no world of a plan is missing: then it is not looked at world by world."""
+        """Whether no world of a plan is missing, so that its worlds need not be checked one by one."""
         known = self.plan.sweep.search is None
         return known and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
 
     def _missing(self, group: PlacementGroup) -> list[Variant]:
-        """Those of a placement's worlds that are not recorded."""
+        """The worlds of a placement that are not completed."""
         return [variant for variant in group.variants if (group.plan.plan_id, variant.index) not in self.recorded]
 
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
@@ -296,7 +293,7 @@ class SweepRun:
         return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Worlds without a drive: they have the placement's outcome, with rest window."""
+        """Simulate placements without drives. Their worlds have the placement's outcome, with rest window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:
@@ -313,12 +310,13 @@ class SweepRun:
         self.progress.message = ""
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[SettledPlacement]:
-        """The same, in the order of the groups."""
+        """Simulate placements and keep their states; returns them in the order of the groups."""
         settled_by_group = {id(settled.group): settled for settled in self._settling(groups)}
         return [settled_by_group[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:
-        """Not if the placement does not stand; without early stop, not if it is invalid."""
+        """Whether drives of a placement are simulated. With early stop the placement must stand; without it, it must be
+        valid."""
         outcome = settled.outcome
         shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
         return shaken and outcome.state is not None
@@ -326,8 +324,8 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """All variants of placements. While some are placed, the first drives are made, for which a device waits, and
-        what others give that are not driven is written."""
+        """Fork placements into all their variants. While later placements are simulated, the first drives are prepared,
+        since a device waits for them, and worlds of placements that are not driven are yielded."""
         drives: dict[int, Iterable[_DriveWorld]] = {}
         made = 0
         for start in self._settling(groups):
@@ -355,9 +353,9 @@ class SweepRun:
     def _drive(
         self, worlds: Iterable[_DriveWorld], more: Callable[[], Iterable[_DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
-        """Simulate forks; yield each one with its test. ``more``: those that follow from the ones before."""
+        """Simulate forks; yield each world with its test. ``more`` gives the forks that follow from earlier results."""
         begin = time.perf_counter()
-        most = self.batching.drives  # at once, since they are made of scenes that are there
+        most = self.batching.drives  # all at once, since their scenes already exist
         for result in self._score(worlds, most, most, forks=True, more=more):
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
@@ -374,9 +372,9 @@ class SweepRun:
     def _search(self, settled: Sequence[SettledPlacement]) -> Iterator[FinishedWorld]:
         """Bisection over all placements, profiles and directions of a chunk together.
 
-        When all tests of an item have ended, its next ones begin, beside those of others that still run. A placement
-        that does not stand has one row per profile and direction, at the lowest level, with its own outcome. Nothing
-        more is simulated for it.
+        When all tests of an item have ended, its next tests begin, while tests of other items still run. A placement
+        that does not stand has one row per profile and direction, at the lowest level, with the outcome of the
+        placement. Nothing more is simulated for it.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         searches = [(start, number) for start in settled for number in range(len(items))]
@@ -397,14 +395,14 @@ class SweepRun:
         missing: dict[int, set[Test]] = {}
 
         def next_drives(which: int) -> list[_DriveWorld]:
-            """Those that an item needs next; none if it is through."""
+            """The drives that an item needs next; empty if the item is finished."""
             while tests := bisection.next_tests(which):
                 known = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
                 tested.update(known)
                 if missing_now := [test for test in tests if test not in known]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # only the worlds at the bounds of an item's search may yet be an answer
+                # only the worlds at the bounds of an item's search can still become its answer
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
@@ -450,7 +448,7 @@ class SweepRun:
             )
 
     def _answer_again(self, group: PlacementGroup) -> bool:
-        """Answer all of a placement's questions from recorded worlds; False where one of these is missing."""
+        """Answer all questions of a placement from completed worlds. False if a world is missing."""
         if not len(self.recorded):
             return False
         numbers = range(len(self.plan.search_items()))
@@ -458,7 +456,7 @@ class SweepRun:
         if any(
             bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
         ):
-            return False  # a search of one level, of which no world tells that the placement stood
+            return False  # a search of one level, in which no world shows that the placement stood
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):
@@ -472,9 +470,8 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The outcome of a placement, as far as it is recorded: one that did not stand has one world, without steps.
-
-        A test that failed has no steps either, but a search that tests also has its first tests.
+        """The outcome of a placement, as far as its worlds show it. A placement that did not stand has one world,
+        without steps. A failed test may have no steps either, but then the other first tests of the search exist, too.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

@@ -1,4 +1,4 @@
-"""The study of a run with variants: of sweeps, and of scores that say how sure they are."""
+"""The study of a run with variants: a sweep, or a score with confidence."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SweepStudy(Study):
     """All variants of each plan.
 
     Args:
-        confidence: worlds with errors for each plan, if their share is asked for: then it is a score.
+        confidence: number of worlds with errors for each plan, for a score with confidence; None for a sweep.
 
     Raises:
         InputError: as ``SweepPlan``.
@@ -69,7 +69,7 @@ class SweepStudy(Study):
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
-            # friction by materials may hold what that of boxes and carrier does not
+            # friction by materials may hold a load that the friction of boxes and carrier does not hold
             notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,
             dynamic=self._columns.has_drives,
@@ -108,7 +108,7 @@ class SweepStudy(Study):
         return vars(self._tally)
 
     def summarise(self, writer: RunWriter) -> None:
-        writer.flush()  # it is made of what is on disk
+        writer.flush()  # the summary is made from the files on disk
         if self._confidence is not None:
             write_confidence(writer, self._plan.sweep.axes)
             return

@@ -1,4 +1,4 @@
-"""What a sweep adds to the results: parameters and answers as columns of ``worlds``, and the table ``summary``."""
+"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class SweepColumns:
 
     @property
     def params(self) -> list[Param]:
-        """All of these columns, in order."""
+        """All additional columns, in order."""
         columns = [*self.parameters, MODE]
         columns += [SIGN] if self.has_drives else []
         columns += [FAIL_ANGLE] if self.has_tilt else []
@@ -81,7 +81,8 @@ class SweepColumns:
         return values
 
     def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
-        """EUMOS's figures, which count from where the boxes stood; what did not stand has none, or has not passed."""
+        """EUMOS's figures, measured from where the boxes stood. A placement that did not stand has none, or has not
+        passed."""
         values: dict[str, Any] = {}
         if world.driven:
             assessment = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
@@ -93,7 +94,7 @@ class SweepColumns:
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
-        """Time from the profile's beginning to the first sign; None if there is none, or one from before."""
+        """Time from the profile's beginning to the first sign; None if there is no sign, or if it came earlier."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
         # half a step, because the running sum of the timestep differs from a multiple in the last digits
@@ -112,13 +113,13 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 @dataclass(frozen=True)
 class ShareColumns:
-    """Over which columns of ``worlds`` shares are taken. Stands in ``run.json``, so that shards can be joined.
+    """The columns of ``worlds`` over which shares are taken. ``run.json`` has them, so that shards can be joined.
 
     Attributes:
         axes: columns, in the order of the summary.
-        ranges: column → (low, high) of those whose values were drawn from a range.
+        ranges: column → (low, high), for columns whose values were drawn from a range.
         eumos, tilt: whether the sweep has EUMOS's profile, and profiles that tilt.
-        draws: (variant, draw) of the variants with something random; see `Design.draws`.
+        draws: (variant, draw) of the variants with random values; see `Design.draws`.
         same_draws: whether a draw is the same for every plan.
     """
 
@@ -131,7 +132,7 @@ class ShareColumns:
 
     @classmethod
     def of(cls, plan: SweepPlan) -> ShareColumns:
-        """Those of a grid or a sample."""
+        """The columns of a grid or a sample."""
         columns = SweepColumns(plan)
         axes = tuple(AXIS_KINDS[name].column for name in AXIS_KINDS if name in plan.sweep.axes)
         drawn = [axis for axis in plan.sweep.axes.values() if axis.continuous]
@@ -147,7 +148,7 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
 
     Args:
-        parts: of the run, all of them written.
+        parts: files of the run, all written.
     """
     axes = list(columns.axes)
     extra = ["eumos_passed"] if columns.eumos else []
@@ -174,7 +175,7 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
 
 
 def _draws(worlds: pd.DataFrame, columns: ShareColumns) -> pd.Series[float]:
-    """A number that worlds with the same random numbers share; NaN for worlds without any."""
+    """A number that is equal for worlds with the same random numbers; NaN for worlds without random numbers."""
     drawn = worlds["variant"].map(dict(columns.draws))
     if columns.same_draws:
         return drawn

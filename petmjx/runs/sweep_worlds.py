@@ -29,15 +29,16 @@ from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, Variant, apply_all
 
 _TILTED: Final = 0.5
-"""Steps of a tilt that are simulated, as a share: pallets slide or topple before its end."""
+"""Expected share of the steps of a tilt that are simulated, since pallets slide or topple before its end."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""What axes change that give places or sizes errors: boxes are then placed by hand, unless told otherwise."""
+"""Fields that axes with errors of places or sizes change. Boxes are then placed by hand, unless the options say
+otherwise."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlacementGroup:
-    """Worlds of one plan that share a placement: it is simulated once, and its settled state is forked.
+    """Worlds of one plan that share a placement. The placement is simulated once, and its settled state is forked.
 
     Attributes:
         number: number of the placement within its plan, from 0.
@@ -53,12 +54,12 @@ class PlacementGroup:
 
     @property
     def index(self) -> int:
-        """``variant`` of the first of its worlds; in a search, which has none yet, the placement's number."""
+        """``variant`` of its first world; in a search, which has no variants yet, the number of the placement."""
         return self.variants[0].index if self.variants else self.number
 
     @property
     def driven(self) -> bool:
-        """Whether its worlds have drives. All worlds of a group have one, or none has. True for a search."""
+        """Whether its worlds have drives: all of them or none. True for a search."""
         return all(variant.drive is not None for variant in self.variants)
 
 
@@ -67,7 +68,7 @@ class SweepPlan(Design):
     """All worlds of a sweep, made one placement at a time.
 
     Args:
-        plans: the plans of the sweep; later only those that can be simulated.
+        plans: the plans of the sweep; after construction only those that can be simulated.
         allow_large: accept more than a million worlds.
         strict: refuse plans that would be skipped.
 
@@ -75,8 +76,8 @@ class SweepPlan(Design):
         skipped: plans whose run ``total_time_factor`` would end before the profile begins.
 
     Raises:
-        InputError: no usable plan, more than a million worlds without ``allow_large``, an axis placing where boxes may
-            not be carried, or a profile whose frequencies are too high for the timestep.
+        InputError: no usable plan, more than a million worlds without ``allow_large``, an axis ``placing`` although
+            boxes may not be carried, or a profile whose frequencies are too high for the timestep.
     """
 
     plans: Sequence[Plan]
@@ -99,7 +100,7 @@ class SweepPlan(Design):
         if "placing" in self.sweep.axes and not self.sweep.simulation.may_carry:
             needs = "simulation.placing auto, hand or tines, check one-by-one and schedule adaptive"
             raise InputError(f"{file}: axes.placing needs {needs}")
-        # once before the run: it raises for a profile whose frequencies are too high for the timestep
+        # made once before the run, because this raises if a profile's frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)
@@ -118,20 +119,21 @@ class SweepPlan(Design):
 
     @property
     def n_worlds(self) -> int:
-        """Worlds of all plans; at most, in a search."""
+        """Number of worlds of all plans; in a search the largest possible number."""
         return len(self.plans) * self.n_variants
 
     def groups(self, without: Callable[[Plan], bool] = lambda plan: False) -> Iterator[PlacementGroup]:
-        """Every placement of every plan with its worlds, plan by plan; ``without``: plans that are left out."""
+        """Every placement of every plan with its worlds, plan by plan. Plans for which ``without`` is true are left
+        out."""
         for plan in (plan for plan in self.plans if not without(plan)):
             for number, (placement, variants) in enumerate(self.placements()):
                 yield PlacementGroup(plan, number, placement, variants)
 
     def find(self, plan_id: str, index: int) -> tuple[PlacementGroup, Variant]:
-        """The world of a plan with that index, and the placement that it belongs to.
+        """The placement group and the variant of a plan's world with this index.
 
         Raises:
-            InputError: the sweep has no such plan, or no such variant of it.
+            InputError: the sweep has no such plan, or the plan has no such variant.
         """
         groups = (group for group in self.groups() if group.plan.plan_id == plan_id)
         levels = len(self.sweep.search_levels)
@@ -163,7 +165,7 @@ class SweepPlan(Design):
         return scene
 
     def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
-        """Groups with the scenes of their placements; those of one plan, in a row, are made together."""
+        """Groups with the scenes of their placements. Scenes of consecutive groups of one plan are made together."""
         for plan, some in itertools.groupby(groups, key=lambda group: group.plan):
             these, same = itertools.tee(some)
             placements = (group.placement for group in same)
@@ -173,8 +175,8 @@ class SweepPlan(Design):
     def job(
         self, group: PlacementGroup, scene: Scene, *, keep_state: bool = False, record: Record | None = None
     ) -> Job:
-        """What is simulated of a group's placement. One with random errors is asked whether it stands: it ends when a
-        box is lost."""
+        """The job of a group's placement. A placement with random errors only has to answer whether it stands, so it
+        ends when a box is lost."""
         has_errors = group.placement.placement.random
         return Job(scene, keep_state=keep_state, record=record, has_errors=has_errors)
 
@@ -191,7 +193,7 @@ class SweepPlan(Design):
         """The drive of one world. Worlds with the same samples share the array.
 
         Args:
-            load_height_m: of the settled load, m; EUMOS's test may be passed until boxes have swayed by a share of it.
+            load_height_m: height of the settled load, m. EUMOS's test limits the sway of boxes to a share of it.
         """
         spec = variant.drive
         if spec is None:
@@ -220,14 +222,14 @@ class SweepPlan(Design):
         timestep_s = sim.physics.timestep_s
         excitation = profile.excitation(timestep_s, start_s, world)
         if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
-            # gravity turns, whatever it is; accelerations in m/s² do not depend on it
+            # a tilt turns gravity, whatever its value; accelerations in m/s² do not depend on it
             turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
             excitation = replace(excitation, samples=turned)
         left = self._drive_steps_left(plan)
         if left is None:
             return Drive(excitation, rest_s=sim.rest_s)
         samples = excitation.samples[:left]
-        # Half a step more, so that truncation to whole steps gives exactly this number.
+        # Half a step is added, so that truncation to whole steps gives exactly this number.
         rest_s = (left - len(samples) + 0.5) * timestep_s
         return Drive(replace(excitation, samples=samples), rest_s=rest_s)
 
@@ -279,7 +281,7 @@ class SweepPlan(Design):
 
     @property
     def _displaced(self) -> int:
-        """Placements per plan in which boxes appear at places with errors, and are waited for."""
+        """Placements per plan in which boxes appear at places with errors, and the schedule waits for them."""
         sim = self.sweep.simulation
         waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
         if "placing" in self.sweep.axes:
@@ -304,7 +306,7 @@ class SweepPlan(Design):
 
     @property
     def _all_placements(self) -> int:
-        """Placements per plan, with that of the nominal world."""
+        """Placements per plan, including that of the nominal world."""
         return self.n_placements + int(self.sweep.nominal)
 
     @property

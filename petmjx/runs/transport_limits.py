@@ -1,6 +1,6 @@
-"""The limits of EUMOS 40509:2020 for a pallet after its test.
+"""Limits of transport tests: the limits of EUMOS 40509:2020, and the profiles that no unsecured load survives.
 
-Which profiles of a sweep no unsecured load can survive: those that slide it off its place, whatever the plan.
+A profile is hopeless if it slides any load farther than the shift threshold, whatever the plan.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from petmjx.world.profiles.accelerations import Tilt
 from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
 
 EUMOS_PROFILE = "eumos-40509"
-"""Worlds with this profile are also compared with the limits of the standard."""
+"""The profile whose worlds are also compared with the limits of the standard."""
 
 EUMOS_ELASTIC_SHARE = 0.10
 """Largest displacement during the test as a share of the load's height."""
@@ -40,7 +40,7 @@ EUMOS_COLUMNS = (
     Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
     Param("eumos_passed", TEXT, "whether it stood, all limits of EUMOS 40509 hold and nothing fell", bool),
 )
-"""Additional columns of these worlds."""
+"""Additional columns of worlds with EUMOS's profile."""
 
 
 def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
@@ -52,11 +52,11 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
     """The values of ``EUMOS_COLUMNS`` for one world after the test.
 
     Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
-    of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from where
-    they had settled; the load's height counts from the carrier's top, z = 0. What stays is included in the elastic
-    deformation, as on film the two cannot be distinguished before the end. A world in which a box fell never passes,
-    however small the shares, nor does one with a NaN, because the profile never ran to its end. Source: EUMOS
-    40509:2020, criteria as published by ESTL, the laboratory behind the standard.
+    of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from their settled
+    places. The load's height counts from the carrier's top, z = 0. The elastic deformation includes the permanent one,
+    since on film the two cannot be distinguished before the end. A world in which a box fell never passes, however
+    small the shares, nor does a world with a NaN, because its profile never ran to the end. Source: EUMOS 40509:2020,
+    criteria as published by ESTL, the laboratory behind the standard.
 
     Args:
         settled_pos: (n, 3) centres before the profile, m.
@@ -79,10 +79,10 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
 
 
 RANGE_POINTS = 9
-"""Values looked at on an axis whose values are drawn from a range."""
+"""Number of values that are checked on an axis whose values are drawn from a range."""
 
 LARGEST_SD = 4.0
-"""Standard deviations above the mean up to which a normal error is looked at: one draw in 30,000 is larger."""
+"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is larger."""
 
 
 def slide_m(
@@ -96,18 +96,18 @@ def slide_m(
     """How far a block slides on a carrier that moves: its largest distance from where it stood, m.
 
     Coulomb's friction: the block stays while the carrier's horizontal acceleration is at most friction × (gravity +
-    vertical acceleration); beyond that friction has just this value, against the sliding, or what a block that slides
-    has of it. Exact for an acceleration along one line that is constant within each step, except for the steps in which
-    the block stops or its friction changes.
+    vertical acceleration); beyond that friction has exactly this value, or for a sliding block ``kinetic`` times it,
+    against the sliding. Exact for an acceleration along one line that is constant within each step, except for the
+    steps in which the block stops or its friction changes.
 
     A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
     horizontal force is at most friction × the vertical one, as on the block. So its centre of mass, and with it at
     least one box, moves as far.
 
     Args:
-        acceleration: (n_steps, 3) of the carrier, m/s².
-        enough_m: ends as soon as it has slid farther than that.
-        kinetic: friction of a block that slides fast, as a share of that at rest (petmjx/world/contact_laws.py).
+        acceleration: (n_steps, 3) acceleration of the carrier, m/s².
+        enough_m: the computation ends as soon as the block has slid farther than this, m.
+        kinetic: friction of a fast sliding block as a share of the friction at rest (petmjx/world/contact_laws.py).
     """
     grip = friction * np.maximum(gravity_m_s2 + acceleration[:, 2], 0.0)
     slips = np.flatnonzero(np.hypot(acceleration[:, 0], acceleration[:, 1]) > grip)
@@ -119,7 +119,7 @@ def slide_m(
             if next_slip == len(slips):
                 break
             step = int(slips[next_slip])
-        if step == len(acceleration):  # what is left of its speed is braked on a carrier at rest
+        if step == len(acceleration):  # the remaining speed is braked on a carrier at rest
             speed, brake = math.hypot(vx, vy), friction * kinetic * gravity_m_s2
             if brake == 0:
                 return math.inf
@@ -141,7 +141,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     """A line for each profile that slides every unsecured load farther than the shift threshold, from some strength on.
 
     It is about accelerations only, which are the same for every plan. Searches find such a strength themselves. Runs
-    that end at a multiple of their placement time may end before it, and are left out.
+    that end at a multiple of their placement time may end before the load slides that far, and are left out.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
@@ -152,7 +152,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         return []  # film secures every load
 
     def values(name: str) -> list[float]:
-        """On an axis that multiplies something, rising."""
+        """Rising values of an axis that multiplies something."""
         if name not in axes:
             return [1.0]
         given = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
@@ -189,14 +189,14 @@ def _friction_errors(sweep: Sweep) -> list[Distribution]:
 
 
 def _largest(error: Distribution) -> float:
-    """The largest error that is looked at."""
+    """The largest error that is checked."""
     return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the first strength, of rising ones, that slides a block too far; their number where none does.
+    """Index of the first of rising strengths that slides a block too far; the number of strengths if none does.
 
-    What slides a block does so too when it is stronger.
+    Every strength above one that slides the block also slides it.
     """
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 

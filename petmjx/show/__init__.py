@@ -1,1 +1,1 @@
-"""What the terminal shows: progress and tables."""
+"""Output for people: tables and progress in the terminal, figures, pictures, pages, reports and leaderboards."""

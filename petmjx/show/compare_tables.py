@@ -16,7 +16,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. ``max_rows``: most worlds that are listed as flipped, or as only in one run."""
+    """All tables and lines. At most ``max_rows`` worlds are listed as flipped, or as being in one run only."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
     for note in comparison.notes:
@@ -60,7 +60,7 @@ def _confusion_table(comparison: Comparison) -> FittedTable:
 
 
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
-    """Two rows per world, a above b: both in one row would need more than 80 columns."""
+    """Two rows per world, a above b, since one row would need more than 80 columns."""
     title = f"flipped verdicts ({len(flips):,}), with margins to the thresholds: + is over"
     if len(flips) > max_rows:
         title += f"; the first {max_rows}"

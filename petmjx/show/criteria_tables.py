@@ -18,7 +18,7 @@ SHOWN_SKIPPED = 10
 
 
 def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterator[RenderableType]:
-    """All tables and lines: what the criteria say, and with a run what physics says to that.
+    """All tables and lines: the answers of the criteria, and with a run their comparison with physics.
 
     Args:
         out: the folder with the tables, if they were written.

@@ -1,7 +1,4 @@
-"""The report of ``petmjx doctor``: versions, devices, engines that work here (or why not), folders of caches.
-
-The table of ``petmjx doctor``.
-"""
+"""The report of ``petmjx doctor``: versions, devices, engines that work here (or why not), and cache folders."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True)
 class EngineReport:
-    """Whether an engine works here, and one line: what it runs on, or why it does not work."""
+    """Whether an engine works here, and one line: its device, or why it does not work."""
 
     name: str
     works: bool
@@ -38,13 +35,13 @@ class EngineReport:
 
 @dataclass(frozen=True)
 class Report:
-    """Everything the doctor found.
+    """The findings of ``petmjx doctor``.
 
     Attributes:
         versions: package → version, of Python, petmjx and its dependencies.
         devices: CPU and GPUs, one line each.
         engines: one report per engine.
-        caches: content of a cache → its folder, and why it is not the one that was asked for.
+        caches: content of a cache → its folder, with the reason if it is not the requested folder.
     """
 
     versions: dict[str, str]
@@ -110,7 +107,7 @@ _CHECKS: dict[str, Callable[[], str]] = {
     "mjx-warp": _check_mjx_warp,
     "mjx-warp-cpu": _check_mjx_warp_cpu,
 }
-"""Of other engines it is only known whether they can be built."""
+"""Engine → check that runs it. For other engines the doctor only checks whether they can be built."""
 
 
 def _one_box() -> Plan:
@@ -132,7 +129,7 @@ def _caches() -> dict[str, str]:
 
 
 def _cache(kind: Kind) -> str:
-    """Where programs are kept, and why not where it was asked for."""
+    """The folder of a cache, with the reason if it is not the requested one."""
     if why := why_no_folder(kind):
         return why
     why = why_not_written(kind)
@@ -143,7 +140,7 @@ def doctor_table(report: Report, why_no_pictures: str) -> Table:
     """A table of two columns. Long lines of the second one are wrapped.
 
     Args:
-        why_no_pictures: why nothing can be drawn here; "" where pictures and films can.
+        why_no_pictures: why nothing can be drawn here; "" if pictures and films can be drawn.
     """
     table = Table(show_header=False)
     table.add_column(style="bold", no_wrap=True)

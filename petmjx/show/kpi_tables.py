@@ -14,10 +14,10 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def kpi_tables(kpis: Kpis, out: str | None = None) -> Iterator[RenderableType]:
-    """The plans if they are few, the means and the ratings, notes.
+    """The table of plans if they are few, the means and ratings, and notes.
 
     Args:
-        out: where the files are, if any were written.
+        out: folder of the files, if any were written.
     """
     if len(kpis.plans) <= FEW_ROWS:
         yield _plans_table(kpis)

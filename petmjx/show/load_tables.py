@@ -15,10 +15,10 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
-    """The worlds in which a box bears most of its strength, and a line with the counts.
+    """The worlds with the largest loads relative to the strength of a box, and a line with the counts.
 
     Args:
-        out: where the files are, if any were written.
+        out: folder of the files, if any were written.
     """
     yield _table(loads)
     yield ""
@@ -79,7 +79,7 @@ def _table(loads: Loads) -> FittedTable:
 
 
 def _overload_text(row: Mapping[str, Any]) -> str:
-    """Whether a world is overloaded, and whether that is sure where the run has intervals."""
+    """Whether a world is overloaded, and, if the run has intervals, whether that is certain."""
     overloaded: Any = row["overloaded"]
     answer = "-" if pd.isna(overloaded) else "yes" if overloaded else "no"
     if row.get("surely_overloaded") is True:

@@ -1,4 +1,4 @@
-"""What is said about plans and their orders."""
+"""Lines about plans and their orders."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from petmjx.show.table_layout import line
 
 
 def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
-    """Orders that were not compared, then one line: what plans leave out of their orders, orders without a plan.
+    """Lines on orders that were not compared, then one line on boxes that plans leave out and on orders without a plan.
 
     Args:
         info: ``run.json`` of a run that was compared with orders.
-        most: orders that were not compared and are named.
+        most: largest number of uncompared orders that are named.
     """
     counts = info["counts"]["orders"]
     for error in info["orders"]["unusable"][:most]:
@@ -35,7 +35,7 @@ def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
     if counts["not_ordered"]:
         verb = _verb(counts["not_ordered"], "was", "were")
         odd.append(f"{count_text(counts['not_ordered'], 'box', 'boxes')} in plans {verb} not ordered")
-    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 do not know
+    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 do not have it
         differ = "has another size or mass" if resized == 1 else "have other sizes or masses"
         odd.append(f"{count_text(resized, 'box', 'boxes')} {differ} than ordered")
     if counts["plans_without_order"]:

@@ -17,7 +17,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. ``max_rows``: most orders that are named as won or lost, of each two packers."""
+    """All tables and lines. For each two packers at most ``max_rows`` orders are named as won or lost."""
     for name, folder in comparison.runs.items():
         yield line(f"{printable_name(name)}  {folder}")
     for note in comparison.notes:
@@ -33,7 +33,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
     yield ""
     yield _pairs_table(comparison)
     yield ""
-    # in a padding it is wrapped between words; the terminal would break words
+    # the padding wraps between words; the terminal would break words
     yield from (Padding(line(sentence), 0, expand=False) for sentence in comparison.sentences)
     sized = comparison.packers[(comparison.packers["size"] != ALL_SIZES) & (comparison.packers["n"] > 0)]
     if sized["size"].nunique() > 1:

@@ -22,14 +22,14 @@ from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
-"""Time after which the bar is drawn again while no world finishes, s: its message may have changed."""
+"""Time after which the bar is drawn again while no world finishes, s, since its message may have changed."""
 
 LINE_S: Final = 10.0
 """Time between two lines if there is no terminal, s."""
 
 
 class ProgressSink(Protocol):
-    """What :func:`progress` gives to its caller."""
+    """The object that :func:`progress` yields."""
 
     def update(self, done: int, message: str = "") -> None:
         """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds)."""
@@ -42,7 +42,7 @@ def progress(total: int | None, what: str = "plan", console: Console | None = No
     Args:
         total: number of worlds; None if it is not known.
         what: the user's word for a world: ``plan``, or ``world`` in sweeps.
-        console: where it is shown; by default standard error, so that standard output has only results.
+        console: the console to write to; by default standard error, so that standard output only has results.
     """
     console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
     if console.is_interactive:
@@ -66,7 +66,7 @@ def _wrapped_line(text: str) -> str:
 
 
 class ProgressLines:
-    """A line every ``LINE_S`` seconds, and a last one. If they cannot be written, the run continues."""
+    """Writes a line every ``LINE_S`` seconds, and a last one. If lines cannot be written, the run continues."""
 
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
@@ -108,7 +108,7 @@ class _Bar(RichProgress):
     """A bar, with its message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        self._message = ""  # read as soon as the bar is there
+        self._message = ""  # read as soon as the bar exists
         pace = self._pace = Throughput(total, what)
         count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
         super().__init__(count, BarColumn(), rate, left, console=console)

@@ -54,7 +54,8 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """Those of a score with confidence: the nominal worlds, the shares, and the plans to think about by name."""
+    """The tables of a score with confidence: the nominal worlds, the shares, and the names of plans that need
+    attention."""
     since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # runs of earlier versions
     summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:
@@ -97,7 +98,8 @@ def _plan_id_list(plan_ids: list[str]) -> str:
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, the number of plans with warnings, other warnings, orders."""
+    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, on the number of plans with warnings, on other warnings, and
+    on orders."""
     skipped = info["skipped"]
     warnings, odd = split_warnings(info)
     for entry in skipped[:SHOWN_SKIPPED]:
@@ -142,11 +144,11 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a search. The verdicts of its tests say where it looked, so answers are counted instead.
+    """The short table of a search. Answers are counted, since verdicts of tests only show where the search looked.
 
     Args:
         info: ``run.json``.
-        summary: a row a search.
+        summary: one row per search.
     """
     placements = summary.drop_duplicates(["plan_id", "placement"])
     answers = summary[summary["stands_at_rest"]]
@@ -170,11 +172,11 @@ def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
 
 
 def confidence_counts(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a score with confidence: plans by their share, and how many worlds that took.
+    """The short table of a score with confidence: numbers of plans by share, and the number of worlds.
 
     Args:
         info: ``run.json``.
-        summary: a row a plan.
+        summary: one row per plan.
     """
     plans, worlds = len(summary), int(info.get("counts", {}).get("worlds", 0))
     table = _counts_table()
@@ -206,7 +208,7 @@ def _add(table: Table, label: str, count: int, of: int, style: str = "") -> None
 
 
 def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> None:
-    """What every run has besides its verdicts or answers, and how fast it was."""
+    """Add the rows that every run has besides its verdicts or answers, and the speed of the run."""
     counts = info.get("counts", {})
     if skipped := counts.get("skipped_plans"):
         table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
@@ -219,7 +221,8 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _least_edge(row: Mapping[Any, Any]) -> tuple[str, str]:
-    """The smallest distance of a load from an edge, by the plan, at rest or while it is built, mm, and whose it is."""
+    """The smallest distance of a load from an edge, mm, and the box that it belongs to: by the plan, at rest or while
+    it is built."""
     edges = [
         (row[f"{when}_edge_m"], row.get(f"{when}_edge_box"))
         for when in ("plan", "build", "rest")
@@ -233,11 +236,11 @@ def _least_edge(row: Mapping[Any, Any]) -> tuple[str, str]:
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
     """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics. If a world is
-    on a knife's edge, the smallest distances of loads from edges, too, and whose they are.
+    on a knife's edge, the table also has the smallest distances of loads from edges, and their boxes.
 
     Args:
-        worlds, boxes: tables of the run; without boxes the first one's article is not known.
-        orders: its table ``plans``, if that says how many boxes are left out; they are one more column.
+        worlds, boxes: tables of the run. Without boxes the article of the first box to fail is not known.
+        orders: its table ``plans``, if that has the number of boxes left out, which becomes another column.
     """
     on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
     edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()

@@ -1,4 +1,4 @@
-"""One plan's story as text: what happened when, the first box to fail, the most pressed boxes."""
+"""The story of one plan as text: its events, the first box to fail, and the most pressed boxes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 MOST_PRESSED: Final = 5
-"""How many of the most pressed boxes are shown."""
+"""Number of the most pressed boxes that are shown."""
 
 _STYLES: Final = {Verdict.STABLE: "bold green", Verdict.UNSTABLE: "bold red", Verdict.INVALID: "bold yellow"}
 

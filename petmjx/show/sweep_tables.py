@@ -28,10 +28,11 @@ _DOUBTS: Final = {
     "monotone": "* a level above the smallest that failed was survived",
     "moving": "~ boxes still moved there when the longest wait was over",
 }
-"""Columns of a search's summary that make an answer doubtful, with what tables say; a text begins with its mark."""
+"""Columns of a search's summary that make an answer doubtful, with the footnotes of tables. A footnote begins with its
+mark."""
 
 _ASKED: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of axes that are columns of the tables in any case, or what is searched for."""
+"""Columns of axes that the tables always have, and the searched quantities."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
@@ -51,7 +52,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
-    """The columns of axes of placements, such as turns of film, that have several values in a search."""
+    """The columns of placement axes, such as turns of film, that have several values in a search."""
     known = (kind.column for kind in AXIS_KINDS.values())
     return [name for name in known if name in summary and name not in _ASKED and summary[name].nunique() > 1]
 
@@ -63,7 +64,8 @@ def _headers(names: Sequence[str]) -> list[TableColumn]:
 def shares_table(summary: pd.DataFrame) -> FittedTable:
     """The share that stands, for each value of each axis with several values, over all plans.
 
-    Shares are of the worlds named before them: those with a verdict, and those that EUMOS's limits were applied to.
+    A share refers to the worlds in the column before it: worlds with a verdict, or worlds that EUMOS's limits were
+    applied to.
     """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
@@ -99,8 +101,8 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def confidence_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors; where a
-    box could not be placed, in how many worlds, and in how many others boxes fell."""
+    """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors. If boxes
+    could not be placed, also in how many worlds, and in how many other worlds boxes fell."""
     tosses = bool(summary["coin_toss"].any())
     fails, both = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
     table = FittedTable(
@@ -138,8 +140,8 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
 def levels_table(summary: pd.DataFrame) -> FittedTable:
     """Quantiles of the largest levels survived, for each profile and direction, over searches whose placement stands.
 
-    "survive none" counts those of them that survive no level above 0. Below the lowest level there is no number: there
-    stands "none".
+    "survive none" counts the searches that survive no level above 0. A quantile below the lowest level is shown as
+    "none".
     """
     column, name = _largest(summary)
     varied = _varied_columns(summary)
@@ -172,7 +174,7 @@ def _cell(value: object) -> str:
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
-    """A quantile of rising levels; those that are NaN come first and are below all others."""
+    """A quantile of rising levels. NaN levels come first and count as below all others."""
     if not len(levels):
         return "-"
     place = q * (len(levels) - 1)
@@ -209,13 +211,13 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
-    """(n,) the answers that a column of ``_DOUBTS`` makes doubtful; none where an older run has no such column."""
+    """(n,) the answers that a column of ``_DOUBTS`` makes doubtful; none if an older run lacks the column."""
     if column not in summary:
         return pd.Series(False, index=summary.index)
     return summary[column].astype(bool) != (column == "monotone")
 
 
 def _largest(summary: pd.DataFrame) -> tuple[str, str]:
-    """The column with the largest level or scale, and its name for people."""
+    """The column with the largest level or scale, and its heading."""
     names = {"largest_level_g": "level, g", "largest_scale": "scale"}
     return next((column, name) for column, name in names.items() if column in summary)

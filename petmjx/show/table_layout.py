@@ -21,11 +21,12 @@ class TableColumn:
     """A column of a :class:`FittedTable`.
 
     Attributes:
-        header: may have several lines.
+        header: heading, which may have several lines.
         justify: alignment of its cells.
-        least: shortest length, in characters, to which its texts may be cut; None: its cells are never cut.
-        middle: whether texts are cut in the middle (for names that differ at the end), instead of at the end.
-        spare: 0: the column always stays. Otherwise it may be left out; the largest goes first.
+        least: shortest length to which its texts may be cut, in characters; None: its cells are never cut.
+        middle: whether texts are cut in the middle, for names that differ at the end. Otherwise they are cut at the
+            end.
+        spare: 0: the column always stays. Otherwise it may be left out; columns with the largest value go first.
     """
 
     header: str
@@ -80,7 +81,7 @@ class FittedTable:
 
 
 def _column_widths(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
-    """Index of each column that is shown → its width. Remaining room goes to the narrowest cut columns."""
+    """Index of each shown column → its width. Remaining space goes to the narrowest cut columns."""
     least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
     kept = list(range(len(columns)))
 
@@ -111,7 +112,7 @@ def _shortened_cell(cell: str | Text, width: int, column: TableColumn) -> Text:
 
 
 def _fits(text: Iterable[str], width: int) -> int:
-    """How many characters, from the first on, fit into a width. Chinese characters are two columns wide."""
+    """Number of leading characters that fit into a width. Chinese characters are two columns wide."""
     return sum(used <= width for used in accumulate(map(cell_len, text)))
 
 

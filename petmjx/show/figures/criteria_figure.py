@@ -1,4 +1,4 @@
-"""Criteria judged by physics, as a figure: precision, recall and correlation of each, with intervals."""
+"""A figure of criteria compared with physics: precision, recall and correlation of each criterion, with intervals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PANELS: Final = (
     ("recall", "recall"),
     ("mcc", "Matthews' correlation"),
 )
-"""Column of ``judged`` and what stands below it."""
+"""Column of ``judged`` and the label below its panel."""
 
 
 def draw_criteria(results: CriteriaResults) -> Any:

@@ -21,7 +21,7 @@ from petmjx.show.figures.packer_figure import draw_packers
 from petmjx.show.figures.sweep_figures import draw_answers
 
 KINDS: Final = ("pdf", "svg", "png")
-"""Endings of files."""
+"""Possible endings of files."""
 
 
 def figure(found: PackerComparison | CriteriaResults | RunResults, *files: str | PathLike[str]) -> list[Path]:
@@ -32,30 +32,31 @@ def figure(found: PackerComparison | CriteriaResults | RunResults, *files: str |
     The same results give the same bytes, with the same version of matplotlib.
 
     Args:
-        found: packers compared: shares and differences, with a sentence about each two. Criteria beside a run:
-            precision, recall and correlation. The run of a search: the share of plans that survive each level; of
-            another sweep: shares along its axes; of a score with confidence: the share that stands of each plan.
-        files: where to; the ending says what. Each file appears whole or not at all, and replaces one that is there.
+        found: the results. A comparison of packers: shares and differences, with a sentence about each two packers.
+            Criteria with a run: precision, recall and correlation. A search: the share of plans that survive each
+            level. Another sweep: shares along its axes. A score with confidence: the share of each plan that stands.
+        files: paths to write; the ending gives the format. Each file appears whole or not at all, and replaces an
+            existing one.
 
     Returns:
         The paths of the files.
 
     Raises:
-        InputError: results that have no figure, an unknown ending, a file that cannot be written, or matplotlib is
+        InputError: results without a figure, an unknown ending, a file that cannot be written, or matplotlib is
             missing.
     """
     paths = [path_of(file, "files") for file in files]
     check_figures(paths)
     with paper_style():
         for path in paths:
-            drawn = _drawn_figure(found)  # for each file: writing one changes the figure
+            drawn = _drawn_figure(found)  # drawn for each file, because writing changes the figure
             with atomic_write(path) as temporary:
                 write(drawn, temporary, path.suffix.lower().removeprefix("."))
     return paths
 
 
 def check_figures(paths: list[Path]) -> None:
-    """Make sure that figures can be written, before anything is worked out.
+    """Check that figures can be written, before results are computed.
 
     Raises:
         InputError: an unknown ending, a path that cannot be written, or matplotlib is missing.

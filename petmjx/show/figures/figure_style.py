@@ -1,4 +1,4 @@
-"""How figures for papers look, and how they are written: text stays text, and nothing depends on the day."""
+"""The style of figures for papers, and how they are written. Text stays text, and nothing depends on the date."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _UNDATED: Final[dict[str, dict[str, Any]]] = {"svg": {"Date": None}, "pdf": {"Cr
 
 @contextmanager
 def paper_style() -> Iterator[None]:
-    """Matplotlib's settings of all figures."""
+    """Matplotlib's settings for all figures."""
     from matplotlib import rc_context
 
     with rc_context(SETTINGS), warnings.catch_warnings():

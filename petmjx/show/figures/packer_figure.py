@@ -1,4 +1,4 @@
-"""Packers compared, as a figure: the share that stands of each, and the difference of each two, with intervals."""
+"""A figure of packers: the share of each that stands, and the difference of each two, with intervals."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ LINE_IN: Final = 0.155
 """Height of a line of text, inches."""
 
 MOST_PAIRS: Final = 15
-"""More pairs than those of six packers make no figure."""
+"""Largest number of pairs in a figure: the pairs of six packers."""
 
 _COLOUR: Final = OKABE_ITO[4]
 
 
 def draw_packers(comparison: PackerComparison) -> Any:
-    """A matplotlib figure: left the shares, right the differences, below a sentence about each two packers.
+    """A matplotlib figure: the shares on the left, the differences on the right, and a sentence about each two packers
+    below.
 
     Raises:
         InputError: no order is compared, or there are too many packers.
@@ -55,7 +56,7 @@ def draw_packers(comparison: PackerComparison) -> Any:
 
 
 def _intervals(axes: Any, rows: list[tuple[str, float, float, float]]) -> None:
-    """One dot with its interval below the other; shares are drawn in per cent."""
+    """Draw dots with intervals, one below the other, in per cent."""
     for place, (_, value, low, high) in enumerate(rows):
         axes.plot([100 * low, 100 * high], [place, place], color=_COLOUR, linewidth=1.4, solid_capstyle="butt")
         axes.plot(100 * value, place, "o", color=_COLOUR, markersize=4)

@@ -1,4 +1,4 @@
-"""The answers of sweeps as figures: levels that plans survive, and shares that stand along an axis."""
+"""Figures of sweeps: levels that plans survive, and shares that stand along an axis."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MOST_LINES: Final = 12
 MOST_PANELS: Final = 8
 
 MOST_PLANS: Final = 60
-"""Plans whose shares one panel has room for."""
+"""Most plans in one panel of shares."""
 
 _DASHES: Final = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1.5, 1, 1.5)))
 
@@ -38,18 +38,18 @@ _AXES: Final = {
     "yaw_error_deg": "error of yaw, °",
     "drop_height_mm": "height of release, mm",
 }
-"""Columns of summaries, in words; others are called by their name."""
+"""Columns of summaries in words. Columns that are not here are called by their names."""
 
 
 def draw_answers(run: RunResults) -> Any:
     """A matplotlib figure of the table ``summary``.
 
-    Of a search: for each profile, which share of all plans survives a level, a line for each direction. Of a grid or a
-    sample: the share that stands, with its interval, along each axis with several values. Of a score with confidence:
-    the share that stands of each plan.
+    For a search: a panel per profile with the share of all plans that survive a level, and a line per direction. For a
+    grid or a sample: the share that stands, with its interval, along each axis with several values. For a score with
+    confidence: the share of each plan that stands.
 
     Raises:
-        InputError: the run has no summary, or nothing in it that can be drawn.
+        InputError: the run has no summary, or the summary has nothing that can be drawn.
     """
     summary = run.summary
     if summary is None:
@@ -62,10 +62,10 @@ def draw_answers(run: RunResults) -> Any:
 
 
 def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
-    """Levels, and the share of plans that survive more than nothing up to each: a curve of steps.
+    """A step curve of the share of plans that survive each level. Plans that survive only 0 do not count.
 
     Args:
-        levels: the largest level that each plan survives; null where it survives none, which counts as 0.
+        levels: the largest level that each plan survives; null if it survives none, which counts as 0.
 
     Returns:
         (m,) levels in rising order from 0, and (m,) the share of plans whose largest level is at least that.
@@ -98,7 +98,7 @@ def _levels(summary: pd.DataFrame) -> Any:
 
 
 def _line(number: int) -> dict[str, Any]:
-    """Colour and dashes of a line: lines that lie on each other are both seen."""
+    """Colour and dashes of a line, chosen so that two lines on top of each other are both visible."""
     return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
 
 
@@ -127,7 +127,7 @@ def _shares(summary: pd.DataFrame) -> Any:
 
 
 def _plans(rows: pd.DataFrame) -> Any:
-    """A row for each plan: the share of its worlds that stand."""
+    """A figure with a row for each plan: the share of its worlds that stand."""
     from matplotlib.figure import Figure
 
     if not len(rows) or len(rows) > MOST_PLANS:

@@ -34,11 +34,11 @@ class Entry:
     """A packer on the board.
 
     Attributes:
-        name: of the packer.
-        run: its run.
+        name: name of the packer.
+        run: the run of its plans.
         plans: its plans by id, as far as they were found again.
-        ours: whether it is a packer of petmjx.
-        scored: whether the board has just simulated all of its plans itself.
+        ours: whether the packer belongs to petmjx.
+        scored: whether the board itself has just simulated all of its plans.
     """
 
     name: str
@@ -49,10 +49,11 @@ class Entry:
 
 
 def packer_sources(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, Path]:
-    """Name of each packer → its run or plans. Without given names they are named as their folders and files.
+    """Name of each packer → its run or plans. Without names, packers are named after their folders and files.
 
     Raises:
-        InputError: no path, one that is not there, a name that cannot be that of a folder, or two of one name.
+        InputError: no path, a path that does not exist, a name that cannot be the name of a folder, or two packers with
+            one name.
     """
     if isinstance(paths, Mapping):
         pairs = [(name, path_of(path, f"packers[{name!r}]")) for name, path in paths.items()]
@@ -76,7 +77,7 @@ def _name_of(path: Path) -> str:
 
 
 def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
-    """Pack orders with each of petmjx's packers. Name of the packer → the file of its plans.
+    """Pack orders with each of petmjx's packers. Returns name of the packer → file of its plans.
 
     Raises:
         InputError: the orders cannot be read, or a file cannot be written.
@@ -91,13 +92,13 @@ def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
 def enter(
     name: str, path: Path, folder: Path, watch: Watch | None, options: Mapping[str, Any], *, ours: bool = False
 ) -> Entry:
-    """Take a run as it is, or score plans into the board's folder. A run that is there already is continued.
+    """Make an entry: take a run as it is, or score plans into the board's folder. An existing run there is resumed.
 
     Args:
-        options: of ``petmjx.score``, for plans.
+        options: options of ``petmjx.score``, for plans.
 
     Raises:
-        InputError: unusable plans or options, or the run that is there is another one.
+        InputError: unusable plans or options, or the board's folder has another run.
     """
     scored = False
     if (path / RUN_FILE).is_file():
@@ -113,7 +114,8 @@ def enter(
 
 
 def keep_plans(entry: Entry, folder: Path) -> str:
-    """Write an entry's plans into the board's folder, from which it can be made again; "" if they were not found."""
+    """Write an entry's plans into the board's folder, so that the board can be made again from it. Returns the
+    name of the file; "" if the plans were not found."""
     if not entry.plans:
         return ""
     file = folder / PLANS / f"{entry.name}.json"

@@ -1,4 +1,4 @@
-"""Some plans of each entry, simulated again by the board itself: an entry that they contradict is not rated."""
+"""Checks entries of a leaderboard: simulates some of their plans again, and refuses an entry that these contradict."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from petmjx.show.leaderboard.entries import Entry
 from petmjx.version import __version__
 
 NEAR_MARGIN: Final = 0.1
-"""Verdicts with a smaller margin, of either sign, may differ from engine to engine and from machine to machine."""
+"""Verdicts with a smaller margin, of either sign, may differ between engines and between machines."""
 
 NEAR_FLAGS: Final = Flag.SINKING | Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP
-"""Flags of worlds of which the same holds."""
+"""Flags of worlds whose verdicts may also differ between engines and between machines."""
 
 _VALID: Final = (Verdict.STABLE.value, Verdict.UNSTABLE.value)
 
@@ -35,9 +35,9 @@ class Replay:
     """A plan of an entry, simulated again.
 
     Attributes:
-        claimed: the verdict of its run.
-        verdict, reason: those found again.
-        near: whether these may differ by chance: they are near a threshold, or there is no valid one.
+        claimed: the verdict in the run of the entry.
+        verdict, reason: verdict and reason of the replay.
+        near: whether the verdicts may differ by chance: the replay is near a threshold, or has no valid verdict.
     """
 
     plan_id: str
@@ -60,19 +60,19 @@ class Replay:
 
     @property
     def differs(self) -> bool:
-        """Whether the run says something else."""
+        """Whether the run has another verdict."""
         return self.claimed in _VALID and self.verdict != self.claimed
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What came of an entry's plans that were simulated again.
+    """The replays of an entry.
 
     Attributes:
-        engine: which simulated them.
-        exact: it is the run's own engine, of the same version of petmjx, so that verdicts are the run's but for
+        engine: name of the engine that simulated them.
+        exact: whether it is the run's engine, with the same version of petmjx, so that verdicts only differ by
             rounding.
-        fault: what is wrong with the run besides; "" for nothing.
+        fault: another fault of the run; "" for none.
     """
 
     packer: str
@@ -82,16 +82,17 @@ class Sample:
     fault: str = ""
 
     def with_replays(self, more: Collection[Replay]) -> Sample:
-        """With further plans; one that is there already counts once."""
+        """The sample with further replays. A plan that it already has counts once."""
         known = {replay.plan_id for replay in self.replays}
         return replace(self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in known)))
 
     @property
     def refusal(self) -> str:
-        """Why the entry is not rated, in a line; "": it is.
+        """Why the entry is not rated, in one line; "" if it is rated.
 
-        A verdict that is not near a threshold is wrong if it comes from the same engine, and if it is one of several
-        that come from another engine. Of verdicts that are near one, more than half must be the run's.
+        One different verdict that is not near a threshold refutes the run if the sample is ``exact``. Otherwise it
+        takes several of them. Several different verdicts near a threshold refute it if more than half of all replays
+        differ.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]
@@ -113,7 +114,7 @@ class Sample:
 
     @property
     def note(self) -> str:
-        """A line on verdicts that differ and prove nothing; "" where there is none."""
+        """A line on verdicts that differ without refuting the run; "" if there are none."""
         differing = [replay.plan_id for replay in self.replays if replay.differs]
         if not differing or self.refusal:
             return ""
@@ -133,13 +134,14 @@ def sample_entry(
 ) -> Sample:
     """Simulate some plans of an entry again.
 
-    Which ones is drawn from the operating system's random numbers, so that no entry can know. Plans that stand in the
-    run come first, since they are what it is rated for.
+    The plans are drawn with random numbers of the operating system, so that no entry can predict them. Plans that stand
+    in the run come first, since the rating depends on them.
 
     Args:
-        most: how many; as many again, where one differs on another engine than the run's.
-        sim: the options of the board.
-        options: how it simulates. The engine is the run's, if none is named and it can run here, else ``mujoco``.
+        most: number of plans. As many more are simulated if a verdict differs on an engine other than the run's.
+        sim: simulation options of the board.
+        options: run options of the board. If they name no engine, the run's engine is used if it can run here, else
+            ``mujoco``.
         wanted: ids of the plans that count; None: all.
     """
     config = entry.run.info.get("config", {})
@@ -177,14 +179,14 @@ def _replay(plan_id: str, claimed: str, row: pd.Series) -> Replay:
 
 
 def _drawn(claimed: Mapping[str, str]) -> list[str]:
-    """All plans with a valid verdict in a random order, those that stand first."""
+    """All plans with a valid verdict in random order; plans that stand come first."""
     valid = [name for name, verdict in claimed.items() if verdict in _VALID]
     shuffled = [valid[at] for at in np.random.default_rng().permutation(len(valid))]
     return sorted(shuffled, key=lambda name: claimed[name] != Verdict.STABLE.value)
 
 
 def _simulate(plans: Sequence[Any], sim: Simulation, options: RunOptions, engine: Any) -> Any:
-    """Score plans; where the run's engine cannot run here, on ``mujoco``."""
+    """Score plans; on ``mujoco`` if the run's engine cannot run here."""
     named = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
     for candidate in dict.fromkeys((named, "mujoco")):
         try:

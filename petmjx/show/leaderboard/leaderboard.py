@@ -1,4 +1,4 @@
-"""``petmjx.leaderboard``: packers rated by physics, as a folder of static pages."""
+"""Rates packers by physics, as a folder of static pages: ``petmjx.leaderboard``."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_pa
 from petmjx.show.pages.story_page import story_page
 
 MOST_STORIES: Final = 100
-"""Of each packer: a story is a page of 0.1 to 1 MB."""
+"""Most stories of each packer. A story is a page of 0.1 to 1 MB."""
 
 
 def leaderboard(
@@ -55,30 +55,33 @@ def leaderboard(
 
     ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
 
-    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, the pages of stories, and everything that
-    is needed to make it again: ``plans/`` and ``orders.json``, and the command in the page. Plans are scored into
-    ``runs/`` there; what was scored already is not simulated again, but for ``replays`` of them: an entry whose run
-    they contradict is not rated, and a ``PlanWarning`` says so.
+    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. It also has
+    everything that is needed to make it again: ``plans/``, ``orders.json``, and the command in the page.
+
+    Plans are scored into ``runs/`` in this folder. Runs that exist already are taken over, but ``replays`` of their
+    plans are simulated again. An entry whose run these contradict is not rated, and a ``PlanWarning`` says so.
 
     Args:
-        packers: name → a run's folder, or plans. Without given names they are named as their folders and files.
-        out: the folder.
-        orders: BED-BPP orders of the plans. The rating is about these orders, and there are KPIs. Without them the
-            orders are those of which any packer has a plan, so a packer's rating depends on the others.
+        packers: name → folder of a run, or plans. Without names, packers are named after their folders and files.
+        out: folder of the site.
+        orders: BED-BPP orders of the plans. The rating is about these orders, and KPIs are added. Without orders, the
+            rating is about the orders for which any packer has a plan, so a packer's rating depends on the other
+            packers.
         baselines: also pack the orders with each of petmjx's packers.
-        stories: how many plans of each packer get a page. Plans that fall while another packer's stands come first.
-        replays: how many plans of each entry that the board did not just score it simulates again, drawn at random,
-            with the options given, or those that all runs have.
-        watch: packer → what follows its run, entered before and left after it.
-        overwrite: replace a leaderboard that is there.
-        options: of ``petmjx.score``, for plans that are scored.
+        stories: how many plans of each packer get a page. Plans that fall while another packer's plan of the order
+            stands come first.
+        replays: how many plans of each entry are simulated again, unless the board has just scored the entry. They are
+            drawn at random. The options are those given, or those that all runs have.
+        watch: packer → a context manager with the watcher of its run.
+        overwrite: replace an existing leaderboard.
+        options: options of ``petmjx.score``, for plans that are scored.
 
     Returns:
         The path of ``index.html``.
 
     Raises:
-        InputError: fewer than two packers, unusable plans, runs or options, no packer whose run its replays confirm, or
-            the folder cannot be written or holds something that is no leaderboard.
+        InputError: fewer than two packers, unusable plans, runs or options, no packer with a run that its replays
+            confirm, or the folder cannot be written or holds something else than a leaderboard.
     """
     flag_of(baselines, "baselines")
     integer_of(stories, "stories", 0, MOST_STORIES)
@@ -132,11 +135,11 @@ def leaderboard(
 
 @dataclass(frozen=True, eq=False)
 class _RatedEntries:
-    """The entries that are rated, and how they compare; of the others only their samples are there.
+    """The rated entries and their comparison. Of other entries it only has the samples.
 
     Attributes:
-        options: of the simulation, which the board has.
-        samples: of all entries that were simulated again.
+        options: simulation options of the board.
+        samples: samples of all entries that were simulated again.
     """
 
     entries: Sequence[Entry]
@@ -149,7 +152,7 @@ class _RatedEntries:
 def _rated_entries(
     entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
 ) -> _RatedEntries:
-    """Compare the entries whose runs are confirmed by what the board simulates again: samples, and stories."""
+    """Compare the entries whose runs are confirmed by the board's own simulations: samples and stories."""
     runs_by_packer({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
@@ -176,7 +179,7 @@ def _rated_entries(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The options of the board: those given; else those of its runs, if all have the same."""
+    """The simulation options of the board: those given, else those of its runs if all runs have the same."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
@@ -200,7 +203,7 @@ def _entries(
 
 
 def _is_same(source: Path, target: Path) -> bool:
-    """Whether the board's own file of orders is the one that it is made with."""
+    """Whether the given file of orders is the board's own file."""
     return source.exists() and target.is_file() and not target.is_symlink() and source.samefile(target)
 
 
@@ -211,8 +214,8 @@ def _digest(file: Path) -> str:
 def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
-    """Tell some plans of each packer, each simulated again as its run did. Also what that says of the verdicts of each
-    packer's run."""
+    """Make stories of some plans of each packer, each simulated again as in its run. Also returns the replays of each
+    packer."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     seen: dict[str, list[Replay]] = {}
@@ -230,8 +233,9 @@ def _stories(
 
 
 def worth_telling(found: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
-    """Plans of a packer: first those that do not stand while another packer's do, then others that do not stand, then
-    those that stand while another packer's do not, then the rest; with most boxes first."""
+    """Plans of a packer in the order in which they get stories. First come plans that do not stand while another
+    packer's plan does, then other plans that do not stand, then plans that stand while another packer's plan does not,
+    then the rest. In each group the largest plans come first."""
     mine = found.plans[(found.plans["packer"] == packer) & found.plans["plan_id"].isin(list(plans))]
     lost = set(found.decided.loc[found.decided["lost_by"] == packer, "plan_id"])
     falls = mine["verdict"] == Verdict.UNSTABLE.value
@@ -243,5 +247,5 @@ def worth_telling(found: PackerComparison, packer: str, plans: Mapping[str, Any]
 
 
 def board_line(page: Path) -> str:
-    """What the command line says at the end."""
+    """The last line that the command line prints."""
     return f"leaderboard in {printable(str(page.parent))}: open {printable_name(page.name)}"

@@ -1,4 +1,4 @@
-"""The files of a leaderboard: which it will have, and which of those that are there are its own."""
+"""The files of a leaderboard: names of files to write, and which existing files are the board's own."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ STORIES: Final = "stories"
 PLANS: Final = "plans"
 RUNS: Final = "runs"
 ORDERS: Final = "orders.json"
-"""Files and folders of a leaderboard."""
+"""Names of files and folders of a leaderboard."""
 
 FILES: Final = "files"
 UNFINISHED: Final = "unfinished"
-"""Entries of ``leaderboard.json``: the files that are the board's own, and that it is not done yet."""
+"""Entries of ``leaderboard.json``: the list of the board's own files, and the mark of an unfinished board."""
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""A name in a run's folder that no file has: the way to it is looked at."""
+"""A name in a run's folder that no file has. It is used to check the path to the folder."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
-    """The files that a board may have beside its runs, as paths from its folder.
+    """The files that a board may have in addition to its runs, as paths relative to its folder.
 
     Args:
-        packers: their names.
-        stories: most stories of a packer.
+        packers: names of the packers.
+        stories: largest number of stories of a packer.
         orders: whether it keeps a file of orders.
     """
     pages = [f"{STORIES}/{packer}-{story}.html" for packer in range(1, len(packers) + 1) for story in _up_to(stories)]
@@ -49,21 +49,21 @@ def _up_to(number: int) -> range:
 
 
 class BoardFolder:
-    """A folder that is to be a leaderboard.
+    """The folder of a leaderboard that is being made.
 
     Args:
         folder: made by :meth:`begin`.
-        names: the files that will be written there, of :func:`names_of`.
-        packers: names of the packers that will be scored there.
+        names: the files that will be written, from :func:`names_of`.
+        packers: names of the packers that will be scored into the folder.
         inputs: files and folders that are read.
-        overwrite: a board that is there is to be replaced. One that was not finished goes on without it.
+        overwrite: replace an existing board. An unfinished board is continued even without it.
 
     Attributes:
-        own: the files that are the board's own, as paths from its folder.
+        own: the board's own files, as paths relative to its folder.
 
     Raises:
-        InputError: the folder has something that is no leaderboard, a file with a name of the board's that the board
-            did not write, or a board that may not be replaced.
+        InputError: the folder holds something else than a leaderboard, a foreign file with the name of a board's file,
+            or a board that may not be replaced.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class BoardFolder:
         self.check()
 
     def check(self) -> None:
-        """Check once more that nothing of others would be replaced or removed: work in between may take hours."""
+        """Check again that no foreign file would be replaced or removed, since the work in between may take hours."""
         check_outputs(
             [self._folder / name for name in dict.fromkeys((*self._names, *self.own, *self._runs))],
             overwrite=self._overwrite,
@@ -98,17 +98,17 @@ class BoardFolder:
         )
 
     def begin(self) -> None:
-        """Make the folder, and write down which files are the board's own before the first of them is there."""
+        """Make the folder, and write the list of the board's own files before the first of them."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self.own |= frozenset(self._names)
         self._write({**self._before, "petmjx": __version__, UNFINISHED: True, FILES: sorted(self.own)})
-        self._overwrite = True  # from here on what is there of these names is of this board
+        self._overwrite = True  # from here on files with these names belong to this board
 
     def finish(self, board: Mapping[str, Any], written: Collection[str]) -> None:
-        """Write what the board says, and remove what an earlier one has left.
+        """Write ``leaderboard.json``, and remove files that an earlier board has left.
 
         Args:
-            written: the files that it has, of ``names``.
+            written: the files of ``names`` that the board has.
         """
         self.check()
         for name in self.own.difference(written, (DATA,)):
@@ -122,10 +122,10 @@ class BoardFolder:
 
 
 def _board_in(folder: Path) -> Mapping[str, Any] | None:
-    """What the board in a folder says; None: there is none.
+    """The content of the ``leaderboard.json`` in a folder; None if there is no board.
 
     Raises:
-        InputError: its file is not one that petmjx wrote.
+        InputError: petmjx did not write the file.
     """
     file = folder / DATA
     try:
@@ -140,7 +140,7 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The files of a board, as it says. One without a list has those of its packers and stories."""
+    """The board's own files, from its list. A board without a list has the files of its packers and stories."""
     if not board:
         return
     listed = board.get(FILES)
@@ -159,7 +159,8 @@ def _tables(value: Any) -> list[dict[str, Any]]:
 
 
 def _is_a_board_file(name: str) -> bool:
-    """Whether a name is one that boards have: whoever edits ``leaderboard.json`` must not lead petmjx elsewhere."""
+    """Whether a name can be that of a board's file. An edited ``leaderboard.json`` must not lead petmjx to other
+    files."""
     path = PurePosixPath(name)
     if len(path.parts) == 1:
         return name in (PAGE, DATA, ORDERS)

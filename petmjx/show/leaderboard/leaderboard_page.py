@@ -25,7 +25,7 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200
-"""Orders that are listed; all are in the runs."""
+"""Most orders that the page lists. The runs have all of them."""
 
 MOST_SENTENCES: Final = 15
 
@@ -50,7 +50,8 @@ _MEANS: Final = {
 
 @dataclass(frozen=True)
 class StoryEntry:
-    """A story of the board: a plan of a packer, its verdict, and its page, from the board's folder."""
+    """A story of the board: a plan of a packer, its verdict, and the path of its page relative to the board's
+    folder."""
 
     packer: str
     plan_id: str
@@ -60,15 +61,16 @@ class StoryEntry:
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """All that the page says.
+    """The content of the page.
 
     Attributes:
-        rating: a row for each packer, as ``petmjx.analysis.packer_rating.rate`` makes them.
-        digests: packer → SHA-256 of the file of its plans in the folder; packers whose plans were not found lack one.
+        rating: a row for each packer, from ``petmjx.analysis.packer_rating.rate``.
+        digests: packer → SHA-256 of the file of its plans in the folder. Packers whose plans were not found have no
+            entry.
         orders: whether the board was made with orders.
-        stories: most stories of a packer.
-        options: of the simulation, with which the board is made again.
-        samples: of the entries of which it simulated plans again; also of those that it does not rate.
+        stories: largest number of stories of a packer.
+        options: simulation options to make the board again.
+        samples: samples of all entries whose plans were simulated again, including entries that are not rated.
     """
 
     entries: Sequence[Entry]
@@ -115,7 +117,7 @@ class Board:
 
     @property
     def command(self) -> str:
-        """The command that, run in the board's folder, makes the board again in another folder."""
+        """The command that makes the board again in another folder. It is to be run in the board's folder."""
         theirs = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
         words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in theirs)]
         words += ["--orders", ORDERS] if self.orders else []

@@ -1,1 +1,1 @@
-"""Pages: one HTML file each, which opens offline in any browser and asks nothing of any server."""
+"""Pages: each is one HTML file that opens offline in any browser and requests nothing from a server."""

@@ -1,4 +1,4 @@
-"""Contact forces as pages and pictures draw them: one for each two bodies."""
+"""Contact forces as pages and pictures draw them: one force for each pair of bodies."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from petmjx.world.history import FLOOR, Contacts
 
 
 class Pushes(NamedTuple):
-    """k pushes, in order of pairs of bodies, then of frames.
+    """k pushes, sorted by pair of bodies, then by frame.
 
     Attributes:
-        frame: (k,) the frame.
-        point: (k, 3) centre of pressure, m: the mean place of the contacts, weighted by their forces.
-        force: (k, 3) sum of the forces on the lower one of the two bodies, N: its z is not positive.
+        frame: (k,) number of the frame.
+        point: (k, 3) centre of pressure, m: the mean of the contacts' places, weighted by their forces.
+        force: (k, 3) sum of the forces on the lower of the two bodies, N. Its z is not positive.
     """
 
     frame: NDArray[np.int32]
@@ -26,7 +26,7 @@ class Pushes(NamedTuple):
 
 
 def pushes(contacts: Contacts) -> Pushes:
-    """The forces between each two bodies that press on each other, in each frame."""
+    """The forces between each pair of bodies that press on each other, in each frame."""
     strength = np.linalg.norm(contacts.force, axis=1)
     body = contacts.body.astype(np.int64) - FLOOR  # the lowest number of a body becomes 0
     on_later = np.where(body[:, 0] > body[:, 1], -1.0, 1.0)[:, None] * contacts.force

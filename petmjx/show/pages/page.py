@@ -1,7 +1,8 @@
-"""One offline HTML page from parts: styles, scripts and data are in it, and its policy lets it ask for nothing else.
+"""Makes one offline HTML page from parts.
 
-Nothing that comes from plans is ever markup: in HTML it goes through :func:`escaped_html`, in data through
-:func:`page`, and scripts write it as text.
+The page contains its styles, scripts and data, and its policy does not allow it to request anything else. Texts from
+plans never become markup: in HTML they go through :func:`escaped_html`, in data through :func:`page`, and scripts write
+them as text.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ def escaped_html(value: object) -> str:
 
 
 def filled_template(template: str, **parts: str) -> str:
-    """A file of ``petmjx/show/pages/static`` with its ``$names`` replaced. The parts are markup, so escape what is
-    not."""
+    """A file of ``petmjx/show/pages/static`` with its ``$names`` replaced. The parts are markup, so escape plain
+    text."""
     return Template(static_text(template)).substitute(parts)
 
 
@@ -44,14 +45,15 @@ def page(
 ) -> str:
     """A page of one file.
 
-    The policy allows this script and this style sheet, by their hashes, and images that are within the page. So there
-    are no ``style`` attributes and no event handlers in ``body``: use classes, and attributes of SVG.
+    The policy allows this script and this style sheet, by their hashes, and images inside the page. So there are no
+    ``style`` attributes and no event handlers in ``body``: use classes, and attributes of SVG.
 
     Args:
         title: text.
         body: markup.
-        script: the entry module in ``petmjx/show/pages/static``; what it imports comes with it. "": the page has none.
-        styles: style sheets there, after ``base.css``.
+        script: the entry module in ``petmjx/show/pages/static``. The modules that it imports are included. "": no
+            script.
+        styles: style sheets in the same folder, added after ``base.css``.
         info: plain values; the script gets them from ``readInfo()``.
         blocks: name → :func:`petmjx.show.pages.page_arrays.block`; the script gets them from ``readBlock(name)``.
 
@@ -74,12 +76,12 @@ def page(
 
 
 def _source(text: str) -> str:
-    """The source of a Content-Security-Policy that is this very text."""
+    """The source of a Content-Security-Policy that allows exactly this text."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 def _json(info: Mapping[str, Any]) -> str:
-    """JSON that cannot end the element it is in: ASCII only, and without ``<``, ``>`` and ``&``."""
+    """JSON that cannot end the HTML element around it: ASCII only, and without ``<``, ``>`` and ``&``."""
     text = json.dumps(to_json(info), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

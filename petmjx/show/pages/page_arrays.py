@@ -1,7 +1,7 @@
-"""Arrays in a page: compact, as base64 of deflated bytes. ``petmjx/show/pages/static/blocks.js`` reads them.
+"""Compact arrays in a page: base64 of deflated bytes, which ``petmjx/show/pages/static/blocks.js`` reads.
 
-A *block* is: length of the header (4 bytes), header (JSON, padded with spaces to a multiple of 8), the arrays, each
-from a multiple of 8; all little-endian, deflated (zlib), in base64.
+A *block* consists of the length of the header (4 bytes), the header (JSON, padded with spaces to a multiple of 8), and
+the arrays, each of which starts at a multiple of 8. All is little-endian, deflated (zlib), in base64.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _ALIGNED: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class PackedArray:
-    """An array as a block has it: ``values`` × ``scale`` + ``offset``; with ``steps`` the values of axis 0 are
-    differences to the row before, modulo the type's range, which deflate better."""
+    """An array as stored in a block: ``values`` × ``scale`` + ``offset``. With ``steps`` a row of axis 0 holds the
+    differences from the row before, modulo the type's range, which deflate better."""
 
     values: NDArray[Any]
     scale: float | None = None
@@ -35,7 +35,7 @@ class PackedArray:
 
 
 def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> PackedArray:
-    """Numbers as int16, in 65,534 equal parts of their range. The error is at most half a part; NaN stays NaN.
+    """Floats as int16: their range is divided into 65,534 equal parts. The error is at most half a part. NaN stays NaN.
 
     Args:
         values: any shape; infinities become NaN.
@@ -65,7 +65,7 @@ def integer_column(values: NDArray[np.integer[Any]], steps: bool = False) -> Pac
 
 
 def _differences(values: NDArray[Any]) -> NDArray[Any]:
-    """Along axis 0, modulo the type's range; the first row stays."""
+    """Differences along axis 0, modulo the type's range. The first row is kept."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out

@@ -1,7 +1,7 @@
 """Scripts and styles of pages: files of ``petmjx/show/pages/static``, joined into one text each.
 
-Scripts are ES modules, so that editors, linters and Node understand them. A page is one file, in which modules cannot
-import each other, so each becomes a function that is called once and returns what the module exports.
+Scripts are ES modules, so that editors, linters and Node understand them. Modules in one file cannot import each other.
+So each module becomes a function that is called once and returns the exports of the module.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ def static_text(name: str) -> str:
 
 
 def joined_modules(entry: str) -> str:
-    """A module and all that it imports, as one module. What ``viewer.js`` exports is in the object ``viewer_js``.
+    """A module and all modules that it imports, as one module. The exports of ``viewer.js`` are in the object
+    ``viewer_js``.
 
     Raises:
         ValueError: modules that import each other; an import or export of another form than
@@ -52,7 +53,7 @@ def _gather(name: str, texts: dict[str, str], trail: tuple[str, ...]) -> None:
 
 
 def _object_import(imported: re.Match[str]) -> str:
-    """An import, as a look into the object of its module."""
+    """An import, as access to the object of its module."""
     return f"const {imported[1].removeprefix('* as ')} = {imported[2]}_js;"
 
 

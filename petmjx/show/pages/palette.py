@@ -1,4 +1,4 @@
-"""Colours that people who are colour-blind can tell apart, for pages and pictures. All are sRGB, as ``#rrggbb``."""
+"""Colours for pages and pictures that colour-blind people can tell apart. All are sRGB, as ``#rrggbb``."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OKABE_ITO: Final = ("#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55
 """Okabe and Ito, "Color Universal Design", 2008, without black."""
 
 _TONES: Final = (0.0, 0.45, -0.4)
-"""How the hues come again once all are taken: as they are, lighter, darker."""
+"""Tones of the hues, in the order of use: pure, lighter, and darker, once all hues are taken."""
 
 RAMP_COLOURS: Final = 64
 
@@ -28,7 +28,7 @@ _CHROMA: Final = 0.15
 
 
 def article_colours(articles: Sequence[str]) -> list[str]:
-    """A colour for each box, the same for boxes of an article; the most frequent articles have the plainest colours."""
+    """A colour for each box, the same for all boxes of an article. The most frequent articles get the pure colours."""
     counts = Counter(articles)
     ranked = sorted(counts, key=lambda article: (-counts[article], articles.index(article)))
     colours = {article: category(number) for number, article in enumerate(ranked)}
@@ -36,7 +36,7 @@ def article_colours(articles: Sequence[str]) -> list[str]:
 
 
 def category(number: int) -> str:
-    """The colour of a category, from 0. After 21 they come again."""
+    """The colour of a category, counted from 0. After 21 categories the colours repeat."""
     hue, tone = OKABE_ITO[number % len(OKABE_ITO)], _TONES[number // len(OKABE_ITO) % len(_TONES)]
     towards = 1.0 if tone > 0 else 0.0
     red, green, blue = (part + abs(tone) * (towards - part) for part in rgb_of(hue))
@@ -60,14 +60,14 @@ def hex_of(rgb: Rgb) -> str:
 
 
 def look() -> dict[str, Any]:
-    """What boxes look like, as ``petmjx/show/pages/static/look.js`` says it."""
+    """The look of boxes, read from ``petmjx/show/pages/static/look.js``."""
     _, _, json_text = static_text("look.js").partition("LOOK = ")
     appearance: dict[str, Any] = json.loads(json_text.rstrip().removesuffix(";"))
     return appearance
 
 
 def _on_path(share: float) -> str:
-    """The colour at a share of the path, with as much of its chroma as sRGB has room for."""
+    """The colour at a share of the path, with the largest chroma that sRGB allows."""
     lightness, hue = (low + share * (high - low) for low, high in (_LIGHTNESS, _HUE_DEG))
     chroma = _CHROMA
     while True:

@@ -1,4 +1,7 @@
-"""A still picture of boxes as SVG, for browsers without WebGL: seen from the front left, far things first."""
+"""A still picture of boxes as SVG, for browsers without WebGL.
+
+It is seen from the front left, and far boxes are drawn first.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ _AZIMUTH, _ELEVATION = _LOOK["view"]["azimuth"], _LOOK["view"]["elevation"]
 _TOWARDS: Final = np.array(
     [np.sin(_AZIMUTH) * np.cos(_ELEVATION), -np.cos(_AZIMUTH) * np.cos(_ELEVATION), np.sin(_ELEVATION)]
 )
-"""(3,) unit vector from what is seen to the eye."""
+"""(3,) unit vector from the scene towards the eye."""
 _RIGHT: Final = np.array([np.cos(_AZIMUTH), np.sin(_AZIMUTH), 0.0])
 _DOWN: Final = -np.cross(_TOWARDS, _RIGHT)
 _SUNWARD: Final = np.array(_LOOK["sunward"]) / np.linalg.norm(_LOOK["sunward"])
@@ -30,14 +33,14 @@ _SUNWARD: Final = np.array(_LOOK["sunward"]) / np.linalg.norm(_LOOK["sunward"])
 _WIDTH: Final = 800.0
 _MARGIN: Final = 12.0
 _TOUCHING_M: Final = 1e-3
-"""Boxes whose bodies are this deep in each other still count as side by side."""
+"""Boxes that overlap by at most this depth still count as side by side."""
 
 # The four corners around each face of a box: −x, +x, −y, +y, −z, +z.
 _FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
 def still_svg(story: Story) -> str:
-    """The last frame of a story; the first box to fail is outlined."""
+    """The last frame of a story as SVG. The first box to fail is outlined."""
     history, scene = story.history, story.scene
     shown = np.flatnonzero(np.isfinite(history.pos[-1]).all(axis=1))
     carrier_pos, carrier_quat = history.carrier_pos[-1], history.carrier_quat[-1]
@@ -67,12 +70,12 @@ def still_svg(story: Story) -> str:
 
 
 def _projection(points: FloatArray) -> FloatArray:
-    """(…, 2) places in the picture, m to the right and down."""
+    """(…, 2) places in the picture, m to the right and downwards."""
     return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
 
 
 def _picture_fit(story: Story, points: FloatArray) -> tuple[FloatArray, float, float]:
-    """Upper left corner (2,), pixels per m and height of a picture that shows all boxes but those far off."""
+    """Upper left corner (2,), pixels per m and height of a picture that shows all boxes except distant ones."""
     ends = np.array(framed_corners(story))
     room = _projection(np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)]))
     flat = _projection(points).reshape(-1, 2)
@@ -85,7 +88,7 @@ def _picture_fit(story: Story, points: FloatArray) -> tuple[FloatArray, float, f
 
 
 def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
-    """One face of a box as a polygon; "" for a face that looks away."""
+    """One face of a box as a polygon; "" if the face looks away from the eye."""
     normal = axes[:, number // 2] * (1 if number % 2 else -1)
     if normal @ _TOWARDS <= 1e-9:
         return ""
@@ -96,10 +99,11 @@ def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
 
 
 def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[int]:
-    """The order in which boxes are drawn so that near ones cover far ones.
+    """The order in which boxes are drawn, so that near boxes cover far ones.
 
-    A plane through a face of one box with the other box beyond it says which of the two is nearer. Boxes that no face
-    parts, and rings of boxes each behind the next, go by the distance of their centres.
+    If the plane through a face of one box has the other box on its far side, it decides which of the two is nearer.
+    Pairs that no face separates, and cycles of boxes each behind the next, are ordered by the distance of their
+    centres.
 
     Args:
         pos: (k, 3) centres; axes: (k, 3, 3) columns are their axes; half: (k, 3) half sizes; all in m.

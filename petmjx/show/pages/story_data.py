@@ -1,4 +1,4 @@
-"""What the page of a story carries: values for its script, and its frames as arrays."""
+"""The data in the page of a story: values for its script, and its frames as arrays."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
-"""Boxes farther beside the pallet than ``_FAR_M`` and this share of its height do not make the picture smaller."""
+"""A box that lies farther beside the pallet than ``_FAR_M`` and this share of the pallet's height is not framed."""
 _LOST_M: Final = 50.0
-"""Boxes beyond it, of simulations that blew up, are not drawn, and do not make all other places inexact."""
+"""Boxes beyond this distance, from simulations that blew up, are not drawn. Otherwise all other places would be stored
+less exactly."""
 _ARROW_M: Final = 0.45
 """Room to the left of the carrier for the arrow of gravity (petmjx/show/pages/static/arrows.js)."""
 
 
 def story_info(story: Story) -> dict[str, Any]:
-    """What the script reads by ``readInfo()``. Lengths in m unless the name says mm."""
+    """The values that the script reads by ``readInfo()``. Lengths are in m unless the name says mm."""
     limits, outcome = thresholds_of(story), story.outcome
     first = None
     if outcome.culprit >= 0:
@@ -68,14 +69,14 @@ def _boxes(story: Story) -> dict[str, Any]:
 
 
 def placed_s(history: History) -> FloatArray:
-    """(n,) when each box was placed, s; NaN for boxes that were not."""
+    """(n,) time at which each box was placed, s; NaN for boxes that were not placed."""
     frame = np.searchsorted(history.n_placed, np.arange(history.pos.shape[1]), side="right")
     times = np.append(history.time_s, np.nan)
     return np.asarray(times[frame], dtype=np.float64)
 
 
 def _drive(story: Story) -> dict[str, Any] | None:
-    """What shakes the world: "force" or "acceleration", and which value of it is 1 g; None if nothing does."""
+    """The drive: its kind, "force" or "acceleration", and the value that equals 1 g; None without a drive."""
     if story.drive is None or not np.any(story.history.drive):
         return None
     kind = story.drive.excitation.kind
@@ -84,7 +85,7 @@ def _drive(story: Story) -> dict[str, Any] | None:
 
 
 def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
-    """(3,) lowest and (3,) highest corner of what a picture shows: carrier, plan, boxes that lie near at the end."""
+    """(3,) lowest and (3,) highest corner of the framed scene: carrier, plan, and boxes that lie near at the end."""
     scene = story.scene
     low = np.vstack([scene.target - scene.half_size, scene.carrier.low]).min(axis=0)
     high = np.vstack([scene.target + scene.half_size, scene.carrier.high]).max(axis=0)
@@ -98,7 +99,7 @@ def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
 
 
 def story_blocks(story: Story) -> dict[str, str]:
-    """What the script reads by ``readBlock``: ``frames``, and ``contacts`` where they were recorded."""
+    """The blocks that the script reads by ``readBlock``: ``frames``, and ``contacts`` if they were recorded."""
     blocks = {"frames": block(_frames(story, thresholds_of(story)))}
     if story.history.contacts is not None:
         blocks["contacts"] = block(_contacts(story.history.contacts))
@@ -106,9 +107,9 @@ def story_blocks(story: Story) -> dict[str, str]:
 
 
 def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | PackedArray]:
-    """The columns of f frames of n boxes; ``shift_mm`` and ``tilt_deg`` are those that limits are for.
+    """The columns of f frames of n boxes. ``shift_mm`` and ``tilt_deg`` are the values that the limits apply to.
 
-    Of forces there is the square root with their sign, as impacts are a thousand times what a box bears at rest.
+    Forces are stored as signed square roots, since impacts are a thousand times the forces at rest.
     """
     history = story.history
     n_frames, n = history.pos.shape[:2]
@@ -133,8 +134,8 @@ def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed
 
 
 def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | PackedArray]:
-    """One force for each two bodies and frame. Rows of a pair follow each other, so that a row differs little from the
-    one before and deflates well."""
+    """One force for each pair of bodies and frame. The rows of a pair are adjacent, so that a row differs little from
+    the row before and deflates well."""
     forces = pushes(contacts)
     return {
         "frame": integer_column(forces.frame, steps=True),

@@ -1,4 +1,4 @@
-"""Stories with their pages: in a notebook, the result of ``petmjx.tell`` is a page to play and turn."""
+"""Shows stories in notebooks: the result of ``petmjx.tell`` appears as a page to play and turn."""
 
 from __future__ import annotations
 

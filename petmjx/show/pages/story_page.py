@@ -15,7 +15,7 @@ from petmjx.version import __version__
 
 
 def story_page(story: Story) -> str:
-    """One offline HTML file with a story: to play, turn and ask; a still picture and numbers where there is no WebGL.
+    """One offline HTML file with a story to play, turn and inspect. Without WebGL it shows a still picture and numbers.
 
     Returns:
         The text of the file, to be written as UTF-8.
@@ -57,7 +57,7 @@ def _notes(story: Story) -> list[str]:
 
 
 def _summary(story: Story) -> str:
-    """How many boxes, and why the verdict is what it is."""
+    """The number of boxes, and the reason of the verdict."""
     outcome = story.outcome
     placed = "" if outcome.n_placed == outcome.n_boxes else f"{outcome.n_placed} of "
     boxes = f"{placed}{count_text(outcome.n_boxes, 'box', 'boxes')} placed"

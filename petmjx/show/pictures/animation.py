@@ -1,4 +1,4 @@
-"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg that imageio-ffmpeg brings."""
+"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg of imageio-ffmpeg."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ HELD_S: Final = 2.0
 """How long a film shows its last frame, s."""
 
 USUAL_LONGEST_S: Final = 20.0
-"""Without a given speed a film is in real time, or so much faster that it lasts no longer than this."""
+"""Longest film without a given speed, s. A film is in real time, or as much faster as this needs."""
 
 MOST_FRAMED: Final = 400
-"""Of how many frames the camera of a film makes sure that it sees them."""
+"""Largest number of frames that the camera of a film is fitted to."""
 
 GIF_COLOURS: Final = 255
-"""One of 256 is kept for pixels that stay as they were."""
+"""Colours of a GIF. One of 256 is kept for pixels that do not change."""
 
 
 def film_times(story: Story, speed: float, fps: float) -> list[float]:
@@ -47,20 +47,21 @@ def film_times(story: Story, speed: float, fps: float) -> list[float]:
 
 
 def usual_speed(story: Story) -> float:
-    """Real time, or the whole multiple of it with which the film lasts no longer than ``USUAL_LONGEST_S``."""
+    """Real time, or the smallest whole multiple of it with which the film lasts at most ``USUAL_LONGEST_S``."""
     lasts_s = float(story.history.time_s[-1] - story.history.time_s[0])
     return float(max(1, math.ceil(lasts_s / USUAL_LONGEST_S)))
 
 
 def spread_times(story: Story) -> list[float]:
-    """Some times of a story, s, whose pictures have all colours that others have: as boxes come, and as they fall."""
+    """Some times of a story, s, whose pictures contain all colours of the film: while boxes are placed, and while they
+    fall."""
     first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
     signs = [story.outcome.first_sign_s] if math.isfinite(story.outcome.first_sign_s) else []
     return sorted([first + share * (last - first) for share in (0.25, 0.5, 0.75, 1.0)] + signs)
 
 
 def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
-    """The pictures of a film at these times, s, by one camera that sees all of the story."""
+    """The pictures of a film at these times, s, by one camera that frames the whole story."""
     count = len(story.history.time_s)
     some = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
     overlay = Overlay(look.colours, look.size, speed, look.arrows)
@@ -72,7 +73,8 @@ def film_frames(story: Story, look: PictureStyle, speed: float, times: list[floa
 
 
 def palette_of(frames: Iterable[Image]) -> Image:
-    """The colours of a GIF, from some of its frames: 255, one of them white, and one for pixels that stay."""
+    """The palette of a GIF, from some of its frames: 255 colours, one of them white, and one index for pixels that do
+    not change."""
     from PIL import Image
 
     some = list(frames)
@@ -89,7 +91,7 @@ def palette_of(frames: Iterable[Image]) -> Image:
 def write_gif(
     frames: Iterator[Image], path: Path, palette: Image, fps: float, progress: Progress | None = None
 ) -> None:
-    """Write a film that repeats. Each frame has the pixels that change, so that flat colours take little room.
+    """Write a film that repeats. Each frame only has the pixels that change, so that flat colours take little space.
 
     GIF counts in hundredths of a second: the frame times are rounded so that their sum stays right.
     """
@@ -138,7 +140,8 @@ def write_mp4(
 
 
 def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
-    """(height, width) the index of each pixel's colour. White stays white: Pillow takes a colour that is near."""
+    """(height, width) the index of each pixel's colour. White is set explicitly, because Pillow would take a nearby
+    colour."""
     from PIL import Image
 
     indices = np.array(frame.quantize(palette=palette, dither=Image.Dither.NONE), dtype=np.uint8)
@@ -148,7 +151,7 @@ def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
 
 
 def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image, tuple[int, int]]:
-    """The smallest part of a picture that has all changed pixels, the others transparent, and where it lies."""
+    """The smallest part of a picture with all changed pixels (other pixels are transparent), and its place."""
     from PIL import Image
 
     changed = before != after

@@ -1,4 +1,4 @@
-"""Where a picture is seen from: named views, and a camera that has given points in the picture."""
+"""The camera of a picture: named views, and a camera that frames given points."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray, deg_to_rad
 
 FIELD_OF_VIEW_DEG: Final = 24.0
-"""Vertical angle that a picture spans, as of a lens of 56 mm on 24 × 36 mm film: upright edges look nearly parallel."""
+"""Vertical angle of view, as of a 56 mm lens on 24 × 36 mm film. Upright edges look nearly parallel."""
 
 NEAREST_M: Final = 0.3
-"""Least distance from the camera to what it shows, m."""
+"""Least distance from the camera to the framed points, m."""
 
 
 class View(NamedTuple):
-    """Where a camera stands, seen from the pallet. ``azimuth_deg``: 0 in front (at −y), 90 on the right (at +x).
-    ``elevation_deg``: above the horizontal."""
+    """The direction of a camera, seen from the pallet. ``azimuth_deg`` is 0 in front (at −y) and 90 on the right (at
+    +x). ``elevation_deg`` is the angle above the horizontal."""
 
     azimuth_deg: float
     elevation_deg: float
@@ -45,7 +45,7 @@ def view_of(text: str) -> View:
     """A view by name, or from "AZIMUTH/ELEVATION" in degrees.
 
     Raises:
-        InputError: neither, or an elevation beyond ±90°.
+        InputError: the text is neither, or the elevation is beyond ±90°.
     """
     if text in VIEWS:
         return VIEWS[text]
@@ -74,8 +74,9 @@ class Camera:
     """A pinhole camera.
 
     Attributes:
-        pos: (3,) m; right, up, forward: (3,) unit vectors.
-        width, height: of the picture, px.
+        pos: (3,) position, m.
+        right, up, forward: (3,) unit vectors.
+        width, height: size of the picture, px.
         depth_m: distances of the nearest and the farthest framed point along ``forward``.
     """
 
@@ -93,18 +94,19 @@ class Camera:
 
     @property
     def tangent(self) -> float:
-        """Of half the vertical angle that the picture spans."""
+        """Tangent of half the vertical angle of view."""
         return _half_angle_tangent()
 
     def project(self, points: FloatArray) -> FloatArray:
-        """(k, 3) points in front of the camera → (k, 2) pixels, right and down from the upper left corner."""
+        """(k, 3) points in front of the camera → (k, 2) pixels, to the right and downwards from the upper left
+        corner."""
         x, y, z = _along((self.right, self.up, self.forward), points - self.pos)
         scale = self.height / (2 * self.tangent)
         return np.stack((self.width / 2 + scale * x / z, self.height / 2 - scale * y / z), axis=1)
 
 
 def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Margins | None = None) -> Camera:
-    """The nearest camera that has all points within the margins of its picture.
+    """The nearest camera that shows all points within the margins of its picture.
 
     In the camera's axes a point (x, y, z) is left of the right margin if x − cx ≤ r (z − cz), where (cx, cy, cz) is the
     camera and r the tangent of the angle to that margin. So cx − r cz ≥ A with A = max(x − r z), likewise
@@ -145,5 +147,5 @@ def _axes(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _along(axes: tuple[FloatArray, ...], points: FloatArray) -> tuple[FloatArray, ...]:
-    """Coordinates of (k, 3) points along each axis, (k,) each."""
+    """Coordinates of (k, 3) points along each axis: a (k,) array per axis."""
     return tuple(np.asarray(points @ axis) for axis in axes)

@@ -1,4 +1,4 @@
-"""Which colour a box has, and what that means: the same colours as on pages (``petmjx.show.pages.palette``)."""
+"""The colours of boxes and their meaning, the same as on pages (``petmjx.show.pages.palette``)."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CARRIER: Final[Rgb] = (0.70, 0.64, 0.56)
 CARTON: Final[Rgb] = (0.86, 0.74, 0.56)
 
 _DARKEST: Final = 0.15
-"""Where on the ramp scales begin: before it black edges are hardly seen."""
+"""Place on the ramp where scales begin. On darker colours black edges are hardly visible."""
 
 MOST_NAMED: Final = 7
 """Most articles that a legend names."""
@@ -33,7 +33,8 @@ MOST_NAMED: Final = 7
 
 @dataclass(frozen=True)
 class Scale:
-    """What the colours of values mean: from ``low`` to ``high``, dark to bright; larger values have the last colour."""
+    """The meaning of colours that stand for values: from ``low`` (dark) to ``high`` (bright). Larger values have the
+    last colour."""
 
     label: str
     low: float
@@ -46,8 +47,8 @@ class Colouring:
     """The colours of a story's boxes.
 
     Attributes:
-        scale: the meaning of colours that stand for values; None for others.
-        names: the meaning of colours that stand for names.
+        scale: the meaning of colours if they stand for values; else None.
+        names: the meaning of colours if they stand for names.
         note: one more line of the legend.
     """
 
@@ -59,7 +60,7 @@ class Colouring:
 
     @property
     def outlined(self) -> bool:
-        """Whether the colours of names are those of edges."""
+        """Whether the colours of names are the colours of edges."""
         return self.colour is Colour.PLANNED
 
     def of(self, poses: Poses) -> NDArray[np.float64]:
@@ -113,7 +114,7 @@ def _scale(story: Story, colour: Colour) -> Scale:
 
 
 def _usual_force(story: Story) -> float:
-    """The largest force of a box at rest, N, or in 98 of 100 frames: impacts, which pass within a frame, are beyond."""
+    """The largest force on a box at rest, or in 98 of 100 frames, N. Impacts, which pass within a frame, exceed it."""
     forces = story.history.top_force_n[np.isfinite(story.history.top_force_n)]
     rest = story.outcome.boxes.rest_top_force_n
     usual = float(np.quantile(forces, 0.98)) if len(forces) else 0.0
@@ -127,7 +128,8 @@ def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> 
 
 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:
-    """(k,) from 0 to 1 → (k, 3) colours, dark to bright; beyond the ends the first and the last."""
+    """(k,) values from 0 to 1 → (k, 3) colours, dark to bright. Values beyond the ends get the first or the last
+    colour."""
     last = RAMP_COLOURS - 1
     places = _DARKEST + (1 - _DARKEST) * np.clip(np.nan_to_num(shares, nan=1.0), 0.0, 1.0)
     return np.asarray(_ramp()[np.round(places * last).astype(np.intp)])

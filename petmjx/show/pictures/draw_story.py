@@ -34,41 +34,41 @@ _SUN: Final = (0.26, 0.36, -1.0)
 _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
-"""Edges are drawn nearer to the camera than the faces that they bound, by this share of the distance, and smaller by
-the same share: at the same pixels, and in front."""
+"""Share of the distance by which edges are drawn nearer to the camera than their faces. They are scaled down by the
+same share, so that they cover the same pixels, but lie in front."""
 
 _SEE_THROUGH: Final = 0.24
-"""Opacity of boxes where contact forces are drawn."""
+"""Opacity of boxes if contact forces are drawn."""
 
 _AWAY: Final = 0.25
-"""Share of a threshold beyond which a box counts as away from its planned place, which is then drawn."""
+"""Share of a threshold beyond which a box counts as away from its planned place. The planned place is then drawn."""
 
 _LEAST_FORCE: Final = 0.02
-"""Share of a usual force under which contacts have no arrow."""
+"""Share of a usual force below which a contact has no arrow."""
 
 _ARROW_SHARE: Final = 0.4
 """Length of the arrow of a usual force, as a share of the pallet's largest extent."""
 
 LEAST_LEVEL_G: Final = 0.005
-"""Weaker shaking has no arrow and no words."""
+"""Weaker shaking gets no arrow and no text."""
 
 REACH: Final = 1.25
 LEAST_REACH_M: Final = 1.0
-"""Boxes whose centre is further from the planned load than this many times its largest extent, and than this, are not
-framed: one that has rolled away would make all others small."""
+"""A box is not framed if its centre is farther from the planned load than ``REACH`` times the load's largest extent,
+and farther than this, m. A box that has rolled away would make all other boxes small."""
 
 
 class Painter:
     """Draws frames of one story, all of one size. Use it in a ``with`` statement, in one thread.
 
     Args:
-        colours: of the boxes.
+        colours: colours of the boxes.
         size: width and height, px.
         line_px: width of edges, px.
-        newtons_per_m: with it contact forces are drawn as arrows of this scale, and boxes are transparent.
+        newtons_per_m: scale of the arrows for contact forces; boxes are then transparent. None: no arrows.
 
     Raises:
-        InputError: nothing can be drawn here.
+        InputError: this machine cannot draw.
     """
 
     def __init__(
@@ -122,7 +122,8 @@ class Painter:
         self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
 
     def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
-        """A box, flattened along the light onto the floor. It keeps a little of its height, as faces need normals."""
+        """A box, flattened onto the floor along the light. It keeps a little of its height, since faces need
+        normals."""
         across = np.array(_SUN[:2]) / _SUN[2]
         flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
         above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])
@@ -134,7 +135,7 @@ class Painter:
         self.canvas.edges((1 - _TOWARDS_CAMERA) * half_size, nearer, turned, rgb)
 
     def _shaking(self, poses: Poses) -> None:
-        """An arrow above the load, the longer the stronger."""
+        """An arrow above the load; its length grows with the strength of the shaking."""
         level = shaking_g(self.story, poses)
         if np.linalg.norm(level) > LEAST_LEVEL_G:
             start, longest = _above(self.story)
@@ -154,7 +155,7 @@ class Painter:
 
 
 def newtons_per_m(story: Story) -> float:
-    """The scale of arrows: a round number with which they are neither dots nor longer than the pallet.
+    """The scale of arrows: a round number with which arrows are neither dots nor longer than the pallet.
 
     Raises:
         InputError: no contacts were recorded.
@@ -172,7 +173,8 @@ def newtons_per_m(story: Story) -> float:
 
 
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
-    """For each two bodies that press on each other in a frame: (3,) m where, and (3,) N on the lower one of the two."""
+    """For each pair of bodies that press on each other in a frame: (3,) place, m, and (3,) force on the lower body,
+    N."""
     kept = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
     kept[poses.frame : poses.frame + 1] = True
     forces = pushes(contacts.of_frames(kept, 0))
@@ -180,7 +182,8 @@ def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, 
 
 
 def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
-    """(k, 3) m, what a picture of these frames is to show: the planned load, the carrier, and boxes not too far off."""
+    """(k, 3) points that a picture of these frames must show, m: the planned load, the carrier, and boxes that are not
+    too far away."""
     scene = story.scene
     upright = np.tile(np.eye(3), (scene.n_boxes, 1, 1))
     planned = corners(scene.target, upright, scene.half_size).reshape(-1, 3)
@@ -202,7 +205,7 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
 
 
 def _above(story: Story) -> tuple[FloatArray, float]:
-    """Where the arrow of what shakes a world has its middle, (3,) m, and its length, m, at the strongest."""
+    """Middle of the arrow of the shaking, (3,) m, and its length at the strongest shaking, m."""
     scene, longest = story.scene, 0.5 * largest_extent_m(story)
     top = float((scene.target + scene.half_size)[:, 2].max()) + 0.15 * longest
     return np.array([*scene.carrier.pos[:2], top]), longest
@@ -220,13 +223,13 @@ def _most_in_a_frame(contacts: Contacts) -> int:
 
 
 def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
-    """Boxes that are somewhere, in the order in which transparent ones are to be drawn."""
+    """Boxes with known poses, in the order in which transparent boxes must be drawn."""
     depth = (poses.pos - camera.pos) @ camera.forward
     return [int(box) for box in np.argsort(-depth, kind="stable") if np.isfinite(depth[box])]
 
 
 def _away(story: Story, poses: Poses) -> list[int]:
-    """Boxes that are not where the plan has them, nor nearly."""
+    """Boxes that are clearly away from their planned places."""
     limits = thresholds_of(story)
     far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
     return [int(box) for box in np.flatnonzero(far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]

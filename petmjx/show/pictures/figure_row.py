@@ -18,7 +18,7 @@ from petmjx.show.pictures.still_pictures import PictureStyle, draw_frames, frame
 from petmjx.show.pictures.story_poses import Moment, poses_of_frame
 
 PANEL_IN: Final = 2.25
-"""Width of one picture, inches: three of them are as wide as a page's text."""
+"""Width of one picture, inches. Three pictures are as wide as a page's text."""
 
 _MARGINS: Final = Margins(0.03, 0.03, 0.07, 0.03)
 _POINTS: Final = 8.0
@@ -34,7 +34,7 @@ def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: 
     """Write a row with a picture for each moment, all by one camera.
 
     Args:
-        look: its ``size`` is that of each picture, px.
+        look: style of the pictures; its ``size`` is the size of each picture, px.
         kind: ``png``, ``pdf`` or ``svg``.
     """
     from matplotlib.figure import Figure
@@ -69,7 +69,7 @@ def _head(figure: Any, story: Story, width: float, height: float) -> None:
 
 
 def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera, letter: str) -> None:
-    """One picture, with its title above and the first box outlined."""
+    """Draw one picture, with its title above and the first box to fail outlined."""
     poses = poses_of_frame(story.history, moment.frame)
     axes.imshow(pixels, interpolation="none", extent=(0, camera.width, camera.height, 0))
     axes.set_axis_off()
@@ -98,7 +98,7 @@ def _polygon(outline: Any) -> Any:
 
 
 def _foot(figure: Any, look: PictureStyle, width: float, height: float) -> None:
-    """The legend: a colour bar, or names with their colours, and what arrows mean."""
+    """Draw the legend: a colour bar, or names with their colours, and the meaning of arrows."""
     colours = look.colours
     row = 0.24 / height
     if colours.scale is not None:

@@ -1,4 +1,4 @@
-"""Plays a story in MuJoCo's own viewer, which draws its contact forces."""
+"""Plays a story in MuJoCo's own viewer, with contact forces."""
 
 from __future__ import annotations
 
@@ -21,20 +21,21 @@ from petmjx.show.pictures.story_poses import Poses, poses_at
 from petmjx.world.mujoco_model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0
-"""How far away boxes wait that are not placed yet. They touch nothing there."""
+"""Distance at which boxes wait until they are placed, m. They touch nothing there."""
 
 _SPACE, _RIGHT, _LEFT, _HOME = 32, 262, 263, 268
-"""Keys, as GLFW numbers them."""
+"""Key codes of GLFW."""
 
 _TICK_S: Final = 1 / 60
 
 
 @dataclass
 class Player:
-    """Which time of a story is shown.
+    """Controls the time of a story that is shown.
 
     Attributes:
-        time_s: s; speed: as a multiple of real time.
+        time_s: the shown time, s.
+        speed: multiple of real time.
     """
 
     story: Story
@@ -54,7 +55,7 @@ class Player:
         return float(self.story.history.time_s[-1])
 
     def press(self, key: int) -> None:
-        """Space pauses, the arrows step by a frame, Home begins again."""
+        """Handle a key: Space pauses, the arrows step by a frame, Home starts again."""
         if key == _SPACE:
             self.paused = not self.paused
         elif key == _HOME:
@@ -67,7 +68,7 @@ class Player:
             self.time_s = float(times[min(max(frame, 0), len(times) - 1)])
 
     def wait(self, seconds: float) -> None:
-        """Time passes."""
+        """Let time pass."""
         if not self.paused:
             self.time_s = min(self.time_s + self.speed * seconds, self.last_s)
 
@@ -76,7 +77,7 @@ def play(story: Story, speed: float = 1.0) -> None:
     """Open MuJoCo's viewer and play a story until its window is closed.
 
     Raises:
-        InputError: no display, or the viewer cannot open its window.
+        InputError: there is no display, or the viewer cannot open its window.
     """
     check_display()
     import mujoco.viewer
@@ -99,7 +100,7 @@ def play(story: Story, speed: float = 1.0) -> None:
 
 
 def check_display() -> None:
-    """Make sure that windows can be opened.
+    """Check that windows can be opened.
 
     Raises:
         InputError: there is no display.
@@ -111,7 +112,7 @@ def check_display() -> None:
 
 
 def viewer_model(story: Story) -> tuple[Any, Any]:
-    """The exact model of a story's world, with light, and its data."""
+    """The exact MuJoCo model of a story's world, with light, and its data."""
     physics = Simulation(**story.options).physics
     spec = build_spec(story.scene, physics)
     spec.worldbody.add_light(pos=[0.0, 0.0, 6.0], dir=[0.0, 0.0, -1.0])
@@ -124,7 +125,7 @@ def viewer_model(story: Story) -> tuple[Any, Any]:
 
 
 def show(story: Story, time_s: float, model: Any, data: Any) -> None:
-    """Put the world of a story at a time into MuJoCo's data, with the contact forces that act then."""
+    """Set MuJoCo's data to the world of a story at a time, with the contact forces of that time."""
     history = story.history
     poses = poses_at(history, time_s)
     data.qpos[:] = _qpos(story, poses)

@@ -1,6 +1,6 @@
-"""MuJoCo's renderer without a window: geoms go in, pixels come out.
+"""MuJoCo's renderer without a window: takes geoms and returns pixels.
 
-``mujoco.Renderer`` takes the OpenGL that was chosen when mujoco was first imported, which engines do before anybody
+``mujoco.Renderer`` uses the OpenGL that was chosen when mujoco was first imported, and engines import it before anybody
 thinks of pictures. Here the context is made when it is needed, by EGL unless ``MUJOCO_GL`` names another.
 """
 
@@ -25,10 +25,10 @@ from petmjx.show.pages.palette import Rgb
 from petmjx.show.pictures.camera import Camera
 
 CONTEXTS: Final = ("egl", "osmesa", "glfw")
-"""What ``MUJOCO_GL`` may name on Linux."""
+"""Possible values of ``MUJOCO_GL`` on Linux."""
 
 SAMPLES: Final = 4
-"""Samples of a pixel, against stairs at edges."""
+"""Samples per pixel, against stairs at edges."""
 
 _ADVICE: Final = (
     "install EGL and a driver (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri), "
@@ -36,7 +36,7 @@ _ADVICE: Final = (
 )
 
 _LIGHTS: Final = (
-    # direction, ambient, diffuse: a face on top has its own colour, others are darker, each in its own degree
+    # direction, ambient, diffuse: top faces have the true colour, and other faces are darker by different amounts
     ((0.0, 0.0, -1.0), 0.46, 0.54),
     ((-0.25, 1.0, 0.0), 0.0, 0.36),
     ((-1.0, -0.35, 0.0), 0.0, 0.24),
@@ -51,10 +51,10 @@ class Canvas:
     Args:
         size: width and height, px.
         line_px: width of edges, px.
-        most_geoms: how many geoms a picture may have.
+        most_geoms: largest number of geoms in a picture.
 
     Raises:
-        InputError: no OpenGL here that draws without a display.
+        InputError: this machine has no OpenGL that draws without a display.
     """
 
     def __init__(self, size: tuple[int, int], line_px: float, most_geoms: int) -> None:
@@ -87,7 +87,7 @@ class Canvas:
         self._gl.free()
 
     def begin(self, camera: Camera) -> None:
-        """Start a picture: no geoms, seen by this camera."""
+        """Start an empty picture, seen by this camera."""
         self._scene.ngeom = 0
         near, far = camera.depth_m
         for eye in self._scene.camera:
@@ -97,15 +97,15 @@ class Canvas:
             eye.frustum_bottom, eye.frustum_center, eye.frustum_width = -eye.frustum_top, 0.0, 0.0
 
     def box(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb, alpha: float = 1.0) -> Any:
-        """A box. half_size (3,) m, pos (3,) m; ``turned`` is (3, 3), mostly a rotation."""
+        """Add a box. ``half_size`` is (3,) m, ``pos`` is (3,) m, ``turned`` is (3, 3) and usually a rotation."""
         return self._geom(mujoco.mjtGeom.mjGEOM_BOX, half_size, pos, turned, (*rgb, alpha))
 
     def edges(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray, rgb: Rgb) -> None:
-        """The twelve edges of a box."""
+        """Add the twelve edges of a box."""
         self._geom(mujoco.mjtGeom.mjGEOM_LINEBOX, half_size, pos, turned, (*rgb, 1.0)).emission = 1.0
 
     def arrow(self, start: FloatArray, end: FloatArray, width_m: float, rgb: Rgb) -> None:
-        """An arrow from (3,) to (3,) m."""
+        """Add an arrow from ``start`` (3,) to ``end`` (3,), m."""
         geom = self._geom(mujoco.mjtGeom.mjGEOM_ARROW, np.zeros(3), start, np.eye(3), (*rgb, 1.0))
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width_m, start, end)
 
@@ -132,7 +132,7 @@ class Canvas:
 
 
 def why_no_pictures() -> str:
-    """Why nothing can be drawn here; "" where it can."""
+    """Why this machine cannot draw; "" if it can."""
     try:
         with Canvas((16, 16), 1.0, 1):
             return ""
@@ -141,13 +141,13 @@ def why_no_pictures() -> str:
 
 
 def _gl_context(size: tuple[int, int]) -> Any:
-    """OpenGL, current in this thread."""
+    """An OpenGL context, current in this thread."""
     name = os.environ.get("MUJOCO_GL", "").strip().lower() or "egl"
     if name not in CONTEXTS:
         raise InputError(f"MUJOCO_GL={name}: pictures are drawn with one of {', '.join(CONTEXTS)}; unset it for egl")
     try:
         with _same_environment("PYOPENGL_PLATFORM"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW warns of what is an error below
+            warnings.simplefilter("ignore")  # GLFW warns about problems that raise an error below
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
     except Exception as error:  # PyOpenGL and drivers raise nearly anything
@@ -157,7 +157,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
 
 @contextmanager
 def _same_environment(name: str) -> Iterator[None]:
-    """A variable of the environment that the body may set has its old value afterwards."""
+    """Restore an environment variable after the body, which may set it."""
     before = os.environ.get(name)
     try:
         yield
@@ -169,7 +169,7 @@ def _same_environment(name: str) -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A model without bodies, which has what the renderer takes from models: sizes, and a white sky."""
+    """A model without bodies. It has everything that the renderer takes from models: sizes, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px

@@ -1,4 +1,4 @@
-"""What is written into a picture: the plan and its verdict, the time, the legend; and the outline of the first box."""
+"""Texts in a picture (the plan and its verdict, the time, the legend) and the outline of the first box to fail."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ INK: Final = (30, 30, 30)
 FAINT: Final = (95, 95, 95)
 
 LINE: Final = 1.6
-"""Height of a line of the legend, as a multiple of the size of its text."""
+"""Height of a line of the legend, as a multiple of its text size."""
 
 _LEAST_FONT_PX: Final = 10
 
 
 class Overlay:
-    """Writes into pictures of one size.
+    """Writes texts and outlines into pictures of one size.
 
     Args:
-        colours: of the boxes; the legend tells what they mean.
+        colours: colours of the boxes, which the legend explains.
         size: width and height, px.
-        speed: of a film, as a multiple of real time; None: a single picture.
-        arrows: the line that says what arrows mean; "" without arrows.
+        speed: speed of a film as a multiple of real time; None: a single picture.
+        arrows: the line that explains arrows; "" without arrows.
     """
 
     def __init__(self, colours: Colouring, size: tuple[int, int], speed: float | None = None, arrows: str = "") -> None:
@@ -51,13 +51,13 @@ class Overlay:
 
     @property
     def margins(self) -> Margins:
-        """The parts of the picture that texts need, and a little at the sides."""
+        """The strips of the picture that texts need, and small margins at the sides."""
         lines = (1 if self.arrows else 0) + (len(self._lines_of_names()) if self.colours.names else 1)
         em = self.text_px / self.height
         return Margins(left=0.05, right=0.05, top=min(5.6 * em, 0.45), bottom=min((1.5 + LINE * lines) * em, 0.45))
 
     def on(self, pixels: NDArray[np.uint8], poses: Poses, camera: Camera) -> Image:
-        """The picture with everything that is written and outlined."""
+        """The picture with all texts and the outline."""
         from PIL import Image, ImageDraw
 
         image = Image.fromarray(pixels)
@@ -80,7 +80,8 @@ class Overlay:
         pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
-        """The first box to fail, even if others hide it. Drawn larger, then reduced: Pillow's lines have stairs."""
+        """Outline the first box to fail, even if other boxes hide it. It is drawn larger and then reduced, because
+        Pillow's lines have stairs."""
         from PIL import Image, ImageDraw
 
         outline = first_outline(self.story, poses, camera)
@@ -126,7 +127,7 @@ class Overlay:
         pen.text((after, top), fitted_text(f"{high}   {scale.label}", plain, self.width - after), fill=INK, font=plain)
 
     def _swatches(self, pen: ImageDraw, bottom: float) -> None:
-        """Names with their colours; the last line is at the bottom."""
+        """Draw names with their colours. The last line is at ``bottom``."""
         em, plain = self.text_px, font(self.text_px)
         lines = self._lines_of_names()
         for row, entries in enumerate(lines):
@@ -138,7 +139,7 @@ class Overlay:
                 pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
 
     def _lines_of_names(self) -> list[list[tuple[str, Rgb, float]]]:
-        """Names of the legend with their colours and where they begin, px, in as many lines as they need."""
+        """Names of the legend with their colours and left ends, px, in as many lines as they need."""
         em, plain = self.text_px, font(self.text_px)
         lines: list[list[tuple[str, Rgb, float]]] = [[]]
         left = float(em)
@@ -165,20 +166,20 @@ def scale_ends(scale: Scale) -> tuple[str, str]:
 
 
 def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | None:
-    """(k, 2) px, the outline of the first box to fail; None where nothing failed or it is not placed yet."""
+    """(k, 2) outline of the first box to fail, px; None if no box failed or it is not placed yet."""
     box = story.outcome.culprit
     if not 0 <= box < poses.n_placed:
         return None
     alone = slice(box, box + 1)
     points = corners(poses.pos[alone], rotations(poses.quat[alone]), story.scene.half_size[alone])[0]
-    if not ((points - camera.pos) @ camera.forward > 0).all():  # behind the camera, or nowhere
+    if not ((points - camera.pos) @ camera.forward > 0).all():  # behind the camera, or NaN
         return None
     return np.array(convex_hull([(x, y) for x, y in camera.project(points).tolist()]))
 
 
 @functools.cache
 def font(size_px: int, bold: bool = False) -> Any:
-    """DejaVu Sans, which matplotlib brings along."""
+    """The font DejaVu Sans of matplotlib."""
     import matplotlib
     from PIL import ImageFont
 
@@ -187,7 +188,7 @@ def font(size_px: int, bold: bool = False) -> Any:
 
 
 def fitted_text(text: str, face: Any, room_px: float) -> str:
-    """A text that is cut in the middle where it is too wide."""
+    """The text, cut in the middle if it is too wide."""
     if face.getlength(text) <= room_px:
         return text
     for kept in range(len(text) - 1, 0, -1):

@@ -1,4 +1,4 @@
-"""``petmjx.draw``: one story into files of any kind, by the ending of their names."""
+"""Draws one story into files of any kind, chosen by the ending of their names: ``petmjx.draw``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE,
 from petmjx.show.pictures.story_poses import moments
 
 Progress = Callable[[int, int], None]
-"""Called with the frames of a film that are done, and all of them."""
+"""Called with the number of finished frames of a film and the number of all frames."""
 
 KINDS: Final = ("png", "pdf", "svg", "gif", "mp4", "html", "rrd")
 """Endings of files that a story can be drawn into."""
@@ -31,7 +31,7 @@ _NEEDS: Final = {
     "html": ("show", ()),
     "rrd": ("rerun", ("rerun",)),
 }
-"""Kind of file → the extra that has what it needs, and the modules."""
+"""Kind of file → the extra to install, and the modules that it needs."""
 
 
 def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None = None, **options: Any) -> list[Path]:
@@ -41,16 +41,17 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
     ``petmjx.draw(petmjx.tell("s0-000016"), "collapse.png", "collapse.mp4", colour="shift", view="front")``
 
     Args:
-        files: where to; the ending says what. Each file appears whole or not at all, and replaces one that is there.
-        progress: follows films.
+        files: paths to write; the ending gives the format. Each file appears whole or not at all, and replaces an
+            existing one.
+        progress: called while films are drawn.
         options: fields of ``PictureOptions``: at, view, size, colour, arrows, speed, fps.
 
     Returns:
         The paths of the files.
 
     Raises:
-        InputError: an unknown ending or option, a moment that the story has not, a file that cannot be written, or
-            something missing on this machine.
+        InputError: an unknown ending or option, a moment that the story does not have, a file that cannot be written,
+            or a missing library.
     """
     look = PictureOptions(**options)
     paths = [path_of(file, "files") for file in files]
@@ -62,10 +63,10 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
 
 
 def kind_of(path: Path) -> str:
-    """What a file is, by its ending.
+    """The kind of a file, from its ending.
 
     Raises:
-        InputError: none of ``KINDS``.
+        InputError: the ending is none of ``KINDS``.
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in KINDS:
@@ -76,10 +77,10 @@ def kind_of(path: Path) -> str:
 
 
 def check_files(paths: Sequence[Path]) -> None:
-    """Make sure that files can be drawn and written, before anything is simulated.
+    """Check that files can be drawn and written, before the simulation.
 
     Raises:
-        InputError: a path that cannot be written, or a file of a kind for which something is missing.
+        InputError: a path that cannot be written, or a kind of file whose libraries are missing.
     """
     for path in paths:
         if missing := _missing(kind_of(path)):
@@ -90,25 +91,25 @@ def check_files(paths: Sequence[Path]) -> None:
 
 
 def why_nothing_is_drawn() -> str:
-    """Why there are no pictures and films on this machine; "" where there are."""
+    """Why this machine cannot draw pictures and films; "" if it can."""
     if missing := _missing("png"):
         return missing
     try:
         from petmjx.show.pictures.offscreen import why_no_pictures
-    except Exception as error:  # mujoco cannot even be imported with a MUJOCO_GL that is not there
+    except Exception as error:  # importing mujoco fails if MUJOCO_GL does not work here
         return f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} does not work here ({one_line(error)}): unset it"
     return why_no_pictures()
 
 
 def _missing(kind: str) -> str:
-    """Which modules a kind of file needs that are not here, and how to get them."""
+    """A line on the missing modules of a kind of file, and how to install them; empty if none is missing."""
     extra, modules = _NEEDS[kind]
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""
 
 
 def check_drawing(paths: Sequence[Path]) -> None:
-    """As ``check_files``, and make sure that OpenGL is there for pictures and films.
+    """As ``check_files``, and check that OpenGL works, for pictures and films.
 
     Raises:
         InputError: as ``check_files``, or no OpenGL that draws without a display.
@@ -120,7 +121,7 @@ def check_drawing(paths: Sequence[Path]) -> None:
 
 
 def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
-    """One picture as it is, several in a row, and for PDF and SVG always as a figure."""
+    """Write a single picture, several pictures in a row, or for PDF and SVG always a figure."""
     from petmjx.show.pictures.figure_row import write_figure
     from petmjx.show.pictures.still_pictures import write_still
 

@@ -24,13 +24,13 @@ MOMENTS: Final = (START, BEFORE, FIRST_SIGN, END)
 
 LEAST_PX: Final = 64
 MOST_PX: Final = 4096
-"""Sides of a picture, px. Larger ones are beyond what all OpenGL drivers draw."""
+"""Largest side of a picture, px. Not all OpenGL drivers can draw larger ones."""
 
 STILL_SIZE: Final = (1200, 900)
 PANEL_SIZE: Final = (675, 810)
 GIF_SIZE: Final = (480, 480)
 MP4_SIZE: Final = (960, 720)
-"""Sizes without ``size``, px: of a single picture, of each picture in a row, of films."""
+"""Default sizes, px: of a single picture, of each picture in a row, of films."""
 
 FILM_FPS: Final = 20.0
 
@@ -40,7 +40,7 @@ _USUAL_SIZES: Final = "{}x{}, in a row {}x{}, GIF {}x{}, MP4 {}x{}".format(
 
 
 class Colour(StrEnum):
-    """What the colours of boxes stand for."""
+    """The meaning of the colours of boxes."""
 
     ARTICLE = "article"
     ORDER = "order"
@@ -54,7 +54,7 @@ def moment_of(text: str) -> str | float:
     """A name of ``MOMENTS``, or a time, s.
 
     Raises:
-        InputError: neither.
+        InputError: the text is neither.
     """
     name = text.strip()
     if name in MOMENTS:
@@ -72,7 +72,7 @@ def size_of(text: str) -> tuple[int, int]:
     """Width and height of "1200x900", px.
 
     Raises:
-        ValueError: something else, or a picture that is too small or too large.
+        ValueError: the text has another form, or the picture is too small or too large.
     """
     match = re.fullmatch(r"(\d{1,6})\s*[x×X]\s*(\d{1,6})", text.strip())
     width, height = (int(match[1]), int(match[2])) if match else (0, 0)
@@ -82,7 +82,8 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
-    """Text that a function can read. Its error is the field's."""
+    """A validator: the value must be text that ``read`` accepts. An error of ``read`` becomes the error of the
+    field."""
 
     def check(value: Any) -> Any:
         if value is None:
@@ -98,7 +99,7 @@ def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
 
 
 def _text(value: Any) -> str:
-    """Values of Python as they are typed: (1200, 900) is 1200x900, ["start", 2.5] is start,2.5."""
+    """A Python value as it would be typed: (1200, 900) is 1200x900, ["start", 2.5] is start,2.5."""
     if isinstance(value, list | tuple):
         between = "," if isinstance(value, list) else "x"
         return between.join(str(part) for part in value)

@@ -1,4 +1,4 @@
-"""Single pictures of a story, and what all pictures of one call have in common."""
+"""Single pictures of a story, and the style that all pictures of one call share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FINER: Final = 2
-"""Single pictures are drawn this many times as large and then reduced, if they are not large already."""
+"""Single pictures are drawn this many times larger and then reduced, unless they are already large."""
 
 _LARGE_PX: Final = 3_000_000
 
@@ -28,7 +28,7 @@ class PictureStyle:
 
     Attributes:
         size: width and height, px.
-        newtons_per_m: the scale of arrows for contact forces; None: no arrows.
+        newtons_per_m: scale of the arrows for contact forces; None: no arrows.
     """
 
     colours: Colouring
@@ -38,11 +38,11 @@ class PictureStyle:
 
     @property
     def arrows(self) -> str:
-        """What arrows mean; "" without arrows."""
+        """The line that explains arrows; "" without arrows."""
         return "" if self.newtons_per_m is None else f"arrows: contact forces, 0.1 m for {self.newtons_per_m / 10:g} N"
 
     def line_px(self, finer: int = 1) -> float:
-        """Width of boxes' edges, px."""
+        """Width of the edges of boxes, px."""
         return finer * max(1.0, min(self.size) / 600)
 
 
@@ -62,7 +62,7 @@ def draw_frames(story: Story, look: PictureStyle, frames: list[int], camera: Cam
 
 
 def frame_camera(story: Story, look: PictureStyle, frames: list[int], margins: Margins) -> Camera:
-    """The camera that has some frames in its picture."""
+    """The camera that frames some frames of a story."""
     return framing(framed_points(story, frames), look.view, look.size, margins)
 
 

@@ -1,4 +1,4 @@
-"""Poses of a story at any time, and the moments by name at which pictures are taken."""
+"""Poses of a story at any time, and the named moments at which pictures are taken."""
 
 from __future__ import annotations
 
@@ -20,18 +20,20 @@ from petmjx.world.job import FORCE
 LOST_M: Final = 1000.0
 
 _ROUNDED_S: Final = 0.01
-"""Times are printed with two digits: so much after its end a story still has a moment."""
+"""Tolerance for times beyond the end of a story, s, since times are printed with two digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Where everything is at one time. Arrays have a row for each of the k placed boxes.
+    """The poses of carrier and boxes at one time. Arrays have a row for each of the k placed boxes.
 
     Attributes:
-        time_s: s.
-        frame: the frame of the history that is nearest.
-        pos: (k, 3) m; quat: (k, 4) as (w, x, y, z). NaN: it is not known where the box is.
-        carrier_pos: (3,) m; carrier_quat: (4,).
+        time_s: the time, s.
+        frame: the nearest frame of the history.
+        pos: (k, 3) positions, m; NaN if the place of the box is not known.
+        quat: (k, 4) orientations (w, x, y, z).
+        carrier_pos: (3,) m.
+        carrier_quat: (4,).
     """
 
     time_s: float
@@ -47,14 +49,15 @@ class Poses:
 
 
 class Moment(NamedTuple):
-    """A frame of a story, and its name; "" where it was asked for by its time."""
+    """A frame of a story, and its name; "" if it was asked for by time."""
 
     frame: int
     name: str
 
 
 def poses_of_frame(history: History, frame: int) -> Poses:
-    """The poses that were recorded; NaN for boxes of an invalid world that are nowhere, or beyond ``LOST_M``."""
+    """The recorded poses of a frame. Boxes of an invalid world are NaN if they have no finite place, or lie beyond
+    ``LOST_M``."""
     placed = slice(int(history.n_placed[frame]))
     pos, quat = history.pos[frame, placed], history.quat[frame, placed]
     here = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
@@ -69,7 +72,8 @@ def poses_of_frame(history: History, frame: int) -> Poses:
 
 
 def poses_at(history: History, time_s: float) -> Poses:
-    """The poses at a time: between two frames those in between, of the boxes that stood in the earlier one."""
+    """The poses at a time. Between two frames they are interpolated, for the boxes that were placed in the earlier
+    frame."""
     later = int(np.searchsorted(history.time_s, time_s, side="right"))
     if later == 0 or later == len(history.time_s):
         return poses_of_frame(history, min(later, len(history.time_s) - 1))
@@ -87,19 +91,20 @@ def poses_at(history: History, time_s: float) -> Poses:
 
 
 def nearest_frame(history: History, time_s: float) -> int:
-    """The frame nearest to a time; of several at the same time the last."""
+    """The frame nearest to a time; the last one if several have the same time."""
     distance = np.abs(history.time_s - time_s)
     return int(np.flatnonzero(distance == distance.min())[-1])
 
 
 def moments(story: Story, asked: str | None) -> list[Moment]:
-    """The moments that are asked for, in the order given.
+    """The requested moments, in the order given.
 
     Args:
-        asked: separated by commas. None: before the first sign, at it, and the end; the end alone where nothing failed.
+        asked: moments, separated by commas. None: before the first sign, the first sign, and the end; only the end if
+            nothing failed.
 
     Raises:
-        InputError: an unknown name, or a moment that this story has not.
+        InputError: an unknown name, or a moment that this story does not have.
     """
     if asked is None:
         asked = ",".join((BEFORE, FIRST_SIGN, END) if math.isfinite(story.outcome.first_sign_s) else (END,))
@@ -127,7 +132,7 @@ def _moment(story: Story, which: str | float) -> Moment:
 
 
 def shift_mm(story: Story, poses: Poses) -> FloatArray:
-    """(k,) largest component of each placed box's shift from its planned place, mm, as the verdict takes it."""
+    """(k,) largest component of each placed box's shift from its planned place, mm, as used for the verdict."""
     moved = shift(poses.pos, story.scene.target[: poses.n_placed], 0.0)
     return np.asarray(1000.0 * np.abs(moved).max(axis=1, initial=0.0))
 
@@ -138,7 +143,8 @@ def tilts_deg(poses: Poses) -> FloatArray:
 
 
 def shaking_g(story: Story, poses: Poses) -> FloatArray:
-    """(3,) what shakes the carrier, in g: its acceleration, or the force on it over the weight of all; zero without."""
+    """(3,) shaking of the carrier, in g: its acceleration, or the force on it over the total weight; zero without a
+    drive."""
     if story.drive is None:
         return np.zeros(3)
     of_force = story.drive.excitation.kind == FORCE

@@ -1,7 +1,8 @@
-"""Films in H.264: frames into the ffmpeg that imageio-ffmpeg brings.
+"""Encodes films in H.264 by writing frames into the ffmpeg of imageio-ffmpeg.
 
-Its own writer starts ffmpeg with a function to run between fork and exec, which threads make unsafe: where JAX is
-loaded, as after a run on a GPU, JAX warns of a deadlock. So ffmpeg is started here, without one.
+The writer of imageio-ffmpeg starts ffmpeg with a function that runs between fork and exec, which is unsafe with
+threads. If JAX is loaded, as after a run on a GPU, it warns of a deadlock. So ffmpeg is started here, without such a
+function.
 """
 
 from __future__ import annotations
@@ -15,18 +16,18 @@ from tempfile import TemporaryFile
 
 @contextmanager
 def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], None]]:
-    """Gives a function that takes the film's frames, one after the other; at the end the file is whole.
+    """A context with a function that takes the frames of a film, one after the other. At its end the file is complete.
 
     Args:
-        path: a file that is there already is replaced.
-        size: width and height, px; even numbers.
+        path: the file to write; an existing one is replaced.
+        size: width and height, px; both even.
         fps: frames per second.
 
     Yields:
         A function of one frame's bytes: rows from above, red, green and blue of each pixel.
 
     Raises:
-        RuntimeError: there is no ffmpeg, or it gave up; its last line says why.
+        RuntimeError: ffmpeg is missing or failed; the message is its last line.
         OSError: it cannot be started.
     """
     import imageio_ffmpeg
@@ -35,10 +36,10 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:g}", "-i", "-",
         "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "medium", "-movflags", "+faststart",
-        f"file:{path}",  # a name such as "a:b.mp4" would be that of a protocol
+        f"file:{path}",  # a name such as "a:b.mp4" would be read as a protocol
     ]  # fmt: skip
     with TemporaryFile() as error_output:
-        # a session of its own: Ctrl-C reaches petmjx alone, which then ends it
+        # a new session, so that Ctrl-C only reaches petmjx, which then ends ffmpeg
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_output, start_new_session=True
         )
@@ -54,7 +55,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         try:
             yield add
         except _EncoderExit:
-            pass  # it has said why
+            pass  # ffmpeg reports the reason
         except BaseException:
             process.kill()
             raise
@@ -69,4 +70,4 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
 
 
 class _EncoderExit(Exception):
-    """ffmpeg has ended before the film has."""
+    """ffmpeg ended before the film did."""

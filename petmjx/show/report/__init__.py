@@ -1,1 +1,1 @@
-"""The page about runs: what came out, charts, a table of all plans, and each of them in 3D."""
+"""The report of runs, one page: outcomes, charts, a table of all plans, and each plan in 3D."""

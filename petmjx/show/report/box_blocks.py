@@ -1,4 +1,4 @@
-"""The boxes of worlds as they ended, in blocks that the page unpacks when one of them is looked at."""
+"""The final boxes of worlds, in blocks that the page unpacks when the user opens one of the worlds."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from petmjx.world.body_shapes import Body
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 600_000
-"""Boxes of a page: a box takes about 17 bytes, so these are 10 MB. Worlds that do not stand come first."""
+"""Most boxes of a page. A box takes about 17 bytes, so these are 10 MB. Worlds that do not stand are taken first."""
 
 WORLDS_PER_BLOCK: Final = 64
-"""A block of so many worlds is unpacked in some milliseconds, and deflates as well as larger ones."""
+"""Worlds in a block. Such a block is unpacked in some milliseconds, and deflates as well as larger ones."""
 
 TENTHS_PER_M: Final = 10_000
-"""Planned places are whole tenths of a millimetre."""
+"""Units per metre of planned places, which are whole tenths of a millimetre."""
 
 _POSITION: Final = ("pos_x_m", "pos_y_m", "pos_z_m")
 _QUATERNION: Final = ("quat_w", "quat_x", "quat_y", "quat_z")
@@ -41,12 +41,12 @@ _NUMBERS: Final = (*_POSITION, *_QUATERNION, *_METRICS)
 
 @dataclass(frozen=True, eq=False)
 class BoxBlocks:
-    """Boxes of a page.
+    """The boxes of a page.
 
     Attributes:
-        blocks: name → block; world k of those that are drawn is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
-        drawn: (rows of the table,) number of a row's world among those that are drawn; −1 for none.
-        without_boxes: worlds that were left out because they are too many.
+        blocks: name → block. The k-th drawn world is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
+        drawn: (rows of the table,) number of the row's world among the drawn worlds; −1 if it is not drawn.
+        without_boxes: number of worlds that were left out because there are too many.
     """
 
     blocks: dict[str, str]
@@ -55,7 +55,7 @@ class BoxBlocks:
 
 
 def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
-    """Pack the boxes of the worlds in a table whose plans were found.
+    """Pack the boxes of those worlds in a table whose plans were found.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
@@ -72,7 +72,7 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
 
 
 def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[NDArray[np.int64], int]:
-    """Rows of the table that are drawn, and how many are too many."""
+    """Rows of the table that are drawn, and the number of worlds that were left out because there are too many."""
     known = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):
         if not run.results.keeps_boxes:
@@ -88,7 +88,7 @@ def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tu
 
 @dataclass(frozen=True, eq=False)
 class _World:
-    """One world's boxes in packing order, and what the plan says of them.
+    """The boxes of one world in packing order, with their data from the plan.
 
     Attributes:
         numbers: (n, columns) values of ``_NUMBERS``.
@@ -124,7 +124,8 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
-    """The options of a run; the defaults where it does not say them, or has them in the form of an older petmjx."""
+    """The simulation options of a run; the defaults if the run does not have them, or has them in the form of an older
+    petmjx."""
     settings = info.get("config", {}).get("simulation")
     try:
         return Simulation.read(settings) if isinstance(settings, Mapping) else Simulation()

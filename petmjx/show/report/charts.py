@@ -1,4 +1,4 @@
-"""The kinds of charts of a report. What they are about is decided elsewhere."""
+"""The kinds of charts in a report. Other modules decide what they show."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from petmjx.show.report.markup import Content, Markup, element
 from petmjx.show.report.svg_charts import WIDTH, Frame, Scale, drawing
 
 BINS: Final = 24
-"""Of a histogram: bars of 12 pixels."""
+"""Bins of a histogram, whose bars are 12 pixels wide."""
 
 GROUPS: Final = 8
 FEWEST: Final = 12
-"""Parts of equal size into which worlds are divided along an axis, and the fewest of a part."""
+"""Number of groups of equal size into which worlds are divided along an axis, and the least size of a group."""
 
 MOST_POINTS: Final = 400
-"""Worlds up to which each is a point of its own; of more the quantiles are drawn."""
+"""Most worlds that are drawn as points. For more worlds quantiles are drawn."""
 
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 ROW_HEIGHT: Final = 24
 TALL_ROW: Final = 42
-"""Of charts with the name above the drawing, pixels."""
+"""Height of a row with its name above the drawing, pixels."""
 
 MOST_LETTERS: Final = 28
 LETTER: Final = 6
-"""Width of a letter, rather too much, pixels."""
+"""Width of a letter, pixels, rather too large."""
 
 
 def percent(share: float) -> str:
-    """A share for people: "97.3 %"."""
+    """A share as text: "97.3 %"."""
     return "–" if math.isnan(share) else f"{100 * share:.1f} %"
 
 
 def interval_text(low: float, high: float) -> str:
-    """An interval of shares for people: "25.6 to 61.1 %"."""
+    """An interval of shares as text: "25.6 to 61.1 %"."""
     return f"{100 * low:.1f} to {100 * high:.1f} %"
 
 
 def _span(low: float, high: float, counts: bool) -> str:
-    """What a bin holds: "0.5 to 1", of counts "3" or "3 to 5"."""
+    """The range of a bin as text: "0.5 to 1"; for counts "3" or "3 to 5"."""
     if not counts:
         return f"{three_digits(low)} to {three_digits(high)}"
     first, last = math.ceil(low), math.floor(high)
@@ -58,15 +58,15 @@ def _span(low: float, high: float, counts: bool) -> str:
 def histogram(
     frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str], threshold: float | None = None
 ) -> None:
-    """Bars of how many worlds have a value, one class upon the other. Sets the frame's y scale.
+    """Bars of the number of worlds by value, with the classes stacked. Sets the frame's y scale.
 
     Args:
-        classes: of each world, such as its verdict; also the class of its bar in the style sheet.
+        classes: class of each world, such as its verdict. It is also the class of the bar in the style sheet.
         order: classes from the lowest bar upwards.
     """
     edges = frame.x.edges(BINS)
     if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
-        # no bar reaches across it: values on either side of it stand there
+        # no bar reaches across the threshold: values on its two sides are in different bars
         edges[1 + int(np.abs(edges[1:-1] - threshold).argmin())] = threshold
     known = values.notna()
     clipped = np.clip(values[known].to_numpy(np.float64), frame.x.low, frame.x.high)
@@ -97,7 +97,7 @@ def histogram(
 
 
 def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None:
-    """A point a world."""
+    """One point per world."""
     known = (x.notna() & y.notna()).to_numpy()
     px, py = frame.at(x[known].to_numpy(np.float64), y[known].to_numpy(np.float64))
     for at_x, at_y, name in zip(px.tolist(), py.tolist(), classes[known], strict=True):
@@ -105,7 +105,7 @@ def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None
 
 
 def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
-    """Quantiles of y along x: the median as a line, half of the worlds and nine tenths of them as bands."""
+    """Quantiles of y along x: the median as a line, and bands with half and with nine tenths of the worlds."""
     known = x.notna() & y.notna()
     groups = equal_groups(x[known].to_numpy(np.float64))
     values = y[known].to_numpy(np.float64)
@@ -117,7 +117,7 @@ def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
 
 
 def equal_groups(x: FloatArray) -> list[NDArray[np.int64]]:
-    """Rows in up to ``GROUPS`` groups of rising x and about equal size; equal x are never torn apart."""
+    """Rows in up to ``GROUPS`` groups of rising x and about equal size; equal x are always in one group."""
     if not len(x):
         return []
     order = np.argsort(x, kind="stable")
@@ -139,7 +139,7 @@ def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray,
 
 @dataclass(frozen=True)
 class Bar:
-    """A row of a bar chart: its name, its length, and what is said to its right. ``link`` filters the table."""
+    """A row of a bar chart: its name, its length, and the text to its right. ``link`` filters the table."""
 
     name: str
     length: float
@@ -149,10 +149,10 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """Bars beside each other's names. Long names are cut; pointing at one shows all of it.
+    """A bar chart with names on the left. Long names are cut; pointing at a name shows all of it.
 
     Args:
-        names: width that names have, pixels.
+        names: width for names, pixels.
     """
     longest = max((row.length for row in rows), default=0.0) or 1.0
     letters = min(names // LETTER, max((len(row.name) for row in rows), default=0))
@@ -176,7 +176,8 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
 
 
 def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) -> Markup:
-    """A dot with its interval a row, between 0 and 100 %: (name, share, low, high, text), name and text above it."""
+    """A chart with one dot and its interval per row, between 0 and 100 %. A row is (name, share, low, high, text); name
+    and text are above the dot."""
     left, right = 12.0, WIDTH - 16.0
     height = len(rows) * TALL_ROW + 22
     marks: list[Content] = []
@@ -197,7 +198,8 @@ def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) 
 
 
 def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]]]) -> Markup:
-    """A bar of several parts a row, its name above: (name, [(class, count, meaning), …]); all are equally long."""
+    """A chart with one bar of several parts per row. A row is (name, [(class, count, meaning), …]); the name is above
+    the bar. All bars are equally long."""
     marks: list[Content] = []
     for at, (name, parts) in enumerate(rows):
         y = at * TALL_ROW
@@ -218,14 +220,14 @@ def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, 
 
 
 def _row_name(name: str, y: float) -> Markup:
-    """A row's name; pointing at it shows all of it."""
+    """The name of a row. Pointing at it shows all of it."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"
     return element("text", element("title", name), short, x=0, y=y, class_="halo")
 
 
 ROSE: Final = 300
-"""Side of a rose, pixels."""
+"""Side length of a rose, pixels."""
 
 ROSE_RINGS: Final = 4
 
@@ -235,7 +237,7 @@ def rose(title: str, directions_deg: FloatArray, quantiles: Mapping[str, FloatAr
 
     Args:
         directions_deg: (d,) rising.
-        quantiles: ``low``, ``middle``, ``high``: (d,) values; missing ones are drawn at 0.
+        quantiles: ``low``, ``middle``, ``high``: (d,) values; missing values are drawn at 0.
         top: the value of the outer ring.
     """
     centre, reach = ROSE / 2, ROSE / 2 - 34

@@ -1,4 +1,4 @@
-"""How far boxes moved, how they tilted, what pressed on them and when the first sign came; alone, and against size."""
+"""Charts of shift, tilt, force and the time of the first sign: alone, and against the size of plans."""
 
 from __future__ import annotations
 
@@ -23,13 +23,14 @@ from petmjx.show.report.verdict_shares import ORDER
 
 @dataclass(frozen=True)
 class Quantity:
-    """A metric of worlds as it is drawn.
+    """A metric of worlds, as charts draw it.
 
     Attributes:
-        column: of ``worlds``; ``factor`` to the unit of the label.
+        column: column of ``worlds``.
+        factor: converts to the unit of the label.
         label: name and unit.
         log_from: the lower end of a logarithmic axis; None: a linear one from 0.
-        lowest: what stands there, for smaller values.
+        lowest: label of the lower end, which also stands for smaller values.
         counts: whether values are whole numbers.
     """
 
@@ -42,12 +43,12 @@ class Quantity:
     counts: bool = False
 
     def of(self, worlds: pd.DataFrame) -> pd.Series:
-        """The values, in the unit of the label; NaN where there is none, or an infinite one."""
+        """The values in the unit of the label; NaN for missing or infinite values."""
         values = worlds[self.column].astype("float64") * self.factor
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """An axis with all values."""
+        """An axis that holds all values, with the ends of this metric."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:
@@ -135,10 +136,10 @@ def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thr
 
 
 def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
-    """The share that stands in groups of about equal size.
+    """The share that stands, in groups of about equal size.
 
     Args:
-        one_each: whether plans have one world each: then shares have Wilson's interval.
+        one_each: whether every plan has one world; shares then have Wilson's interval.
     """
     judged = worlds[(worlds["verdict"] != Verdict.INVALID.value) & size.of(worlds).notna()]
     x = size.of(judged).to_numpy(np.float64)

@@ -1,4 +1,4 @@
-"""Which articles and which places in the order fail first."""
+"""Charts of the articles, and the places in the order, that fail first."""
 
 from __future__ import annotations
 

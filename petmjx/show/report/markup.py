@@ -1,4 +1,4 @@
-"""HTML and SVG as text. What is not markup already is escaped, so no text of a plan or of a file can become any."""
+"""HTML and SVG as text. Text that is not markup is escaped, so no text of a plan or of a file can become markup."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from petmjx.show.pages.page import escaped_html as escaped_text
 
 
 class Markup(str):
-    """Text that is markup and stands in the page as it is."""
+    """Text that is markup. It goes into the page unchanged."""
 
     __slots__ = ()
 
 
 Content = str | Markup | None
-"""A child of an element: text, which is escaped, or markup. None is left out."""
+"""A child of an element: text, which is escaped, or markup. None means no child."""
 
 NOTHING: Final = Markup("")
 
@@ -37,7 +37,8 @@ def element(name: str, *children: Content, **attributes: str | float | bool | No
     """An element with its children.
 
     Args:
-        attributes: ``class_`` is class, ``aria_label`` is aria-label; None and False are left out, True has no value.
+        attributes: ``class_`` is class, ``aria_label`` is aria-label. None and False are left out; True gives an
+            attribute without a value.
     """
     written = "".join(_attribute(key, value) for key, value in attributes.items())
     end = "" if name in _EMPTY else f"</{name}>"
@@ -65,8 +66,8 @@ def table(
     """A small table.
 
     Args:
-        texts: how many of the first columns are text; the others are numbers, aligned to the right.
-        caption: what the table shows; also its name for screen readers.
+        texts: number of leading columns with text. The other columns are numbers, aligned to the right.
+        caption: title of the table, and its name for screen readers.
     """
     heads = [element("th", cell, scope="col", class_=_side(at, texts)) for at, cell in enumerate(head)]
     lines = []

@@ -1,4 +1,4 @@
-"""The plans of a run for its report, as far as they are found again: pictures and weights need them."""
+"""Finds the plans of a run for its report, which needs them for pictures and weights."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ MOST_FILES_NAMED: Final = 2
 
 @dataclass(frozen=True, eq=False)
 class ReportPlans:
-    """Plans of a run by id, and a line about those that were not found; "" where all were."""
+    """Plans of a run by id, and a line about plans that were not found; "" if all were found."""
 
     plans: Mapping[str, Plan]
     note: str = ""
 
 
 def find_report_plans(run: RunResults, given: Sequence[Path] = ()) -> ReportPlans:
-    """The plans of a run. A report is also made without them.
+    """Find the plans of a run. A report can also be made without them.
 
     Args:
-        given: files or folders to read instead of those that the run names.
+        given: files or folders to read instead of the files that the run names.
 
     Raises:
         InputError: one of ``given`` cannot be used.

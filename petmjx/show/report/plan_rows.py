@@ -20,14 +20,15 @@ from petmjx.show.pages.page_arrays import PackedArray, integer_column
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_ROWS: Final = 200_000
-"""Worlds of the table, over all runs. Of more, those that stand are left out first: a row takes about 40 bytes."""
+"""Most worlds of the table, over all runs; a row takes about 40 bytes. If there are more, worlds that stand are left
+out first."""
 
 MOST_OF_SWEEP: Final = 100_000
-"""Worlds of a sweep that are rows of their own. Of more, each plan has one."""
+"""Most worlds of a sweep that get a row each. If there are more, each plan gets one row."""
 
 PLAN: Final = "plan"
 OTHER: Final = "other"
-"""Columns that the page knows by name, beside ``run``, ``variant``, ``verdict`` and ``reason``."""
+"""Columns that the page knows by name, in addition to ``run``, ``variant``, ``verdict`` and ``reason``."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,11 @@ class NumberColumn:
     """A column with numbers.
 
     Attributes:
-        column: of ``ReportRun.worlds``; ``key`` in the page and in its address.
-        label: its heading; ``unit``; ``meaning``: shown when the mouse is over it.
-        digits: decimals that are shown.
+        column: column of ``ReportRun.worlds``.
+        key: its name in the page and in the page's address.
+        label, unit: its heading and its unit.
+        meaning: text that is shown when the mouse is over it.
+        digits: number of decimals.
     """
 
     column: str
@@ -72,7 +75,7 @@ NUMBERS: Final = (
     NumberColumn("height_m", "height", "height", "m", 2),
     NumberColumn("mass_kg", "weight", "weight", "kg", 0),
 )
-"""Columns of runs; columns without any value are left out."""
+"""Number columns of runs. Columns without any value are left out."""
 
 
 @dataclass
@@ -80,11 +83,13 @@ class Rows:
     """The table as a page has it.
 
     Attributes:
-        columns: key, label, unit, kind (``text``, ``choice`` or ``number``), digits, meaning; in order.
-        texts: key → the texts of a column of kind ``text`` or ``choice``; its array has places in them, −1 for none.
-        arrays: key → one value a row.
-        left_out: worlds that are not in the table.
-        summed_up: runs of which the table has a row a plan.
+        columns: key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each column, in
+            order.
+        texts: key → the texts of a column of kind ``text`` or ``choice``. Its array holds indices into them, −1 for
+            none.
+        arrays: key → one value per row.
+        left_out: number of worlds that are not in the table.
+        summed_up: runs for which the table has one row per plan.
     """
 
     columns: list[dict[str, Any]] = field(default_factory=list)
@@ -95,7 +100,8 @@ class Rows:
 
 
 def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, pd.DataFrame]:
-    """The table, and the frame that it was made of: worlds of all runs in its order, with ``run`` as number."""
+    """The table, and the data frame that it was made from: the worlds of all runs in the order of the table, with
+    ``run`` as a number."""
     summed_up = [run for run in runs if run.kind is Kind.GRID and len(run.worlds) > MOST_OF_SWEEP]
     frames = [_of_run(at, run, run in summed_up) for at, run in enumerate(runs)]
     frames = _with_other_verdicts(frames, runs) if len(frames) == 2 else frames
@@ -137,13 +143,14 @@ def _of_run(at: int, run: ReportRun, summed_up: bool) -> pd.DataFrame:
 
 
 def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
-    """Of each plan the world with the least margin."""
+    """For each plan the world with the least margin."""
     margin = worlds["margin"].fillna(np.inf)
     return worlds.loc[margin.groupby(worlds["plan_id"], sort=False).idxmin()].reset_index(drop=True)
 
 
 def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
-    """Two runs' worlds with the column ``OTHER``: the same world's verdict in the other run, "" where it has none."""
+    """The worlds of two runs with the column ``OTHER``: the verdict of the same world in the other run, "" if it has
+    none."""
     tables = []
     for one, two in zip(frames, runs[::-1], strict=True):
         other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
@@ -154,7 +161,7 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRu
 def _add_parameters(
     rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
 ) -> None:
-    """Columns that sweeps add: parameters of variants, or what became of them."""
+    """Add the columns of sweeps that fulfil a condition: parameters of variants, or their outcomes."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     known = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
@@ -170,7 +177,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """A parameter's name in the page; it cannot be one of the page's own."""
+    """A parameter's name in the page. It never equals one of the page's own names."""
     return f"x-{name}"
 
 

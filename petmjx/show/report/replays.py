@@ -1,4 +1,4 @@
-"""Histories of worlds that were recorded, for the page to play."""
+"""Histories of recorded worlds, for the page to play."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from petmjx.show.report.report_runs import ReportRun
 from petmjx.world.history import History
 
 MOST_POSES: Final = 500_000
-"""Poses (boxes × frames) of a page: a pose takes about 7 bytes. Worlds that do not stand come first."""
+"""Most poses (boxes × frames) of a page. A pose takes about 7 bytes. Worlds that do not stand are taken first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class Replays:
 
     Attributes:
         blocks: name → block.
-        number: (rows of the table,) number of a row's block "replay-N"; −1 for none.
-        left_out: recorded worlds that would make the page too large.
+        number: (rows of the table,) number N of the row's block "replay-N"; −1 for none.
+        left_out: number of recorded worlds that would make the page too large.
     """
 
     blocks: dict[str, str]
@@ -43,7 +43,7 @@ def replays(
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
-        drawn: of each of its rows, negative where it has no picture.
+        drawn: for each row of the table, the number of its drawn world; negative without a picture.
     """
     poses = _poses(runs, table)
     recorded = np.flatnonzero((poses > 0) & (drawn >= 0))
@@ -63,7 +63,7 @@ def replays(
 
 
 def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
-    """(rows of the table,) poses that were recorded of each world."""
+    """(rows of the table,) number of recorded poses of each world."""
     counts = np.zeros(len(table), dtype=np.int64)
     for at, run in enumerate(runs):
         if not run.results.parts.files("frames"):
@@ -75,7 +75,7 @@ def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def _frames(history: History) -> dict[str, NDArray[Any] | PackedArray]:
-    """What ``static/frames.js`` plays."""
+    """The arrays that ``static/frames.js`` plays."""
     return {
         "time": history.time_s.astype(np.float64),
         "placed": integer_column(history.n_placed, steps=True),

@@ -32,7 +32,7 @@ from petmjx.show.report.verdict_shares import headline, verdict_table
 from petmjx.world.carrier_boards import floor_z_m
 
 N_CATEGORIES: Final = 21
-"""Colours of articles, after which they come again."""
+"""Number of colours of articles. After these the colours repeat."""
 
 Source = str | Path | RunResults
 
@@ -47,22 +47,22 @@ def report(
     """Write one offline page about one or several runs.
 
     Args:
-        runs: folders of runs, or what ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run`` return.
+        runs: folders of runs, or results of ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run``.
         out: the HTML file.
-        plans: files or folders with the runs' plans; without, what the runs have kept, or else the files that they
-            name.
-        overwrite: replace a file that is there.
+        plans: files or folders with the plans of the runs. Without them, the plans that the runs have kept are taken,
+            or else the files that the runs name.
+        overwrite: replace an existing file.
 
     Returns:
         The file's path.
 
     Raises:
-        InputError: a folder without a run, a damaged run, plans that cannot be read, ``out`` is there already, or its
-            folder is not, or it cannot be written.
+        InputError: a folder without a run, a damaged run, or unreadable plans; or ``out`` exists already, its folder
+            does not exist, or it cannot be written.
     """
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
-    check_writable(path)  # now, and not after the work of a large report
+    check_writable(path)  # before the work of a large report
     given: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )
@@ -98,7 +98,7 @@ def report_page(runs: Sequence[ReportRun]) -> str:
 
 
 def _of_run(run: ReportRun) -> dict[str, Any]:
-    """What the scripts know of a run."""
+    """The values of a run that the scripts need."""
     limits = thresholds_of(run.info)
     return {
         "name": run.name,
@@ -112,13 +112,13 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 
 
 def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
-    """What the table has of runs with very many worlds, a line each."""
+    """A line for each run with very many worlds, on the rows that the table has of it."""
     row = "one row a plan: its world with the least margin, and the share of its worlds that stand"
     return [f"{run.name} has {len(run.worlds):,} worlds, too many for a table. It has {row}." for run in runs]
 
 
 def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
-    """What the page does not show, a line each."""
+    """Lines on worlds that the page does not show."""
     notes = [f"{run.name}: {run.found.note}. These have no 3D picture." for run in runs if run.found.note]
     notes += [
         f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
@@ -164,7 +164,7 @@ def _worlds(runs: Sequence[ReportRun]) -> bool:
 
 
 def _outcome_section(run: ReportRun) -> Markup:
-    """Headline, verdicts, and what was run."""
+    """Headline, verdicts, and settings of the run."""
     empty = element("p", "No world was simulated: there is nothing to show.") if run.worlds.empty else NOTHING
     return joined_markup(
         headline(run),
@@ -179,17 +179,17 @@ def _outcome_section(run: ReportRun) -> Markup:
 
 
 def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
-    """Sections that some runs have: name, title, content."""
+    """(name, title, content) of the sections that only some runs have."""
     title = "How sure are the verdicts?" if run.kind is Kind.CONFIDENCE else "Answers of the sweep"
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # its worlds say where it looked, and not how pallets do
+    if run.kind is not Kind.SEARCH:  # its worlds show where the search looked, and not how pallets behave
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]
 
 
 def _table_section(notes: Sequence[str]) -> Markup:
-    """Where the scripts build the table, and the plan that is looked at."""
+    """The place where the scripts build the table and show the selected plan."""
     lines = [element("p", note, class_="note") for note in notes]
     return joined_markup(
         *lines,

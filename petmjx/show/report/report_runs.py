@@ -1,4 +1,4 @@
-"""The runs of a report: their tables, with what the plans add to them."""
+"""The runs of a report: their tables, with columns that come from the plans."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from petmjx.show.report.plan_lookup import ReportPlans, find_report_plans
 
 
 class Kind(StrEnum):
-    """What a run asked of its plans."""
+    """The kind of question that a run asked of its plans."""
 
     SCORE = "score"
     CONFIDENCE = "confidence"
@@ -34,12 +34,12 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class ReportRun:
-    """A run as a report sees it.
+    """A run in a report.
 
     Attributes:
-        name: how the report calls it.
-        results: its tables.
-        found: its plans, as far as they were found again.
+        name: its name in the report.
+        results: its results.
+        found: its plans, as far as they were found.
     """
 
     name: str
@@ -53,7 +53,7 @@ class ReportRun:
 
     @cached_property
     def kind(self) -> Kind:
-        """What the run asked."""
+        """The kind of the run."""
         config = self.info.get("config", {})
         if config.get("command") == "sweep":
             return Kind.SEARCH if (config.get("sweep") or {}).get("search") is not None else Kind.GRID
@@ -66,10 +66,11 @@ class ReportRun:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """The worlds that are shown, one row each, by plan and variant: all of them, with confidence the nominal ones.
+        """The worlds that are shown, one row each, by plan and variant. These are all worlds; for a score with
+        confidence only the nominal ones.
 
-        Besides the columns of ``worlds``: ``height_m`` and ``mass_kg`` of the plan (NaN where it was not found), and
-        ``first_article``, what the first box is of ("" where there is none).
+        Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if it was not found), and ``first_article``,
+        the article of the first box to fail ("" if there is none).
         """
         worlds = self.results.worlds
         if self.kind is Kind.CONFIDENCE:
@@ -84,7 +85,7 @@ class ReportRun:
         return worlds.assign(height_m=height_m, mass_kg=mass_kg, first_article=first)
 
     def _first_articles(self, culprit: pd.Series, codes: NDArray[np.int64], plan_ids: list[str]) -> NDArray[np.object_]:
-        """(worlds,) what the first box is of; ``codes``: places of their plans in ``plan_ids``."""
+        """(worlds,) the article of the first box to fail. ``codes`` are the indices of the plans in ``plan_ids``."""
         first_articles = np.full(len(codes), "", dtype=object)
         falls = np.flatnonzero(culprit.notna().to_numpy())
         of_plan = self.articles({plan_ids[code] for code in np.unique(codes[falls]).tolist()})
@@ -97,7 +98,8 @@ class ReportRun:
         return first_articles
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
-        """The articles of plans' boxes in packing order; where neither plans nor boxes are there, a plan has none."""
+        """Plan id → articles of its boxes in packing order. The articles come from the plan or from the table
+        ``boxes``; without both there are none."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.found.plans.items() if plan_id in plan_ids
         }
@@ -120,7 +122,7 @@ class ReportRun:
 
     @cached_property
     def shares(self) -> pd.DataFrame | None:
-        """The shares of a grid or a sample, as its ``summary`` has them; None for other runs."""
+        """The shares of a grid or a sample, from its ``summary``; None for other runs."""
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None
@@ -129,12 +131,12 @@ class ReportRun:
 
     @property
     def parameters(self) -> list[str]:
-        """Columns of ``worlds`` that this run's variants add."""
+        """Columns of ``worlds`` that the variants of this run add."""
         return [str(param["name"]) for param in self.info.get("params", [])]
 
 
 def _height_and_mass(plan: Plan) -> tuple[float, float]:
-    """m, kg."""
+    """Height, m, and mass, kg."""
     return float((plan.corner_mm + plan.size_mm)[:, 2].max()) / MM_PER_M, float(plan.mass_kg.sum())
 
 
@@ -142,10 +144,10 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
     """Open the runs of a report.
 
     Args:
-        plans: files with their plans; without: those that the runs name.
+        plans: files with the plans of the runs; without them the files that the runs name.
 
     Raises:
-        InputError: no folder, no run in one of them, a run twice, or a damaged one.
+        InputError: no folder, a folder without a run, the same run twice, or a damaged run.
     """
     if not folders:
         raise InputError("no run to report on: name the folders of runs")
@@ -164,7 +166,7 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
 
 
 def distinct_path_ends(paths: Sequence[Path]) -> list[str]:
-    """The shortest ends of paths that tell all of them apart: "a", or "fast/run" and "slow/run"."""
+    """The shortest ends of paths that distinguish all of them: "a", or "fast/run" and "slow/run"."""
     depth = 1
     deepest = max(len(path.parts) for path in paths)
     while depth < deepest:

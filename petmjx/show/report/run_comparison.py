@@ -19,14 +19,14 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.show.report.verdict_shares import plan_link
 
 MOST_FLIPS: Final = 50
-"""Flipped verdicts that are listed; the table of plans has all of them."""
+"""Most flipped verdicts that are listed. The table of plans has all of them."""
 
 MOST_PAIRS: Final = 28
-"""Pairs of runs that are drawn: those of eight runs."""
+"""Most pairs of runs that are drawn: the pairs of eight runs."""
 
 
 def comparison_section(runs: Sequence[ReportRun]) -> Markup:
-    """What several runs say of the plans that all of them have."""
+    """The section that compares several runs by the plans that all of them have."""
     if len(runs) < 2:
         return NOTHING
     common = common_verdicts(runs)
@@ -46,7 +46,8 @@ def _word(runs: Sequence[ReportRun]) -> str:
 
 
 def common_verdicts(runs: Sequence[ReportRun]) -> pd.DataFrame:
-    """Verdicts of the worlds that all runs have: one row a world, by plan and variant, one column a run by number."""
+    """Verdicts of the worlds that all runs have: one row per world, by plan and variant, and one column per run, by
+    number."""
     columns = [run.worlds.set_index(KEY)["verdict"].rename(at) for at, run in enumerate(runs)]
     return pd.concat(columns, axis=1, join="inner").sort_index()
 
@@ -70,10 +71,10 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
-    """For each pair of runs, whose plans stand where the other's do not, of the worlds that both judged.
+    """For each pair of runs, the worlds that stand in one run only, among the worlds with a verdict in both.
 
     Returns:
-        The drawing, and a table of the differences of their shares.
+        The drawing, and a table of the differences of shares.
     """
     rows, differences = [], []
     pairs = list(itertools.combinations(range(len(runs)), 2))
@@ -107,7 +108,7 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
 
 
 def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
-    """How many worlds stand in both, in one or in none of two runs, of those that have a valid verdict in both.
+    """How many worlds stand in both, in one, or in none of two runs, among the worlds with a valid verdict in both.
 
     Args:
         a, b: verdicts of the same worlds.
@@ -119,7 +120,8 @@ def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
 
 
 def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
-    """Confusion of verdicts, and flips side by side. ``n_plans`` are in both runs, if with other boxes."""
+    """The confusion of verdicts and the flips of two runs. ``n_plans`` plans are in both runs, perhaps with different
+    boxes."""
     a, b = (run.name for run in runs)
     rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in pair.confusion.iterrows()]
     agree = percent(pair.agreement) if pair.agreement is not None else "–"
@@ -174,7 +176,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # says how alike two simulations of one plan are
+    within = None if pair.other_plans else pair.flips_within  # it measures how similar two simulations of one plan are
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

@@ -1,4 +1,4 @@
-"""What was run, and with what: options, versions, files, skipped plans and warnings."""
+"""The settings of a run in a report: options, versions, files, skipped plans and warnings."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_LINES: Final = 20
-"""Skipped plans, warnings or files that are listed; of more there is the number."""
+"""Most skipped plans, warnings or files that are listed. Further ones are only counted."""
 
 
 def about(run: ReportRun) -> Markup:
-    """The facts of a run, and lists of what needs attention."""
+    """The settings of a run, and lists of things that need attention."""
     facts = [part for name, value in _facts(run) for part in (element("dt", name), element("dd", value))]
     warnings, odd = split_warnings(run.info)
     skipped = [str(entry.get("error") or entry.get("source")) for entry in run.info.get("skipped", [])]
@@ -69,7 +69,7 @@ def _options(config: Mapping[str, Any]) -> Content:
     if not isinstance(simulation, Mapping):
         return "unknown"
     changed = dict(changed_options(simulation, Simulation().model_dump(mode="json")))
-    limit = "world_timeout_s"  # an option of the run, but one that makes verdicts
+    limit = "world_timeout_s"  # an option of the run, but it changes verdicts
     changed |= changed_options({limit: config.get(limit)}, {limit: None})
     if not changed:
         return "all at their defaults"
@@ -80,7 +80,7 @@ def _options(config: Mapping[str, Any]) -> Content:
 def changed_options(
     values: Mapping[str, Any], defaults: Mapping[str, Any], path: str = ""
 ) -> Iterator[tuple[str, str]]:
-    """(option, "its value instead of the default") for every option that is not at its default."""
+    """(option, "its value instead of the default") for every option that differs from its default."""
     for name, value in values.items():
         at = f"{path}.{name}" if path else str(name)
         default = defaults.get(name)
@@ -93,7 +93,7 @@ def changed_options(
 def _option_text(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(_option_text, value))
-    if isinstance(value, Mapping):  # a carrier of the user's own
+    if isinstance(value, Mapping):  # a user-defined carrier
         return printable_name(str(value.get("name")))
     return "none" if value is None else str(value)
 
@@ -112,7 +112,7 @@ def _files(run: ReportRun) -> Content:
 
 
 def _lines(lines: list[str], title: str) -> Markup:
-    """A list that can be opened, under a title that says how many there are."""
+    """A list that can be opened, under a title with the number of its lines."""
     if not lines:
         return NOTHING
     items = [element("li", line) for line in lines[:MOST_LINES]]

@@ -1,6 +1,7 @@
 """The frame of a small chart as SVG: scales, axes, ticks.
 
-Colours are classes of ``static/report.css``, so that charts follow the page's light or dark mode; no script draws.
+Colours are classes of ``static/report.css``, so that charts follow the page's light or dark mode. Charts need no
+script.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from petmjx.show.report.markup import Content, Markup, element
 
 WIDTH: Final = 300
 HEIGHT: Final = 190
-"""Of a chart, CSS pixels: four beside each other on a wide screen, one on a phone."""
+"""Height of a chart, CSS pixels. A wide screen has four charts side by side, a phone one."""
 
 LEFT: Final = 54
 RIGHT: Final = 12
@@ -31,13 +32,13 @@ MOST_TICKS: Final = 6
 
 @dataclass(frozen=True)
 class Scale:
-    """From values to pixels.
+    """A scale of an axis, from values to pixels.
 
     Attributes:
-        low, high: ends of the values; what is beyond is drawn at the end.
+        low, high: ends of the values. Values beyond an end are drawn at the end.
         log: whether equal lengths are equal factors; ``low`` must then be above 0.
-        counts: whether values are counts, between which there is nothing.
-        lowest: what the lower end is called where values below it are drawn there too, e.g. "≤ 1".
+        counts: whether values are counts, with nothing between two whole numbers.
+        lowest: label of the lower end if smaller values are drawn there, too, e.g. "≤ 1".
     """
 
     low: float
@@ -48,7 +49,7 @@ class Scale:
 
     @classmethod
     def over(cls, values: ArrayLike, *, log_from: float | None = None, lowest: str = "", zero: bool = False) -> Scale:
-        """One that holds all finite values.
+        """A scale that holds all finite values.
 
         Args:
             log_from: the lower end of a logarithmic scale; None: a linear one.
@@ -66,16 +67,18 @@ class Scale:
         return cls(low, high)
 
     def place(self, values: ArrayLike) -> FloatArray:
-        """Values → share of the way from ``low`` to ``high``, in [0, 1]."""
+        """Values → place between ``low`` and ``high``, as a share in [0, 1]."""
         clipped = np.clip(np.asarray(values, dtype=np.float64), self.low, self.high)
         if self.log:
             return np.asarray(np.log(clipped / self.low) / math.log(self.high / self.low))
         return np.asarray((clipped - self.low) / (self.high - self.low))
 
     def edges(self, bins: int) -> FloatArray:
-        """(bins + 1,) edges of bins that look equally wide; of counts at most so many, each with as many counts.
+        """(bins + 1,) edges of bins that look equally wide. For counts there may be fewer bins, each with the same
+        number of counts.
 
-        A scale of counts begins half a unit below one, so that each lies within a bin. Its last bin may end beyond it.
+        A scale of counts begins half a unit below a count, so that each count lies within a bin. The last bin may end
+        beyond the scale.
         """
         if self.counts:
             wide = math.ceil((self.high - self.low) / bins)
@@ -118,9 +121,10 @@ class Frame:
     """A chart that is being drawn: two axes and marks between them.
 
     Attributes:
-        title: what is shown; the chart's name for screen readers.
-        x, y: scales; ``x_label``, ``y_label``: what they are, with units.
-        x_ticks: (value, label), instead of those of the scale.
+        title: title of the chart, and its name for screen readers.
+        x, y: scales of the axes.
+        x_label, y_label: labels of the axes, with units.
+        x_ticks: (value, label) of ticks that replace those of the scale.
     """
 
     title: str
@@ -142,7 +146,7 @@ class Frame:
         )
 
     def add(self, *marks: Content) -> None:
-        """Draw over what is there."""
+        """Draw marks over the earlier ones."""
         self.marks += marks
 
     def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:

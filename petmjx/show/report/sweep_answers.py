@@ -1,4 +1,4 @@
-"""The answers of sweeps: shares along axes, largest levels by direction, which axis matters most."""
+"""The answers of sweeps in a report: shares along axes, largest levels by direction, and which axis matters most."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from petmjx.show.report.verdict_shares import link, plan_link
 
 DIRECTION: Final = "direction_deg"
 STRENGTHS: Final = {"level_g": ("level", "g"), "scale": ("scale", "")}
-"""Columns of ``worlds`` that say how strongly a world was shaken."""
+"""Columns of ``worlds`` with the strength of the shaking → name and unit."""
 
 FEWEST_DIRECTIONS: Final = 3
-"""Of a rose."""
+"""Fewest directions of a rose."""
 
 MOST_VALUES: Final = 60
-"""Values of an axis that are drawn."""
+"""Most values of an axis that are drawn."""
 
 MOST_NAMED: Final = 12
 
@@ -39,7 +39,7 @@ ROSE: Final = "Line: the median plan; band: half of the plans. None survived cou
 
 
 def sweep_answers(run: ReportRun) -> Markup:
-    """The answers of a sweep, or of a score with confidence; nothing for other scores."""
+    """The section with the answers of a sweep, or of a score with confidence. Other scores have none."""
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
@@ -70,13 +70,15 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 
 
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
-    """Whether a summary has an axis's values as numbers: ranges that were drawn from are in parts, which are texts."""
+    """Whether a summary has the values of an axis as numbers. Ranges of random values are divided into parts, which are
+    texts."""
     values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
     return bool(pd.to_numeric(values, errors="coerce").notna().all())
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
-    """Shares along a numeric axis: with the run's own interval over random draws, else with one over plans."""
+    """Shares along a numeric axis, with the run's interval over random draws if it has one, else with an interval over
+    plans."""
     draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
     rows = draws if drawn else plans
@@ -122,11 +124,11 @@ def _with_unit(axis: str, unit: str) -> str:
 
 
 def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame) -> pd.DataFrame:
-    """How much each axis, and the plan, changes whether a world stands; the most important first.
+    """How much each axis, and the choice of the plan, affects whether a world stands. The most important comes first.
 
     Returns:
-        ``axis``, ``spread`` (largest less smallest share of its values) and ``correlation_ratio``: the correlation
-        ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)) of the nᵥ worlds with value v, of which the share pᵥ stands; NaN where
+        ``axis``, ``spread`` (largest minus smallest share of its values) and ``correlation_ratio``: the correlation
+        ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)) of the nᵥ worlds with value v, of which the share pᵥ stands; NaN if
         all worlds stand, or none (Pearson 1905; Fisher's one-way analysis of variance).
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
@@ -147,7 +149,7 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
 
 
 def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
-    """Correlation ratio η² of values in groups: variance between groups over all variance; NaN without any."""
+    """Correlation ratio η² of values in groups: variance between groups over total variance; NaN without variance."""
     total = float(((values - values.mean()) ** 2).sum())
     if total <= 0:
         return float("nan")
@@ -168,7 +170,7 @@ def _importance_chart(matters: pd.DataFrame) -> Markup:
 
 
 def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]]:
-    """(title, unit, largest level a row of plan and direction, highest level tested), for each profile."""
+    """(title, unit, largest level for each plan and direction, highest level tested), for each profile."""
     worlds = run.worlds
     for column, (name, unit) in STRENGTHS.items():
         if column not in worlds or DIRECTION not in worlds:
@@ -182,10 +184,10 @@ def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]
 
 
 def largest_survived(worlds: pd.DataFrame, column: str) -> pd.DataFrame:
-    """For each plan and direction the largest level below every level that failed, in all of its worlds; 0: none.
+    """For each plan and direction the largest level below every level that failed in any of its worlds; 0: none.
 
     Args:
-        worlds: of one profile, with ``column`` as the level.
+        worlds: worlds of one profile, with ``column`` as the level.
 
     Returns:
         Columns plan_id, direction_deg, largest.

@@ -27,17 +27,18 @@ _NOTES: Final = {
 
 
 def link(run: ReportRun, **filters: str) -> str:
-    """The fragment that shows some rows of the table: the part of the address behind #."""
+    """The fragment (the part of the address behind #) that shows some rows of the table."""
     return urlencode({"run": run.name, **{name: printable(value) for name, value in filters.items()}})
 
 
 def plan_link(run: ReportRun, plan_id: str, variant: int = 0) -> str:
-    """The fragment that shows a plan, without any filter."""
+    """The fragment that shows a plan, without filters."""
     return urlencode({"plan": printable(plan_id), "variant": variant, "of": run.name})
 
 
 def verdict_table(run: ReportRun) -> Markup:
-    """Counts and shares of verdicts and reasons; of scores with Wilson's interval, as if plans were drawn at random."""
+    """Counts and shares of verdicts and reasons. For scores the shares have Wilson's interval, as if plans were drawn
+    at random."""
     worlds = run.worlds
     drawn = run.kind in (Kind.SCORE, Kind.CONFIDENCE)
     rows = []
@@ -81,7 +82,7 @@ def headline(run: ReportRun) -> Markup:
 
 
 def _of_search(summary: pd.DataFrame) -> Iterator[Markup]:
-    """Placements, how many of them stand, answers, and the middle of these."""
+    """Cards of a search: placements, how many of them stand, answers, and their median."""
     placements = summary.drop_duplicates(["plan_id", "placement"])
     stand = placements["stands_at_rest"].astype(bool)
     answers = summary[summary["stands_at_rest"].astype(bool)]

@@ -1,13 +1,13 @@
-// Arrows of a story: contact forces, and what shakes the pallet.
+// Arrows of a story: contact forces, and the shaking of the pallet.
 
 import { corners } from "./carrier.js";
 import { roundedUp, shareOf } from "./colours.js";
 import { norm, scaled, sub, unit } from "./vectors.js";
 
-const LENGTH = 0.2; // m, of the arrow of a force that the scale names
+const LENGTH = 0.2; // m, length of the arrow of the force that the scale names
 const RADIUS = 0.008; // m
-const LEAST = 0.03; // share of that force below which there is no arrow
-const G_LENGTH = 0.45; // m, of the arrow of 1 g
+const LEAST = 0.03; // share of that force below which a contact has no arrow
+const G_LENGTH = 0.45; // m, length of the arrow of 1 g
 const DRIVE_RADIUS = 0.014;
 const ORANGE = [0.9, 0.35, 0.05];
 
@@ -24,7 +24,7 @@ export function contactArrows({ frame, point, force }, frames) {
   const scale = roundedUp(shareOf(strength, 0.9));
   const arrow = (row) => {
     const along = scaled(vector(force, row), LENGTH / scale);
-    // its tip is where the force acts
+    // the tip is at the point where the force acts
     return { from: sub(vector(point, row), along), vector: along, colour: ink(), radius: RADIUS };
   };
   return {
@@ -33,7 +33,7 @@ export function contactArrows({ frame, point, force }, frames) {
   };
 }
 
-// What shakes a pallet: {level(frame) in g, at(frame) → arrows, words(frame)}.
+// The shaking of a pallet: {level(frame) in g, at(frame) → arrows, words(frame)}.
 export function driveArrows(info, frames) {
   const { kind, one_g: oneG } = info.drive;
   const vector = (frame) => [0, 1, 2].map((axis) => frames.drive[3 * frame + axis] / oneG);

@@ -1,4 +1,4 @@
-// Reads the data of a page (written by petmjx/pages/page.py and petmjx/pages/columns.py).
+// Reads the data of a page (written by petmjx/show/pages/page.py and page_arrays.py).
 
 const KINDS = {
   int8: Int8Array,
@@ -16,7 +16,7 @@ export const readInfo = () => JSON.parse(document.getElementById("info").textCon
 
 export const hasBlock = (name) => document.getElementById(`block-${name}`) !== null;
 
-// The arrays of a block by name: flat typed arrays, with their shape as `shape`. Resolves to null if there is none.
+// The arrays of a block by name: flat typed arrays, with their shape as `shape`. Resolves to null without a block.
 export async function readBlock(name) {
   if (!hasBlock(name)) return null;
   const bytes = await inflated(document.getElementById(`block-${name}`).textContent);

@@ -4,8 +4,8 @@ import { LOOK } from "./look.js";
 import { add, clamped, cross, dot, looking, perspective, product, scaled, sub, transformed, unit } from "./vectors.js";
 
 const SLOPE = Math.tan((32 * Math.PI) / 360); // half of a vertical angle of view of 32°
-const MARGIN = 1.06; // room around what is framed
-const STEEPEST = (88 * Math.PI) / 180; // straight from above "up" would have no direction
+const MARGIN = 1.06; // room around the framed box
+const STEEPEST = (88 * Math.PI) / 180; // seen straight from above, "up" would have no direction
 const UP = [0, 0, 1];
 
 export class Camera {
@@ -14,7 +14,7 @@ export class Camera {
     this.frame([-1, -1, -1], [1, 1, 1], LOOK.view.azimuth, LOOK.view.elevation);
   }
 
-  // Looks at the box from `low` to `high` from the nearest place where all of it is seen. A corner c, from the box's
+  // Looks at the box from `low` to `high`, from the nearest place that shows all of it. A corner c, from the box's
   // middle, is in the picture if |c·side − target·side| ≤ slope (distance + c·forward), for both sides of the picture.
   frame(low, high, azimuth = this.azimuth, elevation = this.elevation) {
     Object.assign(this, { low, high, azimuth, elevation, home: { azimuth, elevation }, moved: false });
@@ -31,7 +31,7 @@ export class Camera {
     }
   }
 
-  // Back to where `frame` looked from; `resized` does it for a camera that nobody has moved.
+  // Returns to the view of `frame`. `resized` does so if the user has not moved the camera.
   reset() {
     this.frame(this.low, this.high, this.home.azimuth, this.home.elevation);
   }
@@ -69,7 +69,7 @@ export class Camera {
     this.distance = clamped(this.distance * factor, 0.2, 60);
   }
 
-  // Moves what is looked at, by shares of the picture's height.
+  // Moves the target, by shares of the picture's height.
   pan(right, up) {
     this.moved = true;
     const axes = this.axes();
@@ -85,7 +85,7 @@ export class Camera {
     return { from: this.eye(), along: unit(add(forward, side)) };
   }
 
-  // Where a point is in the picture, x and y from −1 to 1; null behind the camera.
+  // The place of a point in the picture, x and y from −1 to 1; null behind the camera.
   project(point) {
     const [x, y, , w] = transformed(this.matrix(), point);
     return w > 0 ? [x / w, y / w] : null;

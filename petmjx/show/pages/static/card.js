@@ -1,9 +1,9 @@
-// One world in 3D as it ended, with its boxes' numbers.
+// The final state of one world in 3D, with the numbers of its boxes.
 //
 //   const card = new Card(info, run, first, world, replay);   card.element; card.start(); card.dispose()
 //
-// `run` is an entry of info.runs, `first` the box that failed first or −1, `world` what endedWorld of ended.js gives,
-// `replay` the number of what was recorded of it or −1.
+// `run` is an entry of info.runs, `first` the box that failed first or −1, `world` from endedWorld in ended.js,
+// `replay` the number of its recorded history or −1.
 
 import { rgbOf, shareOf } from "./colours.js";
 import { decimals } from "./decimals.js";
@@ -31,7 +31,7 @@ export class Card {
     if (run.nominalSizes) this.element.append(hint("Sizes are the plan’s; this world’s errors of size are not drawn."));
   }
 
-  // Once the element is in the page: a canvas without a size has nothing to draw on.
+  // Call it once the element is in the page: a canvas without a size cannot be drawn on.
   start() {
     this.viewer = createViewer(this.canvas, { ...this.world, floorZ: this.run.floorZ });
     if (!this.viewer) {
@@ -54,7 +54,7 @@ export class Card {
     this.viewer?.dispose();
   }
 
-  // ---- what follows is not for others
+  // ---- private
 
   controls() {
     const options = Object.entries(COLOURS).map(([value, label]) => make("option", { value }, label));
@@ -89,7 +89,8 @@ export class Card {
     this.legend.replaceChildren(...(values ? scale(shades, most, by) : []));
   }
 
-  // The end of a scale: twice the limit, so that it means the same for every plan; the largest force, as they have none.
+  // The end of a scale: twice the limit, so that it is the same for every plan; for forces the largest one, since they
+  // have no limit.
   most(by, values) {
     const { shift_mm, tilt_deg } = this.run.limits;
     if (by === "force") return shareOf(values, 1) || 1;
@@ -155,7 +156,7 @@ function hint(text) {
   return make("p", { class: "hint" }, text);
 }
 
-// For each box the place of its article among them, by how many boxes it has.
+// For each box the rank of its article by number of boxes.
 function ranked(articles) {
   const counts = new Map();
   for (const article of articles) counts.set(article, (counts.get(article) ?? 0) + 1);
@@ -163,7 +164,7 @@ function ranked(articles) {
   return articles.map((article) => order.indexOf(article));
 }
 
-// A bar of all shades, between its ends.
+// A bar with all shades, between the labels of its ends.
 function scale(shades, most, by) {
   const box = { viewBox: `0 0 ${shades.length} 1`, preserveAspectRatio: "none", "aria-hidden": "true" };
   const bar = makeSvg("svg", { class: "ramp", ...box });

@@ -1,4 +1,4 @@
-// What boxes stand on: {pos: [x, y, z], boards: …}, with 6 numbers a board, its whole extents and its place seen from
+// The carrier of boxes: {pos: [x, y, z], boards: …}, with 6 numbers a board, its whole extents and its place seen from
 // `pos`. Lengths are metres.
 
 import { add, turned } from "./vectors.js";

@@ -1,4 +1,4 @@
-// What colours mean: for each way of colouring the colours of boxes at a time, and a legend.
+// The meaning of colours: for each way of colouring, the colours of boxes at a time, and a legend.
 
 import { make, makeSvg } from "./dom.js";
 import { NO_ARTICLE } from "./names.js";

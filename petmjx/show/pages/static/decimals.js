@@ -1,6 +1,7 @@
-// Numbers as people read them.
+// Numbers as text.
 
-// With so many decimals; "–" where there is no number. Forces of boxes that just touch may be −0.04 N: that is 0.
+// A number with some decimals; "–" if there is none. Forces of boxes that just touch may be −0.04 N: they are shown
+// as 0.
 export function decimals(value, digits) {
   return Number.isFinite(value) ? value.toFixed(digits).replace(/^-(?=0\.?0*$)/, "") : "–";
 }

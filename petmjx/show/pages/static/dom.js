@@ -1,4 +1,4 @@
-// Elements without markup in strings: what comes from plans is only ever set as text.
+// Makes elements without markup in strings. Values from plans are only ever set as text.
 
 export const byId = (id) => document.getElementById(id);
 

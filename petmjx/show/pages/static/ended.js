@@ -1,4 +1,4 @@
-// One world's boxes as they ended, out of the blocks that petmjx/pages/report/boxes.py packs.
+// The final boxes of one world, from the blocks that petmjx/show/report/box_blocks.py packs.
 
 import { readBlock } from "./blocks.js";
 import { corners } from "./carrier.js";
@@ -50,7 +50,7 @@ function blockOf(number) {
   return unpacked.get(number);
 }
 
-// The real part is what is missing to a length of 1; it is stored so that it is never negative.
+// The real part follows from the length 1. It is stored so that it is never negative.
 function quaternions(turn) {
   const found = new Float32Array((turn.length / 3) * 4);
   for (let box = 0; box < turn.length / 3; box++) {
@@ -64,9 +64,9 @@ function largest(values) {
   return Math.max(...Array.from(values, Math.abs));
 }
 
-const FAR = 0.8; // m: what lies farther beside the pallet does not make the picture smaller
+const FAR = 0.8; // m: boxes farther beside the pallet are not framed
 
-// What a picture shows: the carrier, the plan, and boxes that lie near at the end.
+// The framed region: the carrier, the plan, and boxes that lie near at the end.
 export function bounds({ n, sizes, planned, pos, carrier }) {
   const [low, high] = corners(carrier);
   const widen = (places, lowest, highest) => {

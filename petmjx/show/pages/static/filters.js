@@ -1,12 +1,12 @@
 // The filters above a report's table: search, verdicts, other choices, ranges of numbers.
 //
 //   const filters = new Filters(root, rows, onChange);   onChange(state) after every change
-//   filters.show(state, count)                           makes the fields say what a state says
+//   filters.show(state, count)                           sets the fields to a state
 
 import { make } from "./dom.js";
 import { onlyOpen } from "./rows.js";
 
-const MOST_CHOICES = 500; // of a list; of more, the search finds them
+const MOST_CHOICES = 500; // most entries of a list; the search finds the others
 const TYPING_MS = 120;
 
 export class Filters {
@@ -28,7 +28,7 @@ export class Filters {
     this.said.textContent = `${count.toLocaleString("en")} of ${of} shown`;
   }
 
-  // ---- what follows is not for others
+  // ---- private
 
   changed(state) {
     this.state = state;
@@ -41,7 +41,7 @@ export class Filters {
     this.changed(state);
   }
 
-  // A text field whose changes count once nobody types any more.
+  // A text field whose changes count when the user stops typing.
   typed(field, key) {
     field.addEventListener("input", () => {
       clearTimeout(this.typing);

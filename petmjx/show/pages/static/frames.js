@@ -3,8 +3,8 @@
 import { slerp } from "./vectors.js";
 
 export class Frames {
-  // arrays: time, pos, quat, carrier_pos and carrier_quat; the others of petmjx/pages/story_data.py where they are
-  // asked for
+  // arrays: time, pos, quat, carrier_pos and carrier_quat; the other arrays of petmjx/show/pages/story_data.py where
+  // they are used
   constructor(arrays) {
     Object.assign(this, arrays);
     if (arrays.force_root) this.force_n = arrays.force_root.map((root) => root * Math.abs(root));
@@ -40,7 +40,7 @@ export class Frames {
     return { pos, quat: this.turns(this.carrier_quat, 1, frame, next, share) };
   }
 
-  // One number a box, at the last frame: "shift_mm", "tilt_deg" or "force_n".
+  // One number per box, at the last frame: "shift_mm", "tilt_deg" or "force_n".
   values(name, time) {
     const frame = this.at(time);
     return this[name].subarray(frame * this.n, (frame + 1) * this.n);

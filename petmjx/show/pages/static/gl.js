@@ -79,7 +79,7 @@ export class Instances {
 
 const sum = (numbers) => numbers.reduce((total, number) => total + number, 0);
 
-// A square depth map that can be asked "is this nearer?".
+// A square depth map with comparison: "is this nearer?".
 export function depthMap(gl, size) {
   const texture = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, texture);

@@ -1,4 +1,4 @@
-// Keys of a story, wherever the focus is; fields keep those that are theirs.
+// Keys of a story, wherever the focus is. Fields keep the keys that they need.
 
 const TURN = 0.12; // radians
 const ZOOM = 0.85;

@@ -1,5 +1,5 @@
-// What boxes on pages look like, the same in the 3D view and in the still picture: petmjx/pages/palette.py reads it, too,
-// as JSON. Colours are sRGB from 0 to 1; `sunward` points to the sun; `view` is where pages begin to look from, radians.
+// The look of boxes on pages, in the 3D view and in the still picture. petmjx/show/pages/palette.py reads it, too,
+// as JSON. Colours are sRGB from 0 to 1; `sunward` points to the sun; `view` is the first view of a page, radians.
 
 export const LOOK = {
   "wood": [0.66, 0.52, 0.36],

@@ -1,6 +1,6 @@
 // The three shapes that are drawn, as vertices of triangles.
 
-// A cube from −1 to 1: place and normal, 6 numbers a vertex.
+// A cube from −1 to 1: place and normal, 6 numbers per vertex.
 export function cube() {
   const out = [];
   for (let axis = 0; axis < 3; axis++) {
@@ -22,8 +22,8 @@ export function cube() {
   return new Float32Array(out);
 }
 
-// An arrow along z: x, y, z, part (0 shaft, 1 head) and the normal, 7 numbers a vertex. Shaft and head are 1 long
-// and have radius 1; the shader stretches each.
+// An arrow along z: x, y, z, part (0 shaft, 1 head) and the normal, 7 numbers per vertex. Shaft and head are 1 long
+// and have radius 1; the shader stretches both.
 export function arrow(sides = 14) {
   const out = [];
   const ring = (k) => [Math.cos((2 * Math.PI * k) / sides), Math.sin((2 * Math.PI * k) / sides)];

@@ -1,4 +1,4 @@
-// The numbers of one box: what it is, and how it is at a time.
+// The numbers of one box: its data, and its state at a time.
 
 import { decimals } from "./decimals.js";
 import { make } from "./dom.js";

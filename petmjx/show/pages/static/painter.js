@@ -1,5 +1,5 @@
-// Draws one picture of boxes, arrows and the floor with WebGL 2. It keeps nothing but what lies on the graphics card,
-// so that after a lost context a new one is as good.
+// Draws one picture of boxes, arrows and the floor with WebGL 2. All its state is on the graphics card,
+// so that a new painter can replace one whose context was lost.
 
 import { Instances, depthMap, program } from "./gl.js";
 import { LOOK } from "./look.js";
@@ -88,7 +88,7 @@ export class Painter {
 
   drawFloor({ camera, dark, middle, reach, floorZ }, { clip, sun }) {
     const { ground, ruled, shade } = dark ? THEMES.dark : THEMES.light;
-    if (camera.eye()[2] < floorZ) return; // from below it would hide what it bears
+    if (camera.eye()[2] < floorZ) return; // seen from below, the floor would hide the boxes on it
     this.floor.set({ clip, sun, middle: [middle[0], middle[1], floorZ], reach: 2.2 * reach, ground, ruled, shade });
     this.meshes.floor.draw();
   }

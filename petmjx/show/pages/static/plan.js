@@ -1,10 +1,10 @@
-// The plan that is looked at: what became of it, and its world in 3D, in every run that has it.
+// The selected plan: its outcome and its world in 3D, in every run that has it.
 
 import { Card } from "./card.js";
 import { make } from "./dom.js";
 import { endedWorld } from "./ended.js";
 
-const MOST_CARDS = 6; // pictures beside each other; a browser draws only so many
+const MOST_CARDS = 6; // pictures side by side; browsers limit their number
 
 export class PlanView {
   constructor(root, info, rows, onClose) {
@@ -19,7 +19,7 @@ export class PlanView {
     this.root.className = "";
   }
 
-  // Resolves once the pictures are there; sooner if another plan was asked for meanwhile.
+  // Resolves once the pictures are drawn, or earlier if another plan is selected meanwhile.
   async show(row) {
     this.close();
     const asked = this.asked;
@@ -43,9 +43,9 @@ export class PlanView {
     this.cards.forEach((card) => card.start());
   }
 
-  // ---- what follows is not for others
+  // ---- private
 
-  // The row itself, and those of the same world in the other runs.
+  // The row itself, and the rows of the same world in the other runs.
   everyRow(id, variant, row) {
     const others = this.info.runs.map((_, run) => run).filter((run) => run !== this.rows.arrays.of[row]);
     const found = [row, ...others.map((run) => this.rows.find(id, variant, run)).filter((each) => each >= 0)];
@@ -92,7 +92,7 @@ export class PlanView {
   howToSeeItMove(id, variant, row) {
     const one = this.rows.column("variant") ? ` --variant ${variant}` : "";
     const [named, options] = [`${quoted(id)} ${this.runOf(row).folder}`, `${one} --html story.html`];
-    // After -- an id that begins with a dash is no option.
+    // After --, an id that begins with a dash is not an option.
     const command = `petmjx show${id.startsWith("-") ? `${options} -- ${named}` : ` ${named}${options}`}`;
     const line = make("p", { class: "hint" }, "To see it move: ", make("code", {}, command));
     if (this.rows.arrays.replay[row] < 0) {
@@ -103,7 +103,7 @@ export class PlanView {
   }
 }
 
-// As a shell takes it.
+// Quoted for a shell.
 function quoted(text) {
   return /^[\w@%+=:,./-]+$/.test(text) ? text : `'${text.replaceAll("'", `'"'"'`)}'`;
 }

@@ -21,7 +21,7 @@ export class Player {
   step(frames) {
     const { time, count } = this.frames;
     const here = this.frames.at(this.time);
-    // back from between two frames leads to the one before
+    // a step back from between two frames leads to the earlier frame
     const behind = frames < 0 && this.time > time[here] + 1e-6 ? 1 : 0;
     this.seek(time[Math.min(Math.max(here + frames + behind, 0), count - 1)]);
   }
@@ -38,7 +38,7 @@ export class Player {
     let before = null;
     const tick = (now) => {
       if (!this.playing) return;
-      // a tab that was hidden goes on where it was
+      // a tab that was hidden continues where it stopped
       const passed = before === null ? 0 : Math.min((now - before) / 1000, 0.25);
       before = now;
       this.go(this.time + passed * this.speed);

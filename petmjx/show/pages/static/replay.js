@@ -1,4 +1,4 @@
-// Plays what was recorded of a world, below its picture: a button, a time line, the time.
+// Plays the recorded history of a world, with controls below its picture: a button, a time line, the time.
 
 import { readBlock } from "./blocks.js";
 import { make } from "./dom.js";
@@ -8,7 +8,7 @@ import { Player, SPEEDS } from "./player.js";
 const PARTS = 1000; // steps of the time line
 
 export class Replay {
-  // number: of the block "replay-N"
+  // number: N of the block "replay-N"
   constructor(number, viewer) {
     Object.assign(this, { number, viewer, player: null });
     this.button = make("button", { type: "button", class: "main" }, "Play");
@@ -28,9 +28,9 @@ export class Replay {
     this.player?.pause();
   }
 
-  // ---- what follows is not for others
+  // ---- private
 
-  // Unpacked when it is first played: most of a report's histories never are.
+  // Unpacked when it is first played, since most histories of a report are never played.
   async ready() {
     this.frames ??= readBlock(`replay-${this.number}`).then((arrays) => new Frames(arrays));
     const frames = await this.frames;

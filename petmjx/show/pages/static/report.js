@@ -1,4 +1,4 @@
-// The page of a report. Charts and small tables are in it already; this makes the table of plans and their pictures.
+// The page of a report. Charts and small tables are in its HTML; this makes the table of plans and their pictures.
 
 import { readBlock, readInfo } from "./blocks.js";
 import { byId } from "./dom.js";
@@ -24,7 +24,7 @@ async function start() {
   });
   const plan = new PlanView(byId("plan"), info, rows, () => apply(closed(state)));
   let shown = -1;
-  let drawn = null; // resolves once the plan that is looked at is there
+  let drawn = null; // resolves once the selected plan is drawn
 
   function apply(next) {
     state = next;
@@ -58,7 +58,7 @@ async function start() {
     return next;
   }
 
-  // A link of a chart or a list was followed: it is about the table.
+  // The user followed a link of a chart or a list, which is about the table.
   addEventListener("hashchange", () => {
     if (!location.hash.includes("=")) return;
     state = readState();
@@ -80,7 +80,7 @@ function closed(from) {
   return next;
 }
 
-// Rising, falling, as it was.
+// The next order: rising, falling, original.
 function sorted(from, key) {
   const next = new URLSearchParams(from);
   const now = from.get("sort");

@@ -1,6 +1,6 @@
-// The rows of a report's table (petmjx/pages/report/rows.py): which of them pass the filters, in which order.
+// The rows of a report's table (petmjx/show/report/plan_rows.py): filters them and sorts them.
 
-const OPEN = ["plan", "variant", "of"]; // say which plan is looked at, and filter nothing
+const OPEN = ["plan", "variant", "of"]; // name the selected plan, and filter nothing
 const MINUS = "−";
 
 export class Rows {
@@ -14,12 +14,12 @@ export class Rows {
     return this.columns.find((column) => column.key === key);
   }
 
-  // The text of a plan's id, a choice, …; "" where there is none.
+  // The text of a plan's id, a choice, …; "" if there is none.
   text(key, row) {
     return this.arrays[key] ? (this.texts[key][this.arrays[key][row]] ?? "") : "";
   }
 
-  // A cell as people read it.
+  // A cell as text.
   shown({ key, kind, digits }, row) {
     if (kind !== "number") return this.text(key, row);
     return this.number(this.arrays[key][row], digits);
@@ -77,14 +77,14 @@ export class Rows {
     return found;
   }
 
-  // Whether a row's plan or first article has these letters.
+  // Whether a row's plan or first article contains these letters.
   holds(words) {
     const keys = ["plan", "article"].filter((key) => this.arrays[key]);
     const hits = keys.map((key) => this.texts[key].map((text) => text.toLowerCase().includes(words)));
     return (row) => keys.some((key, at) => hits[at][this.arrays[key][row]]);
   }
 
-  // By a column, "-" before its key: falling. Rows without a value come last either way.
+  // Sorts by a column; "-" before its key means falling. Rows without a value come last in both orders.
   sorted(rows, order) {
     const falling = order.startsWith("-");
     const column = this.column(falling ? order.slice(1) : order) ?? this.column("plan");
@@ -117,7 +117,7 @@ function bound(text) {
   return Number.isFinite(value) ? value : null;
 }
 
-// A state with the plan that is looked at and nothing else of another state: what "clear" leaves.
+// A state with the selected plan and nothing else of another state. "Clear" sets it.
 export function onlyOpen(state) {
   return new URLSearchParams([...state].filter(([key]) => OPEN.includes(key)));
 }

@@ -9,7 +9,7 @@ const TURN = `
 vec3 turned(vec4 q, vec3 v) { return v + 2.0 * cross(q.yzw, cross(q.yzw, v) + q.x * v); }
 `;
 
-// Share of the sun's light at a place: nine looks into the depth map, so that edges of shadows are soft.
+// Share of the sun's light at a place: nine samples of the depth map, so that edges of shadows are soft.
 const SHADOW = `
 uniform highp sampler2DShadow depths;
 uniform mat4 sun;

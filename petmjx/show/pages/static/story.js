@@ -1,4 +1,4 @@
-// The page of one story (petmjx/pages/story_page.py): joins viewer, player, time line, colours and numbers.
+// The page of one story (petmjx/show/pages/story_page.py): joins viewer, player, time line, colours and numbers.
 
 import { contactArrows, driveArrows } from "./arrows.js";
 import { hasBlock, readBlock, readInfo } from "./blocks.js";
@@ -115,7 +115,7 @@ class StoryPage {
     showNumbers(byId("numbers"), this.chosen, this.info, frames, time);
   }
 
-  // There may be millions of contacts, so they are read when they are asked for.
+  // There may be millions of contacts, so they are only read when they are needed.
   async showForces() {
     this.contacts ??= contactArrows(await readBlock("contacts"), this.frames);
     byId("force-scale").textContent = `0.2 m of arrow: ${this.contacts.scale_n.toLocaleString("en")}\u00a0N`;
@@ -163,7 +163,7 @@ class StoryPage {
     this.placeLabel(byId("label-chosen"), other, other < 0 ? "" : name(other));
   }
 
-  // Above the box, or beside it where there is no room above; always within the canvas.
+  // Above the box, or beside it if there is no room above; always within the canvas.
   placeLabel(label, box, text) {
     const hull = box >= 0 ? this.viewer.hull(box) : null;
     label.hidden = !hull;

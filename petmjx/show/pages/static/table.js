@@ -1,16 +1,16 @@
-// A table of very many rows, of which only those in sight are in the page.
+// A table of very many rows. Only the rows in sight are in the page.
 //
 //   const table = new Table(root, rows, {onOpen, onSort});   rows: Rows of rows.js
-//   table.show(order, sort)   order: the rows to show; sort: "key" or "-key", for the heads
-//   table.open(row)           marks the row that is looked at; −1: none
+//   table.show(order, sort)   order: the rows to show; sort: "key" or "-key", for the headings
+//   table.open(row)           marks the selected row; −1: none
 //
-// Keys: up, down, page up, page down, home, end move; enter and space open. Screen readers are told where they are by
+// Keys: up, down, page up, page down, home, end move; enter and space open. Screen readers get the place from
 // aria-rowindex and aria-rowcount.
 
 import { make } from "./dom.js";
 
 const ROW_PIXELS = 30;
-const SPARE = 8; // rows above and below what is in sight
+const SPARE = 8; // rows above and below the visible ones
 const LETTER = 8.8; // pixels, rather too much
 const PADDING = 24;
 const NARROWEST = 6; // letters
@@ -50,7 +50,7 @@ export class Table {
     else this.draw();
   }
 
-  // ---- what follows is not for others
+  // ---- private
 
   head({ key, label, unit, kind, meaning }) {
     const button = make("button", { type: "button", ...(meaning ? { title: meaning } : {}) }, label);
@@ -98,7 +98,7 @@ export class Table {
     if (focused) this.body.querySelector('[tabindex="0"]')?.focus({ preventScroll: true });
   }
 
-  // Rows that are not in the page, as one of their height.
+  // Rows that are not in the page, as one row of their total height.
   space(rows) {
     const line = make("tr", { class: "space", "aria-hidden": "true" });
     line.style.height = `${rows * ROW_PIXELS}px`;
@@ -142,7 +142,7 @@ export class Table {
     this.onOpen(this.order[at]);
   }
 
-  // Makes a place in the order the one that keys start from, and brings it into sight.
+  // Makes a place in the order the start of keys, and scrolls it into sight.
   move(at, focus) {
     this.at = Math.max(0, Math.min(this.order.length - 1, at));
     const head = this.heads[0].offsetHeight;

@@ -1,11 +1,11 @@
-// The time line: a slider with marks above it, and a curve of what shakes the pallet below.
+// The time line: a slider with marks above it, and below it a curve of the shaking.
 
 import { byId, make, makeSvg } from "./dom.js";
 
 const WIDTH = 1000;
 
 export class Timeline {
-  // onSeek(time) is called when the slider is dragged. `level(frame)` in g, or null where nothing shakes.
+  // onSeek(time) is called when the slider is dragged. `level(frame)` in g, or null without a drive.
   constructor(info, frames, level, onSeek) {
     this.frames = frames;
     this.slider = byId("time");

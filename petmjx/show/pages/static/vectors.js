@@ -28,7 +28,7 @@ export function slerp(out, a, b, k, t) {
   const sign = cosine < 0 ? -1 : 1;
   cosine = Math.min(cosine * sign, 1);
   const angle = Math.acos(cosine);
-  // for nearly equal ones the sines are lost in rounding, and a straight line is as good
+  // for nearly equal quaternions rounding spoils the sines, and a straight line is as good
   const near = angle < 1e-3;
   const from = near ? 1 - t : Math.sin((1 - t) * angle) / Math.sin(angle);
   const to = sign * (near ? t : Math.sin(t * angle) / Math.sin(angle));
@@ -62,7 +62,7 @@ export function transformed(matrix, point) {
   return out;
 }
 
-// What an eye sees: x to the right, y up, looking along −z.
+// The view of an eye: x to the right, y up, looking along −z.
 export function looking(eye, target, up) {
   const back = unit(sub(eye, target));
   const right = unit(cross(up, back));

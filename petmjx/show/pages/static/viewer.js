@@ -1,14 +1,14 @@
 // A view of boxes on a carrier in WebGL 2, without third-party code. It knows nothing of stories and reports.
 //
-//   const viewer = createViewer(canvas, {sizes, carrier, floorZ});   null where there is no WebGL 2
+//   const viewer = createViewer(canvas, {sizes, carrier, floorZ});   null without WebGL 2
 //
 // Lengths are metres, z is up, quaternions (w, x, y, z), colours sRGB from 0 to 1, angles radians. Arrays are flat:
-// `sizes` has 3 numbers a box, the whole extents. `carrier` is as in carrier.js; `floorZ` its floor.
+// `sizes` has 3 numbers per box, the whole extents. `carrier` is as in carrier.js; `floorZ` its floor.
 //
 //   setScene({sizes, carrier, floorZ})  other boxes in the same canvas; everything else is as after createViewer
-//   setPoses(pos, quat)                 3 and 4 numbers a box; a box whose pos is NaN is not drawn
-//   setCarrier(pos, quat)               where the carrier is, if not where the scene says
-//   setColours(rgb)                     3 numbers a box
+//   setPoses(pos, quat)                 3 and 4 numbers per box; a box whose pos is NaN is not drawn
+//   setCarrier(pos, quat)               the pose of the carrier, if it differs from the scene
+//   setColours(rgb)                     3 numbers per box
 //   setOpacity(share)                   1: solid boxes (as at first); less: boxes as glass, so that arrows inside are seen
 //   setGhosts(pos, quat)                transparent boxes at other poses, 2 mm smaller, so that a box that is where its
 //                                       ghost is hides it; () removes them
@@ -18,15 +18,15 @@
 //                                       towards +x; elevation is above the horizon. Without angles: as before
 //   turn(right, up), zoom(factor), pan(right, up), reset()   as mouse and fingers do; pan in shares of the height
 //   pick(x, y)                          the box at a point of the canvas in CSS pixels, from 0, or −1
-//   project([x, y, z])                  where a point is on the canvas, {x, y} in CSS pixels, or null behind the eye
+//   project([x, y, z])                  place of a point on the canvas, {x, y} in CSS pixels, or null behind the eye
 //   hull(box)                           the frame around a box on the canvas, {left, top, right, bottom}, or null
-//   onClick = (box) => …                what a click does; box −1: beside all boxes
+//   onClick = (box) => …                called on a click; box −1: no box
 //   onDraw = () => …                    after each drawing: for labels that lie above the canvas
-//   redraw()                            asks for a drawing; all of the above do it themselves. One drawing a frame
-//   dispose()                           stops and lets go of the graphics card
+//   redraw()                            requests a drawing; all of the above do it, too. At most one drawing per frame
+//   dispose()                           stops and frees the graphics card
 //
 // Colours of floor and edges follow the browser's light or dark mode; the page shines through as background. A lost
-// context comes back by itself.
+// context is restored by itself.
 
 import { Camera } from "./camera.js";
 import { boardsAt, corners } from "./carrier.js";
@@ -42,7 +42,7 @@ const EDGE = { width: 1.1, light: [0.12, 0.1, 0.08], dark: [0.05, 0.05, 0.06] };
 const MARK_WIDTH = 3.5;
 const GHOST = { opacity: 0.1, light: [0.1, 0.12, 0.16], dark: [0.86, 0.88, 0.92] };
 const GHOST_GAP = 0.002;
-const MOST_PIXELS = 2; // of the screen per CSS pixel; more costs time and is not seen
+const MOST_PIXELS = 2; // of the screen per CSS pixel; more costs time and is not visible
 
 export function createViewer(canvas, scene) {
   const gl = canvas.getContext("webgl2", { antialias: true, premultipliedAlpha: true });
@@ -198,14 +198,14 @@ class Viewer {
     this.gl.getExtension("WEBGL_lose_context")?.loseContext();
   }
 
-  // ---- what follows is not for others
+  // ---- private
 
   box(k) {
     const slice = (values, size) => values.subarray(size * k, size * (k + 1));
     return { pos: slice(this.pos, 3), quat: slice(this.quat, 4), half: slice(this.half, 3) };
   }
 
-  // How far along a line of sight a box begins; Infinity where it misses (or has no place yet).
+  // Distance along a line of sight at which a box begins; Infinity if the line misses it or it has no place yet.
   distanceTo({ pos, quat, half }, from, along) {
     if (Number.isNaN(pos[0])) return Infinity;
     const start = turnedBack(quat, sub(from, pos));
@@ -235,7 +235,7 @@ class Viewer {
   }
 
   lose(event) {
-    event.preventDefault(); // else it never comes back
+    event.preventDefault(); // else the context is never restored
     this.painter = null;
   }
 
@@ -276,7 +276,7 @@ class Viewer {
     return mark ? [...mark.colour, MARK_WIDTH * this.density] : edge;
   }
 
-  // Placed boxes in the order in which glass has to be drawn.
+  // Placed boxes in the order in which glass must be drawn.
   farthestFirst() {
     const placed = [...Array(this.n).keys()].filter((box) => !Number.isNaN(this.pos[3 * box]));
     if (this.opacity >= 1) return placed;
