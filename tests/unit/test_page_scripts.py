@@ -95,7 +95,7 @@ def test_exports_are_used_somewhere(path: Path) -> None:
 
 def test_every_script_and_style_is_part_of_a_page(repository: Path) -> None:
     """Named by another file of a page, or by the Python that makes it."""
-    sources = [*FILES, *(repository / "petmjx" / "pages").rglob("*.py")]
+    sources = [*FILES, *(repository / "petmjx" / "show").rglob("*.py")]
     for path in FILES:
         named = [other for other in sources if other != path and path.name in other.read_text(encoding="utf-8")]
         assert named, f"nothing uses {path.name}"
