@@ -134,7 +134,7 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The pallet that has these boxes. It is pinned, so that it is not reused."""
+        """The pallet that has these boxes. It joins ``pinned``, so that it is not reused."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         known = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[known]] if known >= 0 else -1

@@ -77,7 +77,7 @@ class PalletWorlds:
             self._build(rows[~kept])
 
     def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
-        """Make pallets copies of others."""
+        """Make pallets copies of other pallets."""
         these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)

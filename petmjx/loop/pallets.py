@@ -219,7 +219,7 @@ class Pallets(Closable):
         """Make pallets copies of other pallets, to the last bit. Afterwards they are independent.
 
         Args:
-            sources: (m,) pallets, some perhaps more than once; ``into``: (m,) others.
+            sources: (m,) pallets, some perhaps more than once; ``into``: (m,) pallets that become copies.
 
         Raises:
             InputError: no such pallet, ``into`` and sources differ in number, or a pallet is named twice in ``into``.

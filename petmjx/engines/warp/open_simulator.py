@@ -105,7 +105,7 @@ class Simulator:
         return OpenState(put_rows(open_.worlds, rows, worlds), put_rows(open_.state, rows, fresh))
 
     def put(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Give worlds more boxes. In those that are paused the first of them is placed.
+        """Give worlds more boxes. In paused worlds the first new box is placed.
 
         Args:
             rows: rows of these worlds; rows beyond the last world are ignored.

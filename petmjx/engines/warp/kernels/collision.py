@@ -113,7 +113,7 @@ def collide(
 ) -> bool:
     """Find the contacts of the listed pairs. Returns whether the numbering of contacts has changed since the last step.
 
-    For the collider, boxes are enlarged by a skin, and contacts begin at a depth of the skins' thickness (``_add_skin``
+    For the collider, boxes are enlarged by a skin, and contacts begin as deep as the skins are thick (``_add_shapes``
     in petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may be more than
     fit. ``contact_pair`` is the pair of each contact that fits.
 

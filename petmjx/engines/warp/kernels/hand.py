@@ -135,7 +135,8 @@ def take_up(
     # Data out:
     state: State,
 ) -> None:
-    """Move a box from where it will be released to where its way begins. A hand may then hold it. By one thread."""
+    """Move a box from its release pose to the place where its way begins. Unless it falls, a hand takes it up. By one
+    thread."""
     end = center(state, world, box + 1)
     q = orientation(state, world, box + 1)
     offset = wp.vec3(
