@@ -37,8 +37,8 @@ def carried_worlds(state: State) -> Bool[Array, " world"]:
 
 
 def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep_s: float) -> State:
-    """Move the last box from its release pose to the place where its way begins. Unless it falls, a hand takes it
-    up."""
+    """Move the last box from its release pose to the place where its way begins. If its way takes steps, a hand carries
+    it."""
     box = jnp.maximum(state.placed - 1, 0)
     where = where & ~worlds.appears
     pose, offset, steps = (_values_of_box(values, box) for values in (state.qpos, worlds.way_offset, worlds.way_steps))
@@ -132,8 +132,8 @@ def _free_begin(
     stands: Bool[Array, "world box"],
     most_aside: Float[Array, " world"],
 ) -> Vector:
-    """Places where boxes may begin without overlapping a standing box, m: the given place, else the nearest one beside
-    it, else one above."""
+    """Places where boxes may begin without overlapping a standing box, m: the given place, else a place moved aside by
+    as little as needed, else one above."""
 
     def overlap(place: Vector) -> tuple[Float[Array, "world box 3"], Bool[Array, "world box"]]:
         shared = reaches + reach[:, None] - jnp.abs(middles - place[:, None])

@@ -94,8 +94,8 @@ def free_begin(
     begin: wp.vec3,
     reach: wp.vec3,
 ) -> wp.vec3:
-    """The place where a box may begin without overlapping a standing box, m: the given place, else the nearest one
-    beside it, else one above.
+    """The place where a box may begin without overlapping a standing box, m: the given place, else a place moved aside
+    by as little as needed, else one above.
 
     Args:
         begin: the given place.
@@ -135,8 +135,8 @@ def take_up(
     # Data out:
     state: State,
 ) -> None:
-    """Move a box from its release pose to the place where its way begins. Unless it falls, a hand takes it up. By one
-    thread."""
+    """Move a box from its release pose to the place where its way begins. If its way takes steps, a hand carries it. By
+    one thread."""
     end = center(state, world, box + 1)
     q = orientation(state, world, box + 1)
     offset = wp.vec3(
