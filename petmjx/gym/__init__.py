@@ -8,7 +8,8 @@ ENVIRONMENT = "Palletizing-v0"
 
 
 def register_environments() -> None:
-    """Make the environment known to Gymnasium, which calls this by an entry point, in the namespace ``petmjx``."""
+    """Register the environment with Gymnasium, in the namespace ``petmjx``. Gymnasium calls this through an entry
+    point."""
     from gymnasium.envs.registration import current_namespace, register, registry
 
     name = ENVIRONMENT if current_namespace == "petmjx" else f"petmjx/{ENVIRONMENT}"

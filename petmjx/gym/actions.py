@@ -1,4 +1,4 @@
-"""Which actions there are: places for the boxes that may come next, legal or not, in tables of a row an episode."""
+"""Action tables: places for the boxes that may come next, legal or not, with a row for each episode."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from petmjx.loop.candidate_places import Places
 from petmjx.loop.pallets import Pallets
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
-"""Of a candidate: which of the boxes that are seen, whether it is turned by 90°, its corner and extents, mm, its mass,
-kg, the borne share of its base, and where the mask asks physics the pallet's margin with it (else 0)."""
+"""Features of a candidate: its index among the visible boxes, whether it is turned by 90°, its corner and extents, mm,
+its mass, kg, the supported share of its base, and the pallet's margin with it if the mask uses physics (else 0)."""
 
 
 @dataclass(eq=False)
 class Table:
-    """n episodes × a actions; all is 0 where an action is not legal.
+    """The table of n episodes × a actions. All values of an illegal action are 0.
 
     Attributes:
-        legal: (n, a).
-        box: (n, a) which of the boxes that are seen; ``size_mm``, ``corner_mm``: (n, a, 3); ``mass_kg``: (n, a).
+        legal: (n, a) mask of legal actions.
+        box: (n, a) index among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3); ``mass_kg``: (n, a).
         turned: (n, a) whether length and width are swapped.
-        support: (n, a) borne share of the base; ``margin``: (n, a) where physics was asked, else 0.
+        support: (n, a) supported share of the base; ``margin``: (n, a) the pallet's margin if the mask uses physics,
+            else 0.
     """
 
     legal: NDArray[np.bool_]
@@ -40,7 +41,7 @@ class Table:
 
     @classmethod
     def empty(cls, n: int, a: int) -> Table:
-        """No action is legal."""
+        """A table without legal actions."""
         three, one = (n, a, 3), (n, a)
         return cls(
             np.zeros(one, bool),
@@ -54,7 +55,7 @@ class Table:
         )
 
     def clear(self, rows: NDArray[np.int64]) -> None:
-        """Episodes have no actions."""
+        """Clear the actions of some episodes."""
         for values in vars(self).values():
             values[rows] = 0
 
@@ -70,11 +71,11 @@ class Table:
 
 
 class Actions:
-    """Fills tables in.
+    """Fills in action tables.
 
     Attributes:
-        count: actions of an episode.
-        strength_n: (n, k) what the boxes on pallets bear, N; NaN where not given.
+        count: number of actions of an episode.
+        strength_n: (n, k) the loads that the boxes on pallets can bear, N; NaN if not given.
     """
 
     def __init__(self, pallets: Pallets, options: PalletizingOptions) -> None:
@@ -84,19 +85,19 @@ class Actions:
         self._cells = int(np.ceil(x / cell - 1e-9)), int(np.ceil(y / cell - 1e-9))
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
-        most = max(options.n_candidates, options.buffer)  # each box of the buffer has its share
+        most = max(options.n_candidates, options.buffer)  # each box of the buffer has a share
         self.count = most if self._grid is None else 2 * options.buffer * len(corners)
 
     @property
     def asks_physics(self) -> bool:
-        """Whether the mask tries places."""
+        """Whether the mask tries places in physics."""
         return self._options.mask in (PHYSICS, LOADS)
 
     def fill(self, table: Table, rows: NDArray[np.int64], size_mm: FloatArray, mass_kg: FloatArray) -> None:
-        """Work out the actions of some episodes.
+        """Find the actions of some episodes.
 
         Args:
-            size_mm: (m, k, 3) of the boxes that are seen; ``mass_kg``: (m, k), 0 where there is none.
+            size_mm: (m, k, 3) of the visible boxes; ``mass_kg``: (m, k), 0 without a box.
         """
         table.clear(rows)
         at, box = np.nonzero(mass_kg[:, : self._options.buffer])
@@ -140,12 +141,12 @@ class Actions:
         table.margin[into] = margin[stands]
 
     def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
-        """(c,) whether a box that is there bears more than it can: ``force_n`` is (c, k), N. Nothing is on the last
-        one, which is the candidate."""
+        """(c,) whether a box on the pallet bears more than its strength. ``force_n``: (c, k), N. The last box is the
+        candidate, with nothing on it."""
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) which places the mask allows before physics is asked."""
+        """(c,) which places the mask allows before any test in physics."""
         if places.centred is not None:
             return places.centred
         return places.support > 0 if self.asks_physics else np.ones(len(places.row), bool)
@@ -158,8 +159,9 @@ class Actions:
         box: NDArray[np.intp],
         turned: NDArray[np.bool_],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) the episode of each chosen place, and the number of its action, ``count`` or more where it has none.
-        Candidates are numbered box after box, the lowest places first; cells by box, turn and cell."""
+        """(c,) the episode of each chosen place, and the number of its action; ``count`` or more if it has none.
+        Candidates are numbered box after box, the lowest places first. Cells are numbered by box, orientation and
+        cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:
@@ -167,7 +169,7 @@ class Actions:
             nx, ny = self._cells
             return row, ((box[source] * 2 + turned[source]) * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        seen = row * self._options.buffer + box[source]  # of one box, places along x come first already
+        seen = row * self._options.buffer + box[source]  # places of one box are already in order along x
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], seen))
         number = np.full(len(row), self.count)
         kept = order[_in_turn(row[order], seen[order], self.count)]
@@ -176,21 +178,21 @@ class Actions:
 
 
 def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Which places are kept of each episode, where it has more than ``most``: the first of each box, then the second of
-    each, and so on. A box with few places leaves its share to the others.
+    """Choose at most ``most`` places of each episode: the first place of each box, then the second of each, and so on.
+    A box with few places leaves its share to the other boxes.
 
     Args:
         row: (c,) episode of each place, rising.
-        seen: (c,) box of each place, rising, no two episodes with the same one; of one box the best places come first.
+        seen: (c,) box of each place, rising; no two episodes have the same number. The best places of a box come first.
 
     Returns:
-        Rising indices.
+        Rising indices of the chosen places.
     """
     turn = np.lexsort((seen, _ranks(seen), row))
     return np.sort(turn[_ranks(row[turn]) < most])
 
 
 def _ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
-    """0, 1, 2, … within each run of equal values; equal values stand side by side."""
+    """0, 1, 2, … within each run of equal values. Equal values are adjacent."""
     first = np.flatnonzero(np.diff(of, prepend=-1))
     return np.arange(len(of)) - np.repeat(first, np.diff(first, append=len(of)))

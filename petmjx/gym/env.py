@@ -17,7 +17,7 @@ _FIRST: Final = np.zeros(1, np.int64)
 
 
 def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
-    """Of observations and actions of one episode."""
+    """The spaces of observations and actions of one episode."""
     boxes: dict[str, spaces.Space[Any]] = {
         name: spaces.Box(low, high, shape, kind) for name, (shape, low, high, kind) in episodes.shapes.items()
     }
@@ -25,10 +25,11 @@ def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
 
 
 class PalletizingEnv(gym.Env[Observation, np.int64]):
-    """Boxes come one after the other, an action puts one of them onto the pallet, and physics says what becomes of it.
+    """Boxes come one after another, an action puts one of them onto the pallet, and physics decides whether the pallet
+    stands.
 
-    An episode ends when the pallet does not stand, or when no box that is left has a legal place. Boxes without a
-    legal place are left out. More: docs/loop.md.
+    An episode ends when the pallet does not stand, or when no remaining box has a legal place. Boxes without a legal
+    place are left out. More: docs/loop.md.
 
     Args:
         render_mode: None, or "rgb_array": pictures of 480 × 480 pixels, which need EGL and the extra ``show``.
@@ -53,7 +54,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode; with the same seed the same one."""
+        """Begin an episode. The same seed gives the same episode."""
         super().reset(seed=seed)
         self.episodes.begin(_FIRST, [self.np_random])
         self._ended = False
@@ -74,11 +75,11 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return self._observed(), float(stepped.reward[0]), *ends, self._info() | terms
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The pallet as it stands."""
+        """A picture of the pallet."""
         return None if self.render_mode is None else self.episodes.pallets.show(0, size=(480, 480))
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(a,) legal actions, under the name that libraries for masked policies ask for."""
+        """(a,) mask of legal actions, under the name that libraries for masked policies use."""
         masks: NDArray[np.bool_] = self.episodes.table.legal[0].copy()
         return masks
 

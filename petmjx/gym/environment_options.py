@@ -28,19 +28,19 @@ class PalletizingOptions:
 
     Attributes:
         orders: where boxes come from (``petmjx.loop.order_sources.Orders``).
-        orders_seed: of the generator.
+        orders_seed: seed of the generator.
         articles: a table of articles (docs/loads.md) with the strengths of the orders' boxes.
-        look_ahead: boxes that are seen: 1 is online, as many as an order has is offline.
-        buffer: the first so many of them may be placed next.
-        actions: ``candidates``: one of the places that are listed with their features; ``cells``: box × orientation ×
-            cell of the carrier.
-        n_candidates: places that are listed at most, and at least one for each box of the buffer: the lowest of each
-            box, then the second lowest of each, and so on.
+        look_ahead: number of visible boxes: 1 is online, all boxes of an order is offline.
+        buffer: number of the first visible boxes that may be placed next.
+        actions: ``candidates``: one of the listed places, which have features; ``cells``: box × orientation × cell of
+            the carrier.
+        n_candidates: most listed places, and at least one for each box of the buffer: the lowest of each box, then the
+            second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
-        mask: which actions are legal, beside being on the carrier and not too high: ``geometry`` (all), a criterion of
-            docs/criteria.md (``support_75``, … or ``centre``), ``physics``: those that stand when they are tried, or
-            ``loads``: those that also overload no box.
-        max_height_mm: highest top.
+        mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
+            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; or
+            ``loads``: actions that also overload no box.
+        max_height_mm: highest top of a box.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: illegal actions after which an episode is truncated.
     """
@@ -61,7 +61,7 @@ class PalletizingOptions:
 
     @classmethod
     def of(cls, given: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """These options, and what is left of those given.
+        """These options, and the remaining entries of ``given``.
 
         Raises:
             InputError: an unusable value.
@@ -92,7 +92,7 @@ class PalletizingOptions:
         """The orders.
 
         Raises:
-            InputError: they cannot be read, or the mask ``loads`` needs strengths and there are none.
+            InputError: the orders cannot be read, or have no strengths, which the mask ``loads`` needs.
         """
         orders = Orders(self.orders, self.orders_seed, self.articles)
         if self.mask == LOADS and not orders.have_strengths:
@@ -101,5 +101,5 @@ class PalletizingOptions:
 
     @property
     def weights(self) -> dict[str, float]:
-        """Of reward terms."""
+        """The weights of reward terms."""
         return weights_of(self.rewards)

@@ -1,4 +1,4 @@
-"""n episodes side by side: the state of all of them, and what a placement makes of it. Environments wrap this."""
+"""n episodes side by side: their states, and the steps that placements make. Environments wrap this."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from petmjx.loop.rewards import TERMS, Placement
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM
 
 _MOST_ORDERS: Final = 100
-"""So many orders are drawn at most until one has a box that fits on the empty carrier."""
+"""Most orders that are drawn until one has a box that fits on the empty carrier."""
 
 Observation = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
 class EpisodeStep:
-    """What a step made of m episodes.
+    """The results of a step of m episodes.
 
     Attributes:
-        reward: (m,); ``terms``: of it, (m,) each, not weighted.
+        reward: (m,); ``terms``: its terms, (m,) each, not weighted.
         terminated, truncated: (m,).
     """
 
@@ -75,7 +75,7 @@ class Episodes:
     # ------------------------------------------------------------------ what happens
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        """Begin episodes anew, each with an order drawn by its own random numbers.
+        """Begin episodes anew, each with an order drawn by its own random generator.
 
         Raises:
             InputError: no box of the orders has a place on the empty carrier.
@@ -128,7 +128,7 @@ class Episodes:
         last = self.pallets.n_boxes[rows]
         queues: list[NDArray[Any]] = []
 
-        def go_on() -> None:  # what follows from where boxes were put needs no physics
+        def go_on() -> None:  # updates that depend only on where boxes were put
             self._actions.strength_n[rows, last] = self._queues.take(rows, box)
             self._maps.add(rows, last, size, corner)
             queues.extend(self._queues.kept(rows))
@@ -138,7 +138,7 @@ class Episodes:
         report = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows, meanwhile=go_on)
         if self._actions.asks_physics:
             self._look(rows[report.stable])
-        fallen = ~report.stable  # an episode that ends leaves no further box out
+        fallen = ~report.stable  # an ended episode leaves out no further box
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[rows], 0.0)
@@ -157,7 +157,7 @@ class Episodes:
         return x * y * self.options.max_height_mm
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Work out the actions of episodes. If there is none, the boxes that may come next are left out."""
+        """Find the actions of episodes. If an episode has none, the boxes that may come next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]
@@ -167,7 +167,7 @@ class Episodes:
     # ------------------------------------------------------------------ what is seen
 
     def observed(self, rows: NDArray[np.int64]) -> Observation:
-        """What is seen of episodes, arrays of m rows."""
+        """The observations of episodes, arrays of m rows."""
         size, mass = self._queues.seen(rows)
         observation: Observation = {
             "height_map": self._maps.heights[rows],
@@ -184,7 +184,7 @@ class Episodes:
         return observation
 
     def told(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """What the information of a step says of episodes."""
+        """The ``info`` values of episodes after a step."""
         return {
             "verdict": self._verdict[rows].astype(object),
             "reason": self._reason[rows].astype(object),

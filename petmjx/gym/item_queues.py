@@ -1,4 +1,4 @@
-"""Which boxes episodes still have before them, in arrays."""
+"""Queues of the boxes that episodes still have to place, in arrays."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.order_sources import Boxes
 
 _MORE: Final = 32
-"""Boxes beyond those that are seen which are in the table: so many are taken before a row is filled again."""
+"""Number of boxes in the table beyond the visible ones. A row is refilled after this many boxes were taken."""
 
 
 class Queues:
@@ -22,14 +22,14 @@ class Queues:
         seen: how many boxes of each episode are visible.
 
     Attributes:
-        counts: (n,) boxes that are left.
-        left_out: (n,) boxes for which there was no place.
+        counts: (n,) number of boxes that are left.
+        left_out: (n,) number of boxes that had no legal place.
     """
 
     def __init__(self, n: int, seen: int) -> None:
         self._boxes: list[Boxes] = [Boxes(np.zeros((0, 3)), np.zeros(0), np.zeros(0))] * n
         self._seen = seen
-        # (n, k, 5) the next boxes from column `first` on: size, mass and strength; 0 behind them
+        # (n, k, 5) the next boxes from column `first` on: size, mass and strength; 0 after the last one
         self._next: FloatArray = np.zeros((n, seen + _MORE, 5))
         self._first: NDArray[np.int64] = np.zeros(n, np.int64)
         self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # boxes that are not in the table yet
@@ -37,16 +37,16 @@ class Queues:
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)
 
     def begin(self, row: int, boxes: Boxes) -> None:
-        """An episode has these boxes before it."""
+        """Begin an episode with these boxes."""
         self._boxes[row], self.left_out[row] = boxes, 0
         self.counts[row] = self._behind[row] = len(boxes)
         self._fill(row)
 
     def take(self, rows: NDArray[np.int64], places: NDArray[np.int64]) -> FloatArray:
-        """The boxes at these places of queues have been placed. Returns their strengths, (m,) N; NaN: not given."""
+        """Remove the boxes at these places of queues. Returns their strengths, (m,) N; NaN: not given."""
         first = self._first[rows]
         strength: FloatArray = self._next[rows, first + places, 4]
-        for place in range(int(places.max(initial=0)), 0, -1):  # those before a box move back into its place
+        for place in range(int(places.max(initial=0)), 0, -1):  # boxes before the taken one move up by a place
             some = places >= place
             at = rows[some], first[some] + place
             self._next[at] = self._next[at[0], at[1] - 1]
@@ -54,17 +54,17 @@ class Queues:
         return strength
 
     def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
-        """The first boxes of some queues are left out."""
+        """Leave out the first boxes of some queues."""
         gone = np.minimum(self.counts[rows], count)
         self.left_out[rows] += gone
         self._go_on(rows, gone)
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
-        """How queues are now, for ``restore``."""
+        """A copy of the state of queues, for ``restore``."""
         return [values[rows] for values in self._arrays]
 
     def restore(self, rows: NDArray[np.int64], kept: Iterable[NDArray[Any]]) -> None:
-        """Queues are as they were."""
+        """Restore the state of queues."""
         for values, before in zip(self._arrays, kept, strict=True):
             values[rows] = before
 
@@ -73,7 +73,7 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the boxes that are seen; 0 where there are fewer."""
+        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes; 0 beyond the last one."""
         boxes = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
         return boxes[..., :3], boxes[..., 3]
 
@@ -84,7 +84,7 @@ class Queues:
             self._fill(row)
 
     def _fill(self, row: int) -> None:
-        """The boxes of a row begin in its first column, and as many follow as there is room for."""
+        """Move the boxes of a row to its first column, and append as many boxes as have room."""
         boxes, table, behind = self._boxes[row], self._next[row], int(self._behind[row])
         here, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:here] = table[first : first + here].copy()

@@ -1,4 +1,4 @@
-"""What is seen of pallets from above: how high they are over each cell of the carrier, and what boxes there bear."""
+"""Observed maps of pallets: the height over each cell of the carrier, and the load on the boxes of each cell."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
 from petmjx.loop.height_maps import spans
 
 _AT_ONCE: Final = 512
-"""Pallets whose maps are made at a time: they stay in a core's cache."""
+"""Pallets whose maps are made at a time, so that they stay in a core's cache."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
 
@@ -21,7 +21,7 @@ Map = NDArray[np.float32]
 
 
 class Maps:
-    """The maps of n pallets, kept from box to box, in the precision in which they are observed.
+    """The maps of n pallets, updated from box to box, in the precision of observations.
 
     Attributes:
         heights: (n, x, y) the highest top, mm; ``loads``: (n, x, y) the largest force on a box's top, N.
@@ -31,19 +31,19 @@ class Maps:
         self._cell_mm = cell_mm
         self.heights: Map = np.zeros((n, *cells), np.float32)
         self.loads: Map = np.zeros((n, *cells), np.float32)
-        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)  # of each box
+        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)  # the cells of each box
 
     def clear(self, rows: NDArray[np.int64]) -> None:
-        """Pallets have no boxes."""
+        """Clear the maps of some pallets."""
         self.heights[rows] = self.loads[rows] = 0.0
 
     def add(
         self, rows: NDArray[np.int64], number: NDArray[np.int64], size_mm: FloatArray, corner_mm: FloatArray
     ) -> None:
-        """Some pallets have one box more each.
+        """Add one box to each of some pallets.
 
         Args:
-            number: (m,) which box of its pallet it is, counted from 0; ``size_mm``, ``corner_mm``: (m, 3).
+            number: (m,) number of the box on its pallet, from 0; ``size_mm``, ``corner_mm``: (m, 3).
         """
         self._spans = widened_table(self._spans, int(number.max(initial=0)) + 1)
         self._spans[rows, number] = box_spans = spans(size_mm, corner_mm, self._cell_mm)
@@ -52,14 +52,14 @@ class Maps:
         self.heights[rows] = np.maximum(self.heights[rows], (tops * over_x[:, None] * over_y).transpose(2, 0, 1))
 
     def load(self, rows: NDArray[np.int64], top_force_n: FloatArray) -> None:
-        """What boxes of some pallets bear now.
+        """Update the loads on the boxes of some pallets.
 
         Args:
-            top_force_n: (m, k) force on each box's top; NaN behind a pallet's own.
+            top_force_n: (m, k) force on each box's top, N; NaN beyond a pallet's own boxes.
         """
         force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
         count = (force > 0).sum(axis=1)
-        fullest = np.argsort(-count, kind="stable")  # together, so that the others take less time
+        fullest = np.argsort(-count, kind="stable")  # together, so that the other groups take less time
 
         def load(some: NDArray[np.intp]) -> None:
             most = int(count[some].max(initial=0))
@@ -77,7 +77,7 @@ class Maps:
         on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
     def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
-        """(x, m) and (y, m) 1 where boxes stand over these columns and rows of cells, else 0.
+        """(x, m) and (y, m): 1 for columns and rows of cells that boxes cover, else 0.
 
         Args:
             each: (m, 2, 2) of ``spans``.

@@ -20,12 +20,12 @@ Info = dict[str, Any]
 
 
 class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """As n of ``PalletizingEnv``, to the last bit, with all pallets in one call.
+    """The same as n ``PalletizingEnv``, to the last bit, with all pallets in one call.
 
     Args:
         num_envs: n.
-        autoreset_mode: when an episode that has ended begins anew: in the next step, which then does nothing else, in
-            the same step, with the last observation and information in ``info``, or when ``reset`` is asked for it.
+        autoreset_mode: when an ended episode begins anew: in the next step, which then does nothing else; in the same
+            step, with the last observation and information in ``info``; or when ``reset`` is called for it.
         render_mode, options: as in ``PalletizingEnv``; the engine is ``auto`` unless one is named.
 
     Raises:
@@ -63,7 +63,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         """Begin all episodes, or those of ``options["reset_mask"]``, (n,) booleans.
 
         Args:
-            seed: of the first environment, where the others have the numbers that follow; or a list with one for each.
+            seed: seed of the first environment, while the other environments have the following numbers; or a list with
+                one for each.
         """
         mask = None if options is None else options.get("reset_mask")
         rows = self._all if mask is None else np.flatnonzero(self._checked_mask(mask))
@@ -77,7 +78,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self.episodes.observed(self._all), self._info(rows)
 
     def step(self, actions: Any) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Put a box onto each pallet whose episode goes on."""
+        """Put a box onto each pallet whose episode is running."""
         chosen = np.asarray(actions)
         if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
             raise InputError(f"actions must be {self.num_envs} whole numbers, got shape {chosen.shape}")
@@ -123,8 +124,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self._spread(rows, self.episodes.told(rows))
 
     def _spread(self, rows: NDArray[np.int64], values: dict[str, NDArray[Any]]) -> Info:
-        """Values of some environments in Gymnasium's form: arrays for all environments, with masks of those that have
-        a value."""
+        """Values of some environments in Gymnasium's form: arrays for all environments, with masks of the environments
+        that have a value."""
         info: Info = {}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
@@ -137,7 +138,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return info
 
     def _final(self, rows: NDArray[np.int64], so_far: Info) -> Info:
-        """The last observations and information of episodes that have ended in this step."""
+        """The last observations and information of episodes that ended in this step."""
         seen = self.episodes.observed(rows)
         last = np.full(self.num_envs, None, object)
         for at, row in enumerate(rows.tolist()):

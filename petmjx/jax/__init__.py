@@ -6,7 +6,7 @@
 
 With ``mjx-warp`` the kernel runs inside the jitted program, and states never leave the device. With ``mujoco`` C MuJoCo
 runs behind a callback. Lengths are millimetres and masses kilograms, as in ``petmjx.Pallets``. ``Palletizing`` is an
-environment of such functions. docs/loop.md has more.
+environment of pure functions. More in docs/loop.md.
 """
 
 import warnings

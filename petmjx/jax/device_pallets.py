@@ -1,4 +1,5 @@
-"""Pallets on ``mjx-warp`` for jitted programs: the pytree is their state on the device, and the kernel runs inside."""
+"""Pallets on ``mjx-warp`` for jitted programs. The pytree is their state on the device, and the kernel runs inside the
+program."""
 
 from __future__ import annotations
 
@@ -30,15 +31,15 @@ from petmjx.world.scene import IDENTITY_QUAT
 from petmjx.world.supports import TOUCH_M
 
 ROOM: Final = 2
-"""How much larger buffers are than usual, since a jitted program cannot enlarge them. A pallet for which they are
-still too small is invalid by overflow."""
+"""Factor by which buffers are larger than usual, since a jitted program cannot enlarge them. A pallet that still
+overflows them is invalid."""
 
 
 _EPSILON: Final = float(np.finfo(np.float32).eps)
 
 
 class Device:
-    """What does not change: the kernel, and the numbers of boxes and contacts."""
+    """The constant part of a state: the kernel, and the numbers of boxes and contacts."""
 
     def __init__(self, sim: Simulation, simulator: Simulator, boards: int, width: int) -> None:
         self.sim, self.simulator, self.boards, self.width = sim, simulator, boards, width
@@ -74,7 +75,7 @@ class Device:
     def _released(
         self, worlds: Any, half: jax.Array, target: jax.Array, mass: jax.Array
     ) -> tuple[Int[Array, " world"], Float[Array, " world"]]:
-        """What bears each box, and the height of its middle when it is released (petmjx/world/release_places.py)."""
+        """The support of each box, and the height of its centre at release (petmjx/world/release_places.py)."""
         physics = self.sim.physics
         present = jnp.arange(self.width) < worlds.n_boxes[:, None]
         low, high = target - half, target + half
@@ -91,7 +92,7 @@ class Device:
         return support, target[:, 2] - jnp.where(support != NOTHING, depth, 0.0)
 
     def placed(self, open_: OpenState, box: NewBox, gets: jax.Array) -> OpenState:
-        """Worlds with a box more each, at rest; rows without ``gets`` stay as they are.
+        """Worlds with one more box each, at rest. Rows without ``gets`` stay as they are.
 
         Under ``jax.vmap`` the worlds of all states are simulated side by side.
         """
@@ -116,7 +117,7 @@ class Device:
         return after
 
     def told(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
-        """The state of worlds. Those without ``known`` have the reason ``ended``, and no numbers."""
+        """The results of worlds. Worlds without ``known`` have the reason ``ended``, and no numbers."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]
@@ -134,7 +135,7 @@ class Device:
             *((why, (state.flags & int(bits)) != 0) for bits, why in reversed(INVALID_FLAGS)),
             (Reason.OVERFLOW, full),
         )
-        for why, is_so in failed:  # the last one decides
+        for why, is_so in failed:  # the last true one decides
             reason = jnp.where(is_so, REASONS.index(str(why)), reason)
         invalid = full | jnp.any(jnp.array([(state.flags & int(bits)) != 0 for bits, _ in INVALID_FLAGS]), axis=0)
         stable = reason == 0

@@ -1,4 +1,4 @@
-"""Which cells of a carrier a box may be put on, as an array program. In single precision, as all of ``petmjx.jax``."""
+"""Free cells of a carrier for a box, as an array program in single precision, like all of ``petmjx.jax``."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 TOUCH_MM: Final = 0.01
-"""Tops closer than this have the same height: heights of 10 m in single precision are exact to 0.001 mm."""
+"""Tops closer than this have the same height. Heights of 10 m in single precision are exact to 0.001 mm."""
 
 TURNS: Final = 2
-"""Orientations of a box: along x, and turned by 90°."""
+"""Number of orientations of a box: along x, and turned by 90°."""
 
 Boxes = Float[Array, "box 3"]
 
@@ -21,8 +21,8 @@ class Ways(NamedTuple):
     """The actions for a box: for each orientation all cells, along x, then along y.
 
     Attributes:
-        legal: (a,).
-        size_mm, corner_mm: (a, 3) as it would stand.
+        legal: (a,) mask of legal actions.
+        size_mm, corner_mm: (a, 3) extents and corner of the box as it would stand.
     """
 
     legal: Bool[Array, " action"]
@@ -34,10 +34,10 @@ class Cells:
     """The cells of a carrier.
 
     Args:
-        side_mm: of a cell; ``least_support``: share of a base that must rest on something, None: any.
+        side_mm: side of a cell; ``least_support``: smallest supported share of a base; None: any.
 
-    Attributes:
-        count: actions.
+        Attributes:
+            count: number of actions.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Cells:
         """The actions for a box of this size; none if the size is 0.
 
         Args:
-            boxes_mm, corners_mm: of the boxes on the pallet, where they are ``there``.
+            boxes_mm, corners_mm: sizes and corners of the boxes on the pallet, if they are ``there``.
         """
         size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
         low, high = self._corners, self._corners + size[:, :2]

@@ -1,7 +1,7 @@
-"""Pallets on C MuJoCo for jitted programs: what boxes there are is in the pytree, settled worlds are behind a callback.
+"""Pallets on C MuJoCo for jitted programs. The pytree holds the boxes, and settled worlds are behind a callback.
 
-How a pallet stands follows from its boxes alone, so the boxes are the state. Settled worlds are kept by their boxes,
-the last ones used; one that is not there any more is built again, to the last bit.
+The state of a pallet depends only on its boxes, so the boxes are the state. The most recently used settled worlds are
+cached by their boxes. A world that is no longer cached is built again, to the last bit.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ from petmjx.loop.placements import Placements
 from petmjx.options.simulation import Simulation
 
 KEPT_PER_PALLET: Final = 4
-"""Settled worlds that are kept, for each pallet of a state."""
+"""Number of settled worlds that are cached for each pallet of a state."""
 
 
 MOST_ASKED: Final = 64
-"""So many more are kept for candidates of pallets other than those of the last states."""
+"""Number of further cached worlds, for candidates of pallets other than those of the last states."""
 
 
 _BEYOND: Final = (2, 2, 1, 0, 1, 1, 0, 0, 0)
-"""How many axes follow the axis of pallets, in the arrays of boxes, counts, new boxes, and the two masks."""
+"""Number of axes after the axis of pallets, in the arrays of boxes, counts, new boxes, and the two masks."""
 
 
 class Host:
-    """Settled pallets by their boxes. Called by one thread at a time."""
+    """A cache of settled pallets by their boxes. Called by one thread at a time."""
 
     def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
         self.most_boxes = most_boxes
@@ -46,21 +46,22 @@ class Host:
         self._begin(slots)
 
     def _begin(self, slots: int) -> None:
-        """Have room for so many settled worlds, and none of them."""
+        """Make an empty cache for this number of settled worlds."""
         self._pallets = Pallets(slots, engine=self._engine, most_boxes=self.most_boxes, **dict(self._sim))
         self._slots: OrderedDict[bytes, int] = OrderedDict()
         self._free = list(range(slots))
 
     def place(self, *arguments: Any) -> list[NDArray[Any]]:
-        """The answers for pallets that get a box each. Arguments are the boxes that they have, and the new ones."""
+        """The results of pallets that get one box each. Arguments are their earlier boxes and the new ones."""
         return self._of_all(arguments, keeps=True)
 
     def try_all(self, *arguments: Any) -> list[NDArray[Any]]:
-        """The same, and nothing is kept of it."""
+        """The same, without keeping the new worlds."""
         return self._of_all(arguments, keeps=False)
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
-        """Under ``jax.vmap`` arrays have axes in front, of 1 where they are the same for all: all rows in one call."""
+        """All rows in one call. Under ``jax.vmap`` arrays have leading axes, of length 1 if all entries are the
+        same."""
         arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []
@@ -119,12 +120,12 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(made)  # now that they have their boxes
+            self._slots.update(made)  # only now, since they have their boxes
             write_results(columns, rows, self._pallets.told(np.array(into)))
         return columns
 
     def _placed(self, request: Placements, bases: NDArray[np.int64]) -> None:
-        """Make free pallets copies of others, with a box more each. What is refused leaves them free."""
+        """Make free pallets copies of other pallets, with one more box each. A refused request leaves them free."""
         try:
             self._pallets.fork(bases, request.pallet)
             self._pallets.place(**vars(request))
@@ -133,7 +134,7 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The pallet that has these boxes; it is then not given to others."""
+        """The pallet that has these boxes. It joins ``pinned``, so that it is not reused."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         known = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[known]] if known >= 0 else -1
@@ -154,7 +155,7 @@ class Host:
         return slot
 
     def _spare(self, pinned: set[int]) -> int:
-        """A pallet that nobody needs now: a free one, or the one that was not used for longest."""
+        """A pallet that is not needed now: a free one, or the least recently used one."""
         if not self._free:
             oldest = next(key for key, slot in self._slots.items() if slot not in pinned)
             self._free.append(self._slots.pop(oldest))

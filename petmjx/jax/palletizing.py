@@ -28,24 +28,24 @@ from petmjx.options.simulation import Simulation
 
 GEOMETRY: Final = "geometry"
 MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
-"""Mask → the share of a base that must rest on something; None: any."""
+"""Mask → smallest supported share of a base; None: any."""
 
 _DRAWN: Final = 256
-"""Orders that stand for endless ones: a program has arrays of fixed sizes."""
+"""Number of orders that stand for endless ones, since a program has arrays of fixed sizes."""
 
 _EDGE: Final = 1e-4
-"""Share of a cell: a box that ends this near to a cell's edge ends there, in single precision."""
+"""Share of a cell. A box that ends this near to a cell's edge counts as ending there, in single precision."""
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
 
 class Observation(NamedTuple):
-    """What is seen of a pallet.
+    """The observation of a pallet.
 
     Attributes:
         height_map: highest top over each cell of the carrier, mm; ``load_map``: largest force on a box's top, N.
-        boxes: of those that come next: length, width, height, mm, and mass, kg; 0 where there are fewer.
-        left: boxes left; ``mass``: on the pallet, kg.
+        boxes: length, width, height, mm, and mass, kg, of the next boxes; 0 beyond the last one.
+        left: number of remaining boxes; ``mass``: mass on the pallet, kg.
         action_mask: (a,) whether an action is legal.
     """
 
@@ -58,8 +58,8 @@ class Observation(NamedTuple):
 
 
 class State(NamedTuple):
-    """An episode. ``order`` is its number, ``next`` that of the box that comes next; boxes on the pallet are stored as
-    requested, with 0 behind the last one."""
+    """The state of an episode. ``order`` is the number of its order, ``next`` that of the next box. Boxes on the pallet
+    are stored as requested, with 0 after the last one."""
 
     key: jax.Array
     pallet: Pallet
@@ -78,20 +78,21 @@ class State(NamedTuple):
 
 
 class Palletizing:
-    """One pallet, a box a step, as ``petmjx/Palletizing-v0`` with the actions ``cells``: the box that comes next × two
-    turns × cell of the carrier.
+    """One pallet, a box a step, as ``petmjx/Palletizing-v0`` with the actions ``cells``: next box × two orientations ×
+    cell of the carrier.
 
     ``state, timestep = env.reset(key)``; ``state, timestep = env.step(state, action)``. Both are pure. Methods and
-    classes are named as jumanji's, which is not needed. Under ``jax.vmap`` all pallets are simulated in one call.
+    classes have the names of jumanji's, which need not be installed. Under ``jax.vmap`` all pallets are simulated in
+    one call.
 
     Args:
-        orders: as in ``petmjx/Palletizing-v0``; ``endless``: 256 of the generator's.
-        orders_seed: of the generator; ``look_ahead``: boxes that are seen.
+        orders: as in ``petmjx/Palletizing-v0``; ``endless``: 256 orders of the generator.
+        orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
         mask: ``geometry``, or ``support_50`` … ``support_100``.
         action_cell_mm, cell_mm: side of the cells of actions, and of maps.
         rewards: weights of terms.
-        most_illegal: illegal actions until an episode is truncated; one changes nothing.
-        most_boxes: of a pallet.
+        most_illegal: illegal actions after which an episode is truncated; an illegal action changes nothing.
+        most_boxes: most boxes of a pallet.
         carrier, engine: as in ``petmjx.jax.empty``.
         options: fields of ``petmjx.Simulation``.
 
@@ -125,18 +126,18 @@ class Palletizing:
         self._weights = weights_of(rewards)
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
         extent = extent_m(Simulation(carrier=carrier).carrier)
-        assert extent is not None  # else ``empty`` has refused it
+        assert extent is not None  # otherwise ``empty`` has raised an error
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         self._cells = Cells(self._extent, side, self._highest, MASKS[mask])
         self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
         of_orders = self._usable(Orders(orders, integer_of(orders_seed, "orders_seed", 0)))
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
-        longest = int(self._counts.max()) + self._seen  # so that nothing is seen beyond an order's end
+        longest = int(self._counts.max()) + self._seen  # so that only zeros are visible beyond an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
     def _usable(self, orders: Orders) -> list[Boxes]:
-        """Orders of which some box fits on the empty carrier."""
+        """The orders with at least one box that fits on the empty carrier."""
         drawn_orders = orders.some(_DRAWN)
         ways = np.sort(self._extent)
 
@@ -152,7 +153,7 @@ class Palletizing:
     # ------------------------------------------------------------------ what happens
 
     def reset(self, key: jax.Array) -> tuple[State, TimeStep[Observation]]:
-        """Begin an episode with an order that is drawn by ``key``; with the same key the same one."""
+        """Begin an episode with an order drawn by ``key``. The same key gives the same episode."""
         key, order_key = jax.random.split(key)
         k, none = self._most_boxes, jnp.int32(0)
         state = State(
@@ -178,8 +179,8 @@ class Palletizing:
         return state, TimeStep(first, jnp.float32(0.0), jnp.float32(1.0), self._observed(state), extras)
 
     def step(self, state: State, action: Int[Array, ""] | int) -> tuple[State, TimeStep[Observation]]:
-        """Put the next box onto the pallet. An action that the mask excludes changes nothing, as does one after the
-        end."""
+        """Put the next box onto the pallet. An action that the mask excludes, or that comes after the end, changes
+        nothing."""
         chosen = jnp.asarray(action)
         if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):
             raise InputError(f"action must be a whole number, got {chosen.dtype} of shape {chosen.shape}")
@@ -190,7 +191,7 @@ class Palletizing:
         size, corner = ways.size_mm[at], ways.corner_mm[at]
         pallet, outcome = place(state.pallet, size[None], corner[None], mass[None], legal[None])
         outcome = jax.tree.map(lambda values: values[0], outcome)
-        row = jnp.where(legal, state.placed, self._most_boxes)  # beyond: dropped
+        row = jnp.where(legal, state.placed, self._most_boxes)  # a row beyond the end is dropped
         after = state._replace(
             pallet=pallet,
             next=state.next + legal,
@@ -226,7 +227,7 @@ class Palletizing:
         return self._cells.ways(size, state.size_mm, state.corner_mm, present)
 
     def _looked(self, state: State) -> State:
-        """With the mask for the next box. Boxes that have no legal place are left out."""
+        """The state with the mask for the next box. Boxes without a legal place are left out."""
 
         def stuck(state: State) -> jax.Array:
             return (state.next < self._counts[state.order]) & ~state.mask.any() & ~state.over
@@ -240,7 +241,7 @@ class Palletizing:
         return carried._replace(pallet=state.pallet)
 
     def _terms(self, before: State, after: State, outcome: PlacementArrays, legal: jax.Array) -> dict[str, jax.Array]:
-        """Of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""
+        """The terms of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""
         stands = legal & outcome.stable
         tops = [(state.corner_mm + state.size_mm)[:, 2].max() for state in (before, after)]
         terms = {
@@ -272,7 +273,7 @@ class Palletizing:
         )
 
     def _covers(self, state: State) -> Bool[Array, "box x y"]:
-        """Over which cells each box stands: those of which it covers more than the edge."""
+        """The cells that each box covers by more than the edge."""
         low = jnp.floor(state.corner_mm / self._side + _EDGE)
         high = jnp.ceil((state.corner_mm + state.size_mm) / self._side - _EDGE)
         along = []
@@ -298,17 +299,17 @@ class Palletizing:
 
     @property
     def num_actions(self) -> int:
-        """Actions that there are, legal or not."""
+        """Number of actions, legal or not."""
         return self._cells.count
 
     @property
     def action_spec(self) -> Spec:
-        """A whole number: (turn × cells along x + x) × cells along y + y."""
+        """A whole number: (orientation × cells along x + x) × cells along y + y."""
         return Spec("action", (), jnp.int32, 0, self.num_actions - 1, self.num_actions)
 
     @property
     def observation_spec(self) -> dict[str, Spec]:
-        """Of each field of an observation."""
+        """The spec of each field of an observation."""
         longest = int(self._boxes.shape[1])
         specs = (
             Spec("height_map", self._maps, jnp.float32, 0.0, self._highest + 1.0),

@@ -1,4 +1,4 @@
-"""What physics says of placements, as a pytree."""
+"""The results of physics for placements, as a pytree."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from petmjx.loop.placement_results import PlacementResults as HostResults
 
 ENDED: Final = "ended"
 REASONS: Final = (*(str(reason) for reason in Reason), ENDED)
-"""What the numbers of ``PlacementArrays.reason`` mean; 0: the pallet stands. "ended": nothing was placed."""
+"""Meanings of the numbers in ``PlacementArrays.reason``; 0: the pallet stands. "ended": nothing was placed."""
 
 
 class PlacementArrays(NamedTuple):
-    """m placements, on pallets of at most k boxes. Beyond a pallet's own boxes numbers are 0.
+    """The results of m placements, on pallets of at most k boxes. Beyond a pallet's own boxes numbers are 0.
 
     Attributes as in ``petmjx.PlacementResults``; ``reason`` is an index into ``REASONS``, ``margin`` is -1 where
     invalid.
@@ -42,14 +42,14 @@ def shapes(m: int, k: int) -> list[tuple[tuple[int, ...], type[Any]]]:
 
 
 def empty_results(m: int, k: int) -> list[NDArray[Any]]:
-    """Of m pallets onto which nothing was placed."""
+    """The results of m pallets onto which nothing was placed."""
     columns: list[NDArray[Any]] = [np.zeros(shape, kind) for shape, kind in shapes(m, k)]
     columns[1][:], columns[2][:], columns[3][:], columns[7][:] = REASONS.index(ENDED), -1, -1.0, True
     return columns
 
 
 def write_results(into: list[NDArray[Any]], rows: NDArray[np.int64], told: HostResults) -> None:
-    """Write what was told into these rows."""
+    """Write results into these rows."""
     k = told.top_force_n.shape[1]
     reasons = np.array([REASONS.index(reason) for reason in told.reason], np.int32)
     margin = np.nan_to_num(told.margin, nan=-1.0)

@@ -32,11 +32,11 @@ def empty(
     most_boxes: int = 40,
     **options: Any,
 ) -> State:
-    """n empty pallets. Not to be called under ``jit``: it loads the engine.
+    """n empty pallets. Do not call it under ``jit``, since it loads the engine.
 
     Args:
         engine: ``mujoco``, ``mjx-warp``, ``mjx-warp-cpu``, or ``auto`` as in ``petmjx.Pallets``.
-        most_boxes: of a pallet.
+        most_boxes: most boxes of a pallet.
         options: fields of ``petmjx.Simulation``.
 
     Raises:
@@ -65,11 +65,11 @@ def place(
     """Put a box onto each pallet, and let them rest.
 
     Args:
-        size_mm: as they stand; ``corner_mm``: front-left-bottom corners.
-        active: which pallets get one; None: all. Those that have fallen or are full stay as they are in any case.
+        size_mm: extents as the boxes stand; ``corner_mm``: front-left-bottom corners.
+            active: mask of the pallets that get a box; None: all. Pallets that have fallen or are full never get one.
 
-    Returns:
-        The pallets, and how each is now. Pallets that had fallen before have only the reason ``ended``.
+        Returns:
+            The pallets, and their results. Pallets that had fallen before have only the reason ``ended``.
     """
     n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)
@@ -89,9 +89,9 @@ def try_all(
     mass_kg: Float[Array, " candidate"],
     pallet: Int[Array, " candidate"],
 ) -> PlacementArrays:
-    """How each candidate would turn out: one more box on a pallet. A pallet may be asked about more than once.
+    """The results that each candidate, one more box on a pallet, would have. A pallet may have several candidates.
 
-    A candidate for a pallet that has fallen, is full, or is not there does not stand, and its reason is ``ended``.
+    A candidate for a pallet that has fallen, is full, or does not exist is not stable, and its reason is ``ended``.
     """
     rows = _of_kind(pallet, "pallet", jnp.integer, "whole numbers").astype(jnp.int32)
     if rows.ndim != 1:
@@ -103,7 +103,7 @@ def try_all(
 
 
 def _pallets(state: State) -> int:
-    """How many there are. Raises InputError if they are something else."""
+    """The number of pallets of a state. Raises InputError if it is something else."""
     if not isinstance(getattr(state, "n", None), int):
         raise InputError(f"state must be what petmjx.jax.empty or petmjx.jax.place returned, {shown_value(state)}")
     return int(state.n)
@@ -121,7 +121,7 @@ def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
 
 
 def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Raises InputError for wrong shapes; numbers are not known under ``jit``."""
+    """The boxes as arrays. Raises InputError for wrong shapes; numbers are not known under ``jit``."""
     arrays = []
     for name, values, shape in (
         ("size_mm", size_mm, (m, 3)),
@@ -139,7 +139,7 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
 
 
 def _check_numbers(boxes: tuple[jax.Array, ...], requested: jax.Array) -> None:
-    """Raises InputError if a requested box has a number out of range; under ``jit`` numbers are not known."""
+    """Raises InputError if a requested box has a number out of range. Under ``jit`` numbers are not known."""
     if any(isinstance(array, jax.core.Tracer) for array in (*boxes, requested)):
         return
     for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):

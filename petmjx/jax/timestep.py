@@ -1,4 +1,4 @@
-"""The answers of the environment for jitted programs: classes named as in dm_env and jumanji."""
+"""The timesteps and specs of the environment for jitted programs, with the class names of dm_env and jumanji."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ObservationT = TypeVar("ObservationT")
 
 
 class StepType:
-    """Which step of an episode it is."""
+    """Position of a step in its episode."""
 
     FIRST: Final = 0
     MID: Final = 1
@@ -21,13 +21,13 @@ class StepType:
 
 
 class TimeStep(NamedTuple, Generic[ObservationT]):
-    """What a step made of an episode.
+    """The result of a step of an episode.
 
     Attributes:
-        step_type: of ``StepType``.
-        reward: of this step; 0 of the first one.
-        discount: 0 where the episode has terminated, else 1: also where it was truncated.
-        observation: what is seen.
+        step_type: a value of ``StepType``.
+        reward: reward of this step; 0 for the first one.
+        discount: 0 if the episode has terminated, else 1, also if it was truncated.
+        observation: the observation after the step.
         extras: further values by name.
     """
 
@@ -38,11 +38,11 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
     extras: dict[str, jax.Array]
 
     def first(self) -> Bool[Array, ""]:
-        """Whether it is the first one of an episode."""
+        """Whether the step is the first one of an episode."""
         return self.step_type == StepType.FIRST
 
     def mid(self) -> Bool[Array, ""]:
-        """Whether it is neither the first one nor the last one."""
+        """Whether the step is neither the first one nor the last one."""
         return self.step_type == StepType.MID
 
     def last(self) -> Bool[Array, ""]:
@@ -52,7 +52,7 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
 
 @dataclass(frozen=True)
 class Spec:
-    """Shape, type and range of an array. ``num_values``: of an action, how many there are; else None."""
+    """Shape, type and range of an array. ``num_values``: for an action, the number of values; else None."""
 
     name: str
     shape: tuple[int, ...]
@@ -62,5 +62,5 @@ class Spec:
     num_values: int | None = None
 
     def generate_value(self) -> jax.Array:
-        """An array that it allows."""
+        """An array that fits the spec."""
         return jnp.full(self.shape, self.minimum, self.dtype)

@@ -1,1 +1,1 @@
-"""Physics in the loop: pallets that stay settled, for those who ask about one placement after the other."""
+"""Physics in the loop: pallets that stay settled, for packers that try one placement after another."""

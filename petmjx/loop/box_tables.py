@@ -1,4 +1,4 @@
-"""Which boxes are on which pallets, in arrays, as they were asked for."""
+"""Tables of the boxes on many pallets, as they were requested."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from petmjx.loop.placements import Placements
 from petmjx.plans.plan import Plan
 
 _AT_ONCE: Final = 512
-"""Pallets whose points are found at a time."""
+"""Number of pallets whose points are found at a time."""
 
 
 class BoxTable:
     """The boxes of n pallets.
 
     Attributes:
-        count: (n,) boxes.
-        size_mm, corner_mm: (n, k, 3), ``mass_kg``: (n, k); NaN beyond a pallet's own.
+        count: (n,) boxes of each pallet.
+        size_mm, corner_mm: (n, k, 3), ``mass_kg``: (n, k); NaN beyond a pallet's own boxes.
     """
 
     def __init__(self, n: int) -> None:
@@ -54,16 +54,16 @@ class BoxTable:
         self._points.cut(pallets, count)
 
     def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
-        """Give pallets the boxes of others."""
+        """Copy the boxes of the pallets ``sources`` to the pallets ``into``."""
         for name in ("count", "size_mm", "corner_mm", "mass_kg"):
             values = getattr(self, name)
             values[into] = values[sources]
         self._points.copy(sources, into)
 
     def find_points(self, pallets: NDArray[np.int64]) -> Points:
-        """The extreme points, with those of all boxes of these pallets."""
+        """The extreme points, up to date for all boxes of these pallets."""
         points, rows = self._points, np.unique(pallets)
-        rows = rows[np.argsort(self.count[rows], kind="stable")]  # pallets with few boxes have few points: together
+        rows = rows[np.argsort(self.count[rows], kind="stable")]  # together, pallets with few boxes have few points
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for some in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
                 low = self.corner_mm[some, : int(points.boxes[some].max()) + 1]
@@ -71,13 +71,13 @@ class BoxTable:
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Placements:
-        """Box ``number`` of some pallets that have it."""
+        """Box ``number`` of each of these pallets, which must have it."""
         return Placements(
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
         )
 
     def plan(self, pallet: int, plan_id: str, fields: Mapping[str, Any]) -> Plan:
-        """A pallet with boxes as a plan, with further fields of ``Plan.from_boxes``."""
+        """The plan of a pallet's boxes, with further fields of ``Plan.from_boxes``."""
         k = int(self.count[pallet])
         return Plan.from_boxes(
             plan_id,

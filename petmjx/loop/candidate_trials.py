@@ -1,4 +1,5 @@
-"""Candidates under errors and drives: a robot places the box inexactly, or the pallet is shaken afterwards."""
+"""Trials of candidates under errors and drives: a robot places the box inexactly, or the pallet is shaken
+afterwards."""
 
 from __future__ import annotations
 
@@ -27,17 +28,17 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import Variant, apply
 
 _AT_ONCE: Final = 1024
-"""Worlds with errors or drives that are held at a time."""
+"""Most worlds with errors or drives at a time."""
 
 _NAME = "candidate"
-"""In place of a plan's id in random numbers: all candidates have the same errors, and can be compared."""
+"""Stands for a plan's id in random numbers. So all candidates have the same errors, and can be compared."""
 
 
 class Errors:
-    """The errors of ``petmjx score --confidence``, for a box that is put onto a pallet that stands.
+    """The errors of ``petmjx score --confidence``, for a box that is put onto a standing pallet.
 
-    Place, turn, size and mass of the box are in error; the pallet stands as it stands. Friction has one error for the
-    whole pallet: all cartons are of the same board, at the same humidity. The box is carried to its place by a hand
+    Place, rotation, size and mass of the box have errors; the pallet has none. Friction has one error for the whole
+    pallet, since all cartons are of the same board at the same humidity. A hand carries the box to its place
     (docs/placing.md).
     """
 
@@ -50,19 +51,20 @@ class Errors:
         return len(self._variants)
 
     def scenes(self, scene: Scene) -> list[Scene]:
-        """A scene whose last box is the candidate, once for each error."""
+        """Variants of a scene whose last box is the candidate, one for each error."""
         standing = scene.n_boxes - 1
         return [apply(scene, _NAME, variant, self._sweep.seed, standing=standing) for variant in self._variants]
 
 
 @functools.lru_cache(maxsize=4)
 def errors_of(count: int, sim: Simulation) -> Errors:
-    """The errors of so many worlds. The file that says them is read once: candidates are tried step after step."""
+    """The errors of ``count`` worlds. The file with the errors is read only once, since candidates are tried in every
+    step."""
     return Errors(count, sim)
 
 
 def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Drive | None:
-    """What shakes candidates, by the name of a profile.
+    """The drive that shakes candidates, from the name of a profile.
 
     Args:
         drive: the name of a built-in profile, a ``Drive``, or None.
@@ -109,7 +111,7 @@ def driven_results(
 def shares(
     open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
 ) -> FloatArray:
-    """(m,) share of the worlds with errors that are stable; invalid worlds are left out."""
+    """(m,) stable share of the worlds with errors, without invalid worlds."""
     parts = []
     for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
         some = [worlds[row] for row in rows]

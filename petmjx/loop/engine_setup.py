@@ -1,7 +1,4 @@
-"""Which engine pallets have, and which options they cannot have.
-
-Objects that hold an engine until they are closed.
-"""
+"""Sets up the engine of open pallets: its choice, the check of options, and closable users of an engine."""
 
 from __future__ import annotations
 
@@ -18,13 +15,13 @@ from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 MANY_PALLETS: Final = 64
-"""From so many on ``auto`` takes a GPU where there is one: with fewer it is not busy."""
+"""Number of pallets from which ``auto`` uses an available GPU. Fewer pallets do not keep it busy."""
 
 MOST_PALLETS: Final = 1_000_000
-"""More are a mistake: their arrays alone would fill the memory."""
+"""Largest number of pallets. More are a mistake: their arrays alone would fill the memory."""
 
 OF_RUN: Final = ("threads", "lanes")
-"""Of ``RunOptions``, those that pallets have."""
+"""The fields of ``RunOptions`` that pallets accept."""
 
 
 def check_open(sim: Simulation) -> None:
@@ -40,21 +37,21 @@ def check_open(sim: Simulation) -> None:
 
 
 def open_engine(asked: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:
-    """The engine of n pallets, and whether it was made here."""
+    """The engine of n pallets, and whether it was made by this call."""
     if not isinstance(asked, str) and not hasattr(asked, "open"):
         raise InputError(f"engine must be a name or an engine that has open worlds, {shown_value(asked)}")
     return ready_engine(asked, of_run, gpu=n >= MANY_PALLETS)
 
 
 def ready_engine(asked: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
-    """An engine by name, or one that was given, and whether it was made here.
+    """The engine with this name, or the given engine, and whether it was made by this call.
 
     Args:
-        gpu: whether ``auto`` takes ``mjx-warp`` where it runs.
+        gpu: whether ``auto`` takes ``mjx-warp`` if that can run.
 
     Raises:
-        InputError: neither a name nor an engine, or an option that it does not have.
-        EngineUnavailable: it cannot run here.
+        InputError: ``asked`` is neither a name nor an engine, or the engine lacks an option.
+        EngineUnavailable: the engine cannot run here.
     """
     if not isinstance(asked, str):
         if isinstance(asked, type) or not isinstance(asked, MinimalEngine):
@@ -70,11 +67,11 @@ def ready_engine(asked: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> t
 
 
 class Closable:
-    """Says so in one line when it is used after it has been closed."""
+    """Base of objects that hold an engine until they are closed. Later use is an InputError of one line."""
 
     _is_closed = False
 
     def _check_open(self) -> None:
-        """Raises InputError: it has been closed."""
+        """Raises InputError if the object has been closed."""
         if self._is_closed:
             raise InputError(f"petmjx.{type(self).__name__}: closed; make a new one")

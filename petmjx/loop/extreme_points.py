@@ -1,8 +1,8 @@
 """The extreme points of pallets, kept from box to box.
 
 Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional bin packing", INFORMS Journal on
-Computing 20(3), 368–384. The points of a box follow from it and the boxes before it alone: boxes that come later add
-points and change none, and without its last boxes a pallet has the points that it had before they came.
+Computing 20(3), 368–384. The points of a box depend only on this box and the boxes before it. Later boxes add points
+and change none. If a pallet loses its last boxes, it has its earlier points again.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _POINTS_PER_BOX: Final = 7
 
 
 class Points:
-    """The points of n pallets, each once: the origin, and points beside and on each box: its corners, and the same
-    corners slid towards the carrier's edges until an earlier box is in the way.
+    """The distinct points of n pallets: the origin, and points beside and on each box. These are the box's corners, and
+    the same corners slid towards the carrier's edges until an earlier box is in the way.
 
     Attributes:
-        boxes: (n,) so many boxes of each pallet have their points here.
+        boxes: (n,) number of boxes of each pallet whose points are included.
     """
 
     def __init__(self, n: int) -> None:
@@ -33,12 +33,12 @@ class Points:
         self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)  # (n, k) points of the first 0, 1, … boxes
 
     def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(m,) points of pallets."""
+        """(m,) number of points of these pallets."""
         counts: NDArray[np.int64] = self._count[pallets, self.boxes[pallets]]
         return counts
 
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """(m, p) points of pallets, x + iy, mm; NaN behind a pallet's own."""
+        """(m, p) points of pallets, x + iy, mm; NaN beyond a pallet's own points."""
         count = self.count(pallets)
         p = int(count.max(initial=1))
         points = self._at[pallets, :p]
@@ -46,10 +46,10 @@ class Points:
         return points
 
     def add(self, pallets: NDArray[np.int64], low: FloatArray, high: FloatArray) -> None:
-        """The points of one box more of each of these pallets.
+        """Add the points of one more box of each of these pallets.
 
         Args:
-            low, high: (m, k, 3) ends of their boxes; box number ``boxes[pallet]`` is the new one, those behind it are
+            low, high: (m, k, 3) ends of their boxes. Box number ``boxes[pallet]`` is the new one; boxes after it are
                 not read.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
@@ -67,11 +67,11 @@ class Points:
         self.boxes[pallets] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep those of the first boxes of some pallets."""
+        """Keep only the points of the first ``count`` boxes of some pallets."""
         self.boxes[pallets] = np.minimum(self.boxes[pallets], count)
 
     def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
-        """Give pallets the points of others."""
+        """Copy the points of the pallets ``sources`` to the pallets ``into``."""
         for values in (self.boxes, self._at, self._count):
             values[into] = values[sources]
 
@@ -80,13 +80,13 @@ def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.i
     """(7, m, 2) the points of a box of each of m pallets, mm.
 
     Args:
-        low, high: (m, k, 3) ends of boxes; ``number``: (m,) which box, of those the ones before it are in the way.
+        low, high: (m, k, 3) ends of boxes; ``number``: (m,) number of the box; only boxes before it are in the way.
     """
     rows, before = np.arange(len(low)), (np.arange(low.shape[1]) < number[:, None])[..., None]
     piles = []
     for ends in (low, high):
         pile = np.where(before, ends, np.nan)
-        pile[:, -1] = ends[rows, number]  # no box of the pile stands there
+        pile[:, -1] = ends[rows, number]  # no box of the pile is in the way
         piles.append(pile)
-    with np.errstate(invalid="ignore"):  # boxes that a pallet does not have
+    with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
         return corner_points(*piles)

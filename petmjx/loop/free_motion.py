@@ -1,4 +1,4 @@
-"""``petmjx.release``: boxes let go with any pose and velocity, to hold petmjx against a camera."""
+"""``petmjx.release``: free motion of boxes from any pose and velocity, to compare petmjx with a camera."""
 
 from __future__ import annotations
 
@@ -25,32 +25,35 @@ from petmjx.world.free_bodies import FreeBodies, Ground, inertia_box
 from petmjx.world.scene import Scene
 
 PLANE: Final = "plane"
-"""The ground that is an infinite plane."""
+"""Name of the ground that is an infinite plane."""
 
 MANY_WORLDS: Final = 1_000
-"""From so many on ``auto`` takes a GPU where there is one: it has room for as many worlds at a time, and each is slower
-than on a CPU thread."""
+"""Number of worlds from which ``auto`` uses an available GPU. A GPU simulates that many at a time, but each world is
+slower than on a CPU thread."""
 
 FASTEST_M_S: Final = 100.0
 FASTEST_RAD_S: Final = 1_000.0
-"""Velocities. What is faster passes through what it hits within a step, or has the wrong unit."""
+"""Largest velocities, m/s and rad/s. A faster box passes through obstacles within a step, or its value has the wrong
+unit."""
 
 SMALLEST_KG_M2: Final = 1e-12
 LARGEST_KG_M2: Final = 1e6
-"""Moments of inertia: more than those of the smallest and the largest boxes of all masses."""
+"""Largest moment of inertia, kg·m²: larger than that of any box of an allowed size and mass."""
 
 UNIT_WITHIN: Final = 0.01
-"""By how much the length of a quaternion may differ from 1: those of a camera are rounded. It is then made 1."""
+"""Largest difference of a quaternion's length from 1, since quaternions of a camera are rounded. Quaternions are then
+normalised."""
 
 _SMALL_RAD: Final = 1e-6
-"""Half of a turn between two steps below which orientations are interpolated linearly: sines would lose digits."""
+"""Half of the rotation between two steps, rad, below which orientations are interpolated linearly, since sines would
+lose digits."""
 
 ON_STEP: Final = 1e-6
-"""A time that is no further than this share of a timestep from a whole number of steps is a step's."""
+"""A time counts as that of a step if it is within this share of a timestep of it."""
 
 
 class _Argument(NamedTuple):
-    """An argument with a value for each box: how many numbers that is, and their limits."""
+    """An argument with a value for each box: how many numbers a value has, and their limits."""
 
     numbers: int
     low: float
@@ -72,13 +75,15 @@ _ARGUMENTS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Where boxes went that ``petmjx.release`` let go. Without an axis of boxes if there was one box a world.
+    """Trajectories of the boxes that ``petmjx.release`` has let go. Arrays have no axis of boxes if the arguments had
+    none.
 
     Attributes:
         times_s: (t,) s.
-        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN from where on a world's numbers were not finite.
-        quat_wxyz: (n, t, 4) or (n, k, t, 4) their orientations, of length 1. Its sign is that of the quaternion before.
-        engine: that simulated them.
+        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN as soon as a world's numbers were not finite.
+        quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, of length 1. Each quaternion has the sign that
+            is nearer to the one before.
+        engine: name of the engine that simulated them.
     """
 
     times_s: FloatArray
@@ -103,11 +108,11 @@ def release(
     physics: str | Mapping[str, Any] | Physics = "pallet",
     engine: str | Engine = AUTO,
 ) -> Trajectories:
-    """Let boxes go with any pose and velocity, and follow them: no rules, no verdicts, many worlds at a time, with the
-    contacts and the steps that plans are simulated with (docs/release.md).
+    """Let boxes go with any pose and velocity, and follow them. There are no rules and no verdicts. Many worlds are
+    simulated at a time, with the same contacts and steps as plans (docs/release.md).
 
-    Arrays have the axes (n, …), for n worlds of one box each, or (n, k, …), for k boxes each. Axes of length 1 and axes
-    that are left out in front are repeated, as NumPy does: a single size, mass or friction is that of all boxes.
+    Arrays have the axes (n, …), for n worlds of one box each, or (n, k, …), for k boxes each. Axes of length 1 and
+    missing leading axes are repeated, as in NumPy: a single size, mass or friction is that of all boxes.
 
     Args:
         size_mm: (…, 3) extents along the boxes' axes, mm.
@@ -116,16 +121,17 @@ def release(
         quat_wxyz: (…, 4) their orientations (w, x, y, z).
         vel_m_s: (…, 3) velocities of the centres, m/s.
         angvel_rad_s: (…, 3) angular velocities along the boxes' own axes, rad/s.
-        times_s: (t,) when one looks, s after the boxes are let go, rising. Multiples of the timestep are exact; between
-            two steps places are interpolated linearly, and orientations along the shortest turn.
+        times_s: (t,) rising times, s after the boxes are let go. Multiples of the timestep are exact. Between two steps
+            places are interpolated linearly, and orientations along the shortest rotation.
         inertia_kg_m2: (…, 3) principal moments along the boxes' axes, kg·m², or one number for all three and all boxes;
             None: boxes are solid.
         friction: (…) coefficient of sliding friction of a box with the ground; between two boxes the larger one counts.
-            None: as the physics says of boxes and carriers.
-        restitution: (…) share of its speed with which a box bounces, up to 0.9, the same for all boxes of a world; what
-            lands is stopped within ``physics.landing_s``, or 3 ms where that is 0. None: as the physics says.
-        ground: "plane", infinite, or the name of a carrier of a fixed size, or a TOML file of boards, which is held
-            fast, with its front-left corner at the origin and its top at z = 0.
+            None: the values of ``physics`` for boxes and carriers.
+        restitution: (…) share of its speed with which a box bounces, up to 0.9, the same for all boxes of a world. A
+            landing box is stopped within ``physics.landing_s``, or within 3 ms if that is 0. None: the value of
+            ``physics``.
+        ground: "plane", which is infinite, or the name of a carrier of a fixed size, or a TOML file of boards. A
+            carrier is held fast, with its front-left corner at the origin and its top at z = 0.
         physics: a preset's name, a table that changes one, or a record.
         engine: mujoco, mjx-warp, mjx-warp-cpu or mjx-jax; auto: mujoco, or a GPU from 1,000 worlds on; or an engine.
 
@@ -162,10 +168,10 @@ def release(
 
 
 def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatArray | None) -> FloatArray:
-    """(n, s, k, 7) poses of all worlds. Those that bounce alike are simulated together.
+    """(n, s, k, 7) poses of all worlds. Worlds with the same restitution are simulated together.
 
     Args:
-        restitution: (n, k, 1) of each box; None: as the physics says.
+        restitution: (n, k, 1) of each box; None: the value of the physics.
 
     Raises:
         InputError: boxes of a world have several restitutions.
@@ -187,7 +193,7 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
 
 
 def _options(physics: Any, ground: Any) -> Simulation:
-    """Raises InputError: no such physics, or no such ground."""
+    """Raises InputError if the physics or the ground is unknown."""
     if not isinstance(physics, str | Mapping | Physics):
         raise InputError(f"physics must be the name of a preset, a table or a record, {shown_value(physics)}")
     sim = Simulation(physics=physics, placing="exact")
@@ -207,15 +213,15 @@ def _ground(sim: Simulation, ground: Any, *, smooth: bool) -> Ground:
 
 
 def _numbers(name: str, values: Any) -> FloatArray:
-    """(…, numbers) the values of an argument, with an axis of numbers also where a value is one.
+    """(…, numbers) the values of an argument, with an axis of numbers even if a value is a single number.
 
     Raises:
-        InputError: they are no numbers, beyond their limits, or of another shape.
+        InputError: values are no numbers, are beyond their limits, or have another shape.
     """
     numbers, low, high = _ARGUMENTS[name]
     try:
         array = np.asarray(values)
-    except Exception:  # whatever an object says when it is asked for an array
+    except Exception:  # whatever an object raises when it is converted to an array
         array = np.empty(0, dtype=object)
     if array.dtype.kind not in "iuf" or not array.size:
         raise InputError(f"{name} must be an array of numbers, {shown_value(values)}")
@@ -243,7 +249,7 @@ def _numbers(name: str, values: Any) -> FloatArray:
 
 
 def _box_arguments(arrays: dict[str, FloatArray]) -> tuple[dict[str, FloatArray], tuple[int, ...]]:
-    """(n, k, numbers) of each argument, and the axes asked for: (n,) or (n, k).
+    """The (n, k, numbers) array of each argument, and the axes of the arguments: (n,) or (n, k).
 
     Raises:
         InputError: arguments do not fit together.
@@ -296,11 +302,11 @@ def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) ->
 
 
 def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """(t,) the times, (2, t) the steps before and after each, the same one twice for the time of a step, and (t,) how
-    far a time is from the one to the other, from 0 to 1.
+    """(t,) the times, (2, t) the steps before and after each time (equal for the time of a step), and (t,) the share of
+    the way from the one step to the other, from 0 to 1.
 
     Raises:
-        InputError: they are no times, or do not rise.
+        InputError: values are no times, or do not rise.
     """
     times = array_of(times_s, "times_s", ())
     if not len(times):
@@ -316,9 +322,9 @@ def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int6
 
 
 def _interpolated_poses(before: FloatArray, after: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(…, t, 3) places and (…, t, 4) orientations between (…, t, 7) poses, by a (t,) share of the way: places on a
-    straight line, orientations along the shortest turn (Shoemake 1985, "slerp"); then each has the sign that is nearer
-    to the one before."""
+    """(…, t, 3) places and (…, t, 4) orientations between (…, t, 7) poses, at a (t,) share of the way. Places are on a
+    straight line, orientations along the shortest rotation (Shoemake 1985, "slerp"). Then each quaternion gets the sign
+    that is nearer to the one before."""
     share = share[:, None]
     pos = before[..., :3] + share * (after[..., :3] - before[..., :3])
     first, last = before[..., 3:], after[..., 3:]

@@ -1,4 +1,4 @@
-"""Tables with a row for each pallet, and columns for its boxes or points: they get wider as pallets grow."""
+"""Growing tables: a row for each pallet, and columns for its boxes or points, which are added as pallets grow."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 FIRST_COLUMNS: Final = 16
-"""Boxes for which there is room at first."""
+"""Number of boxes for which tables have room at first."""
 
 
 def widened_table(values: NDArray[Any], columns: int, fill: float = 0.0) -> NDArray[Any]:
-    """A table with room for so many columns: twice as many as before, until they are enough."""
+    """A table with room for at least ``columns`` columns. The number of columns is doubled until it is enough."""
     while values.shape[1] < columns:
         values = np.concatenate([values, np.full_like(values, fill)], axis=1)
     return values

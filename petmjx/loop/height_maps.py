@@ -1,4 +1,4 @@
-"""Height maps of pallets: how high the boxes stand over each cell of the carrier, as planned."""
+"""Height maps of pallets: the planned height of the boxes over each cell of the carrier."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.box_tables import BoxTable
 
 _EDGE: float = 1e-6
-"""Share of a cell: a box that ends this near to a cell's edge ends there."""
+"""Share of a cell. A box that ends this near to a cell's edge counts as ending there."""
 
 
 def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
-    """Cells of a map along x and y.
+    """Number of cells of a map along x and y.
 
     Raises:
-        InputError: cells that are smaller than 1 mm, or larger than the carrier.
+        InputError: cells are smaller than 1 mm, or larger than the carrier.
     """
     side = number_of(cell_mm, "cell_mm", 1.0, min(extent_mm))
     x, y = (int(np.ceil(length / side - _EDGE)) for length in extent_mm)
@@ -27,7 +27,7 @@ def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
 
 
 def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray[np.intp]:
-    """(m, 2, 2) the cells over which boxes stand: the first along x and y, and those behind the last.
+    """(m, 2, 2) the cells that boxes cover: the first ones along x and y, and the ones after the last.
 
     Args:
         size_mm, corner_mm: (m, 3).
@@ -39,7 +39,7 @@ def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray
 
 
 def height_maps(stock: BoxTable, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:
-    """(m, x, y) mm of these pallets."""
+    """(m, x, y) heights of these pallets, mm."""
     maps = np.zeros((len(rows), *cells_of(extent_mm, cell_mm)))
     for number in range(int(stock.count[rows].max(initial=0))):
         has = np.flatnonzero(stock.count[rows] > number)

@@ -1,4 +1,4 @@
-"""Where the boxes of episodes come from: BED-BPP's orders, the generator's, a table, RoboBPP's sets."""
+"""Sources of the boxes of episodes: BED-BPP's orders, the generator, a table, RoboBPP's sets."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ _COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 _STRENGTH: Final = "strength_n"
 
 KG_PER_M3: Final = 200.0
-"""Density of boxes of which a set says no mass: an assumption, about the mean of BED-BPP's."""
+"""Density of boxes without a given mass: an assumption, about the mean of BED-BPP's boxes."""
 
 SET_ITEMS: Final = 50
-"""So many boxes make an order where a set is one long list."""
+"""Number of boxes in an order if a set is one long list."""
 
 _PG: Final = ("Length_cm", "Width_cm", "Height_cm", "Gross weight", "Pallet No", "Pick_quantity_cs")
 _DELI: Final = ("尺寸（L）", "尺寸（W）", "尺寸（H）", "3月份发货量（件）")
@@ -46,7 +46,7 @@ class Boxes:
 
     Attributes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
-        strength_n: (k,) what each bears on its top, N; NaN where not given.
+        strength_n: (k,) the load that each box bears on its top, N; NaN if not given.
     """
 
     size_mm: FloatArray
@@ -58,20 +58,20 @@ class Boxes:
 
 
 class Orders:
-    """Orders, of which each episode has one.
+    """Orders for episodes, one for each episode.
 
     Args:
         source: ``endless``; a file of BED-BPP orders (JSON), a table of boxes (CSV, Parquet or a data frame with
             ``length_mm``, ``width_mm``, ``height_mm``, ``weight_kg`` and perhaps ``order_id`` and ``strength_n``), one
             of RoboBPP's sets (``pg.xlsx``, ``deli.xlsx``, ``opai.txt``); or a list of ``Order``.
-        seed: of the generator's catalogue.
-        articles: a table of articles, which gives the boxes of orders their strengths.
+        seed: seed of the generator's catalogue.
+            articles: a table of articles, which gives the boxes of orders their strengths.
 
-    Attributes:
-        have_strengths: whether a strength can be known of some box.
+        Attributes:
+            have_strengths: whether the strength of any box can be known.
 
-    Raises:
-        InputError: something else, or a file that cannot be used.
+        Raises:
+            InputError: an unknown source, or a file that cannot be used.
     """
 
     def __init__(self, source: Any = ENDLESS, seed: int = 0, articles: Any = None) -> None:
@@ -83,13 +83,13 @@ class Orders:
         self.have_strengths = articles is not None or any(np.isfinite(boxes.strength_n).any() for boxes in orders)
 
     def draw(self, rng: np.random.Generator) -> Boxes:
-        """One of them, or a new one."""
+        """A random order, or with ``endless`` a new one."""
         if self._all is None:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
 
     def some(self, count: int) -> list[Boxes]:
-        """All of them; of endless ones the first."""
+        """All orders; with ``endless`` the first ``count``."""
         if self._all is not None:
             return self._all
         return [_of_order(draw_order(self._seed, number), self._articles) for number in range(count)]

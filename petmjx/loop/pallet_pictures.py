@@ -1,4 +1,4 @@
-"""Pictures of pallets as they stand, drawn as stories are. The camera stays where it is while a pallet grows."""
+"""Pictures of standing pallets, drawn like stories. The camera does not move while a pallet grows."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from petmjx.world.history import History
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 SHOWN_HEIGHT_M: Final = 1.2
-"""Pictures show the carrier and at least so much above it."""
+"""Pictures show the carrier and at least this height above it."""
 
 
 def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, int], view: str) -> NDArray[np.uint8]:
-    """(height, width, 3) pixels of a world as it is.
+    """(height, width, 3) pixels of a world in its current state.
 
     Raises:
         InputError: nothing can be drawn here.
@@ -38,7 +38,7 @@ def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, in
     if why := why_nothing_is_drawn():
         raise InputError(f"show: {why}")
     k = len(reading.pos)
-    if not scene.n_boxes:  # what is drawn has a box, which is not placed
+    if not scene.n_boxes:  # the drawn scene needs a box, which is not placed
         scene = EmptyCarrier(sim).with_box(scene, NextBoxes(np.full((1, 3), 0.1), np.zeros((1, 3)), np.ones(1)), 0)
     story = _story(scene, reading, sim)
     camera = framing(_scene_corners(scene, reading), view_of(view), size, Margins(0, 0, 0, 0))
@@ -49,7 +49,7 @@ def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, in
 
 
 def _scene_corners(scene: Scene, reading: Reading) -> FloatArray:
-    """(c, 3) corners of what is to be seen, m."""
+    """(c, 3) corners of all visible bodies, m."""
     low, high = scene.carrier.low.copy(), scene.carrier.high.copy()
     tops = (scene.target + scene.half_size)[: len(reading.pos), 2]
     high[2] = max(SHOWN_HEIGHT_M, float(tops.max(initial=0.0)))

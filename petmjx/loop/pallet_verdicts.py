@@ -1,4 +1,5 @@
-"""The verdict of a score, from where pallets stand already if their engine can go on from there to the last bit."""
+"""Verdicts of a score for open pallets. The first attempt continues from their settled state if the engine gives the
+same bits."""
 
 from __future__ import annotations
 
@@ -13,14 +14,15 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 AT_ONCE = 4096
-"""Worlds that are finished side by side."""
+"""Most worlds that are finished side by side."""
 
 
 class SettledEngine(Engine):
-    """An engine that takes the first attempt at plans from open worlds that have them, and makes all others itself.
+    """An engine that takes the first attempt at a plan from the open world that has the plan's boxes, and simulates all
+    other attempts.
 
-    On ``mjx-warp`` a world does the same however its boxes were put in. On ``mujoco`` boxes that wait are in a world's
-    model, and with it in the last digits: there nothing is taken.
+    On ``mjx-warp`` a world does not depend on how its boxes were put in. On ``mujoco`` waiting boxes are in a world's
+    model, and affect the last digits. So nothing is taken from open worlds there.
 
     Args:
         plans: open world → the plan whose boxes it has.
@@ -37,7 +39,7 @@ class SettledEngine(Engine):
         return self._engine.device
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """As all engines."""
+        """See ``Engine.run``."""
         world_by_job: dict[int, int] = {}
         if sim == self._sim:
             named = {index: self._worlds.get(_key(job)) for index, job in enumerate(jobs) if job.record is None}
@@ -56,6 +58,6 @@ class SettledEngine(Engine):
 
 
 def _key(job: Job) -> bytes:
-    """What tells the boxes of pallets of one carrier apart."""
+    """A key that identifies the boxes of a pallet, among pallets of one carrier."""
     scene = job.scene
     return scene.mass.tobytes() + scene.half_size.tobytes() + scene.target.tobytes()

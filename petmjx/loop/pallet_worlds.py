@@ -1,4 +1,4 @@
-"""Pallets in the open worlds of an engine: which world has which pallet, now and before its last box came."""
+"""The open worlds of pallets: for each pallet its world now, and its world before the last box."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes
 
 
 class PalletWorlds:
-    """n pallets that stand in worlds. Called by one thread at a time.
+    """n pallets in the open worlds of an engine. Called by one thread at a time.
 
     Attributes:
-        worlds: pallet i is world i; world n + i is pallet i before its last box came; the last one stays empty.
-        boxes: which boxes they have, as they were asked for.
+        worlds: world i is pallet i, and world n + i is pallet i before its last box; the last world stays empty.
+        boxes: the boxes of the pallets, as they were requested.
         dead: (n,) whether a pallet has fallen.
-        placing: whether an engine's thread lets pallets come to rest now: the worlds are its own until then.
+        placing: whether an engine's thread is letting pallets come to rest. Meanwhile only that thread uses the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
@@ -31,16 +31,16 @@ class PalletWorlds:
         self.boxes = BoxTable(n)
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
         self.placing = False
-        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in the world before the last; -1: none
+        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: it is unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
 
     def next_boxes(self, asked: Placements) -> NextBoxes:
-        """As worlds have them."""
+        """The requested boxes, in the form for open worlds."""
         return NextBoxes.of(asked.size_mm, asked.corner_mm, asked.mass_kg, self._sim)
 
     def place(self, asked: Placements, meanwhile: Callable[[], object] | None) -> PlacementResults:
-        """Put boxes onto pallets, one each, and wait until these rest; ``meanwhile`` is called while they do so."""
+        """Put one box each onto pallets, and wait until these rest. ``meanwhile`` is called during the wait."""
         rows = asked.pallet
         if len(rows):
             self.worlds.fork(rows.tolist(), (self._n + rows).tolist())
@@ -66,7 +66,7 @@ class PalletWorlds:
         return outcomes
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
-        """Take the last boxes off pallets that have some."""
+        """Take the last box off each of these pallets, which must have one."""
         left = self.boxes.count[rows] - 1
         kept = self._before[rows] == left
         if kept.any():
@@ -77,14 +77,14 @@ class PalletWorlds:
             self._build(rows[~kept])
 
     def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
-        """Make pallets copies of others."""
+        """Make pallets copies of other pallets."""
         these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
         self._before[into], self.dead[into] = self._before[sources], self.dead[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
-        """Pallets have no boxes."""
+        """Empty some pallets."""
         self._empty_worlds(rows)
         self.boxes.cut(rows, np.zeros(len(rows), np.int64))
 
@@ -93,7 +93,7 @@ class PalletWorlds:
         self.dead[rows], self._before[rows] = False, -1
 
     def _build(self, rows: NDArray[np.int64]) -> None:
-        """Place the boxes of some pallets anew, one after the other."""
+        """Place the boxes of some pallets anew, one after another."""
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
             some = rows[self.boxes.count[rows] > number]

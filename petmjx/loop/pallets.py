@@ -1,4 +1,4 @@
-"""``petmjx.Pallets``: pallets that stay settled on an engine, and are asked about one placement after the other."""
+"""``petmjx.Pallets``: pallets that stay settled on an engine, for one placement after another."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from petmjx.runs.simulate import simulate
 from petmjx.runs.study import Nominal
 
 MOST_BOXES: Final = 96
-"""The default for a pallet."""
+"""Default for the most boxes of a pallet."""
 
 
 class Pallets(Closable):
@@ -41,20 +41,21 @@ class Pallets(Closable):
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
-    The rules are those of ``petmjx.score``: each box is placed when those before it rest. ``place`` and ``try_all``
-    give the first attempt's answer, at the moment when the pallet rests again; ``verdict`` and ``score`` give that of
-    a score of the whole plan. docs/loop.md has more.
+    The rules are those of ``petmjx.score``: each box is placed when the boxes before it rest. ``place`` and ``try_all``
+    give the result of the first attempt, at the moment when the pallet rests again. ``verdict`` and ``score`` give the
+    result of a score of the whole plan. More in docs/loop.md.
 
-    Lengths are millimetres, masses kilograms; x and y are from the carrier's front-left corner, z = 0 is its top. Where
-    a method takes m boxes, ``size_mm`` is (m, 3), as they stand, ``corner_mm`` (m, 3), the front-left-bottom corners,
-    ``mass_kg`` (m,), and ``pallet`` (m,) says which pallet each is for. One row stands for all m, and a single box
-    needs no first axis. Without ``pallet`` there is one pallet, or box i is for pallet i.
+    Lengths are millimetres, masses kilograms. x and y are measured from the carrier's front-left corner; z = 0 is its
+    top. If a method takes m boxes, ``size_mm`` (m, 3) are their extents as they stand, ``corner_mm`` (m, 3) their
+    front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) the pallets that they are for. One row
+    stands for all m, and a single box needs no first axis. Without ``pallet`` there is one pallet, or box i is for
+    pallet i.
 
     Several threads may call one object; they wait for one another.
 
     Args:
-        n: pallets.
-        carrier: what boxes stand on: not ``footprint``, which depends on the whole plan.
+        n: number of pallets.
+        carrier: the carrier of the boxes; not ``footprint``, which depends on the whole plan.
         engine: ``mujoco``, ``mjx-warp``, an engine that has open worlds, or ``auto``: ``mjx-warp`` for 64 pallets and
             more where there is a GPU, else ``mujoco``.
         most_boxes: the most that a pallet may ever get. ``mjx-warp`` reserves room for them on the device.
@@ -91,10 +92,10 @@ class Pallets(Closable):
 
     @contextmanager
     def _using(self, *, worlds: bool = True) -> Iterator[None]:
-        """One thread at a time, until they are closed.
+        """Lets one thread at a time use the pallets, until they are closed.
 
         Args:
-            worlds: whether the engine is asked, or boxes change: not while pallets come to rest.
+            worlds: whether the engine is used, or boxes change. That is not allowed while pallets come to rest.
         """
         with self._lock:
             self._check_open()
@@ -125,7 +126,7 @@ class Pallets(Closable):
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """(n,) whether a pallet has fallen, so that nothing can be put onto it until it is reset."""
+        """(n,) whether a pallet has fallen. Nothing can be put onto it until it is reset."""
         return self._standing.dead.copy()
 
     # ------------------------------------------------------------------ placements
@@ -142,8 +143,8 @@ class Pallets(Closable):
         """Put one box each onto some pallets, and wait until these rest.
 
         Args:
-            meanwhile: is called while they come to rest. It may ask for ``places``, ``boxes`` and ``height_map``, which
-                have the new boxes where they were put, and for nothing else.
+            meanwhile: is called while the pallets come to rest. It may only call ``places``, ``boxes`` and
+                ``height_map``, which have the new boxes where they were put.
 
         Raises:
             InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
@@ -165,15 +166,15 @@ class Pallets(Closable):
         level: float = 1.0,
         direction_deg: float = 0.0,
     ) -> PlacementResults:
-        """Say of m candidates, any mixture of boxes, places and pallets, what ``place`` would say of each. Nothing
-        changes.
+        """Find for m candidates, any mixture of boxes, places and pallets, the results that ``place`` would give for
+        each. The pallets do not change.
 
         Args:
             errors: also simulate each candidate in this many worlds in which a robot places it inexactly;
                 ``PlacementResults.share`` is the share that stands. The errors are those of
                 ``petmjx score --confidence``.
-            drive: the name of a profile that shakes the pallet with the candidate on it, such as ``eumos-40509``; the
-                answers are then those after it.
+            drive: the name of a profile that shakes the pallet with the candidate on it, such as ``eumos-40509``. The
+                results are then those after the drive.
             level: the profile's strength, such as 0.3 g.
             direction_deg: its direction.
 
@@ -200,8 +201,8 @@ class Pallets(Closable):
             return outcomes.with_share(shares(self._worlds, worlds, boxes, errors_of(number, self.simulation), shaken))
 
     def take_back(self, pallet: Any = None) -> None:
-        """Take the last box off some pallets, which are then as they were before it came, to the last bit; None: all
-        that have boxes. Pallets that have fallen stand again. To take back earlier boxes, too, the pallet is built
+        """Take the last box off some pallets; None: all that have boxes. The pallets are then as they were before this
+        box, to the last bit. Pallets that have fallen stand again. If further boxes are taken back, the pallet is built
         again.
 
         Raises:
@@ -215,10 +216,10 @@ class Pallets(Closable):
             self._standing.take_back(rows)
 
     def fork(self, sources: Any, into: Any) -> None:
-        """Make pallets copies of others, to the last bit. They go their own ways.
+        """Make pallets copies of other pallets, to the last bit. Afterwards they are independent.
 
         Args:
-            sources: (m,) pallets, some perhaps more than once; ``into``: (m,) others.
+            sources: (m,) pallets, some perhaps more than once; ``into``: (m,) pallets that become copies.
 
         Raises:
             InputError: no such pallet, ``into`` and sources differ in number, or a pallet is named twice in ``into``.
@@ -241,7 +242,7 @@ class Pallets(Closable):
     # ------------------------------------------------------------------ what is there
 
     def told(self, pallet: Any = None) -> PlacementResults:
-        """How pallets are now; None: all."""
+        """The current results of pallets; None: all."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             return PlacementResults.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
@@ -258,11 +259,11 @@ class Pallets(Closable):
             return self._boxes.plan(number, name, fields)
 
     def score(self, pallet: Any = None, **options: Any) -> RunResults:
-        """What ``petmjx.score`` says of the plans of pallets that have boxes, to the last bit, further attempts
-        included; None: all of them. A pallet that has fallen is scored, too.
+        """The results of ``petmjx.score`` for the plans of pallets, to the last bit, further attempts included; None:
+        all pallets that have boxes. A pallet that has fallen is scored, too.
 
-        On ``mjx-warp`` pallets go on from where they stand. On ``mujoco`` plans are simulated from their first boxes,
-        since there the boxes that wait affect the last digits of a score.
+        On ``mjx-warp`` pallets go on from their current state. On ``mujoco`` plans are simulated from their first
+        boxes, since waiting boxes affect the last digits of a score there.
 
         Args:
             options: fields of ``petmjx.RunOptions``, such as ``out``.
@@ -285,17 +286,17 @@ class Pallets(Closable):
             return str(self.score(self._one(pallet)).worlds.verdict.iloc[0])
 
     def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
-        """(m, x, y) height of the highest top over each cell of the carrier, mm, of boxes as planned; 0: none.
+        """(m, x, y) height of the highest planned top over each cell of the carrier, mm; 0: no box.
 
-        A cell is covered by a box that covers more of it than its edge.
+        A box covers a cell if it covers more of it than its edge.
         """
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as they were asked for; NaN
-        behind a pallet's own."""
+        """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as they were requested; NaN
+        beyond a pallet's own boxes."""
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))
@@ -311,15 +312,15 @@ class Pallets(Closable):
         least_support: float = 0.0,
         hulls: bool = True,
     ) -> Places:
-        """Where boxes could go: the extreme points of pallets that lie inside the carrier, at the heights on which a
-        box would rest.
+        """Places where boxes could go: the extreme points of pallets inside the carrier, at the heights at which a box
+        would rest.
 
         Args:
             size_mm: (m, 3) extents as they would stand; ``pallet``: (m,).
-            max_height_mm: highest top.
+            max_height_mm: highest top of a box.
             grid_mm: (p, 2) corners on the carrier instead of the extreme points.
-            least_support: share of its base that must be borne, from 0 to 1.
-            hulls: whether ``Places.centred`` is asked for, which takes as long as the rest.
+            least_support: smallest supported share of a box's base, from 0 to 1.
+            hulls: whether to find ``Places.centred``, which takes as long as the rest.
 
         Raises:
             InputError: wrong shapes or numbers, corners off the carrier, or no such pallet.
@@ -332,7 +333,7 @@ class Pallets(Closable):
             return free_places(self._boxes, request, self.extent_mm, highest, grid, least_support=least, hulls=centred)
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
-        """(height, width, 3) a picture of a pallet as it stands. Boxes have colours by their order.
+        """(height, width, 3) a picture of a pallet in its current state. Boxes are coloured by their order.
 
         Raises:
             InputError: no OpenGL here that draws without a display, or the extra ``show`` is missing.
@@ -349,7 +350,7 @@ class Pallets(Closable):
             return picture(self._worlds.scene(number), reading, self.simulation, size, view)
 
     def close(self) -> None:
-        """Free what the engine holds. Whatever is asked afterwards is an InputError."""
+        """Free the engine's resources. Any later call is an InputError."""
         with self._lock:
             self._check_placing()
             self._is_closed = True

@@ -1,4 +1,4 @@
-"""What physics says of placements (``PlacementResults``): a row each, in the order in which they were asked for."""
+"""``PlacementResults``: the results of physics for placements, a row each, in the order of the request."""
 
 from __future__ import annotations
 
@@ -18,23 +18,24 @@ from petmjx.options.simulation import Thresholds
 
 @dataclass(frozen=True, eq=False)
 class PlacementResults:
-    """m placements. Arrays of k boxes have a column for each box of the fullest pallet, in packing order, with NaN
-    beyond a pallet's own.
+    """The results of m placements. Arrays of k boxes have a column for each box of the fullest pallet, in packing
+    order, with NaN beyond a pallet's own boxes.
 
     Attributes:
         pallet: (m,) the pallet.
         stable: (m,) whether all of its boxes stand.
-        verdict, reason: (m,) as in the column of ``worlds``: "stable", "unstable" or "invalid", and why not stable.
+        verdict, reason: (m,) as in the columns of ``worlds``: "stable", "unstable" or "invalid", and the reason if not
+            stable.
         culprit: (m,) the box that shifted, tilted or fell first, counted from 0; -1: none.
         margin: (m,) how far the nearest threshold is, as in the column ``margin``; NaN where invalid.
         shift_mm: (m,) largest displacement of a box along an axis, from where the plan has it.
         tilt_deg: (m,) largest tilt of a box since it was placed.
-        n_boxes: (m,) boxes, the asked one among them.
-        ended: (m,) whether the world has failed so that nothing can be put into it any more.
+        n_boxes: (m,) number of boxes, including the requested one.
+        ended: (m,) whether the world has failed, so that nothing can be put into it any more.
         moving: (m,) whether boxes still moved when the world's time was up.
         top_force_n: (m, k) force on each box's top, at rest in the last step, N.
-        middle_mm: (m, k, 3) where the boxes' middles are, mm; ``quat``: (m, k, 4) orientations (w, x, y, z).
-        share: (m,) share of the worlds with errors in which the pallet stands; NaN where it was not asked for.
+        middle_mm: (m, k, 3) centres of the boxes, mm; ``quat``: (m, k, 4) orientations (w, x, y, z).
+        share: (m,) share of the worlds with errors in which the pallet stands; NaN if not requested.
     """
 
     pallet: NDArray[np.int64]
@@ -57,12 +58,12 @@ class PlacementResults:
         return len(self.pallet)
 
     def __getitem__(self, rows: Any) -> PlacementResults:
-        """Some of them, by a slice, an array of row numbers, or a boolean array."""
+        """Some of the rows, by a slice, an array of row numbers, or a boolean array."""
         which = np.atleast_1d(np.arange(len(self))[rows])
         return PlacementResults(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
     def with_share(self, share: FloatArray) -> Self:
-        """The same with shares."""
+        """The same results with shares."""
         return replace(self, share=share)
 
     @classmethod
@@ -72,9 +73,9 @@ class PlacementResults:
 
     @classmethod
     def of_readings(cls, pallet: NDArray[np.int64], found: Readings, thresholds: Thresholds) -> PlacementResults:
-        """Of worlds that have paused or ended."""
+        """The results of worlds that have paused or ended."""
         m, k = found.max_tilt_deg.shape
-        with np.errstate(invalid="ignore"):  # boxes that are not there, worlds with bad numbers
+        with np.errstate(invalid="ignore"):  # columns without boxes, worlds with bad numbers
             shifted = shift(found.pos, found.target, thresholds.shift_floor_m)
             quat, middles, halves = (
                 values.reshape(-1, values.shape[2]) for values in (found.quat, found.pos, found.half_size)
@@ -114,7 +115,7 @@ class PlacementResults:
     def of_outcomes(
         cls, pallet: NDArray[np.int64], found: Sequence[Outcome], thresholds: Thresholds
     ) -> PlacementResults:
-        """Of worlds that came to their ends, with a drive; forces are those at rest."""
+        """The results of worlds that reached their end after a drive. Forces are those at rest."""
         width = max((outcome.n_boxes for outcome in found), default=0)
 
         def padded(rows: Sequence[FloatArray]) -> FloatArray:
@@ -150,6 +151,6 @@ class PlacementResults:
 
 
 def _largest(values: FloatArray) -> FloatArray:
-    """(m,) largest of (m, k) numbers, without those that are NaN; 0 where there are none."""
+    """(m,) largest of (m, k) numbers, ignoring NaN; 0 if all are NaN."""
     largest: FloatArray = np.nan_to_num(values, nan=0.0).max(axis=1, initial=0.0)
     return largest

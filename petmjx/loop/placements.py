@@ -1,4 +1,4 @@
-"""Requests to pallets, checked: arrays of boxes, numbers of pallets. Errors are one line with the argument's name."""
+"""Checks of requests to pallets: arrays of boxes, numbers of pallets. Errors are one line with the argument's name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _LIMITS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Placements:
-    """m boxes, each at a place of a pallet.
+    """m boxes, each with its place on a pallet.
 
     Attributes:
         size_mm, corner_mm: (m, 3); ``mass_kg``: (m,); ``pallet``: (m,) numbers of pallets.
@@ -39,15 +39,15 @@ class Placements:
         return len(self.pallet)
 
     def take(self, rows: Any) -> Placements:
-        """Some of them."""
+        """Some of the placements."""
         return Placements(self.size_mm[rows], self.corner_mm[rows], self.mass_kg[rows], self.pallet[rows])
 
 
 def placements_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: int) -> Placements:
-    """Arguments of ``Pallets.place`` and ``Pallets.try_all``; one box may be given without its first axis.
+    """Placements from the arguments of ``Pallets.place`` and ``Pallets.try_all``. A single box may lack the first axis.
 
     Args:
-        n: pallets that there are. Without ``pallet`` there is one, or box i is for pallet i.
+        n: number of pallets. Without ``pallet`` there is one pallet, or box i is for pallet i.
 
     Raises:
         InputError: a wrong shape or length, a number that is not finite or out of range, or no such pallet.
@@ -62,7 +62,7 @@ def placements_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: in
 
 
 def boxes_of(size_mm: Any, pallet: Any, n: int) -> Placements:
-    """Arguments of ``Pallets.places``: boxes of which only the extents are known.
+    """Placements from the arguments of ``Pallets.places``: of the boxes only the extents are known.
 
     Raises:
         InputError: as ``placements_of``.
@@ -75,7 +75,7 @@ def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
     """(p, 2) corners on a carrier, mm.
 
     Raises:
-        InputError: another shape, or a corner that is off the carrier.
+        InputError: another shape, or a corner off the carrier.
     """
     corners = array_of(grid_mm, "grid_mm", (2,))
     if ((corners < 0) | (corners > extent_mm)).any():
@@ -87,13 +87,13 @@ def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
     """Numbers of pallets; None: all.
 
     Raises:
-        InputError: no whole numbers, or no such pallet.
+        InputError: values are no whole numbers, or no such pallet.
     """
     if pallet is None:
         return np.arange(n)
     try:
         values = np.atleast_1d(np.asarray(pallet))
-    except Exception:  # whatever an object says when it is asked for an array
+    except Exception:  # whatever an object raises when it is converted to an array
         values = np.empty(0, dtype=object)
     if values.ndim != 1 or (values.dtype.kind not in "iu" and values.size):
         raise InputError(f"{name} must be whole numbers of pallets, {shown_value(pallet)}")
@@ -127,7 +127,7 @@ def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> FloatArray:
         raise InputError(f"{name} is missing")
     try:
         one = np.ndim(values) == len(shape)
-    except Exception:  # a ragged list; array_of says so
+    except Exception:  # a ragged list: array_of raises the error
         one = False
     numbers = array_of([values] if one else values, name, shape)
     check_limits(numbers, name)
@@ -143,7 +143,7 @@ def check_limits(values: NDArray[Any], name: str) -> None:
 
 
 def _as_many(values: Any, name: str, m: int) -> Any:
-    """One value stands for all."""
+    """m values, where a single one stands for all."""
     if len(values) == 1 and m != 1:
         return np.repeat(values, m, axis=0)
     if len(values) != m:

@@ -1,4 +1,4 @@
-"""The terms of a reward, by name. Weights are an option of the environment."""
+"""Reward terms by name. Their weights are an option of the environment."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from petmjx.loop.placement_results import PlacementResults
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """What terms are made from: m boxes that were placed.
+    """The inputs of reward terms: m boxes that were placed.
 
     Attributes:
-        volume_mm3: (m,) of the box; ``mass_kg``: (m,) of all boxes on the pallet.
+        volume_mm3: (m,) volume of the box; ``mass_kg``: (m,) mass of all boxes on the pallet.
         room_mm3: volume over the carrier up to ``max_height_mm``.
-        higher_mm: (m,) by how much the pallet has grown; ``max_height_mm``.
+        higher_mm: (m,) growth of the pallet's height; ``max_height_mm``: the highest allowed top.
     """
 
     told: PlacementResults
@@ -58,16 +58,16 @@ TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
     ),
     "illegal": ("-1 for an action that the mask excludes", lambda p: np.zeros(len(p.told))),
 }
-"""Name → what it is, and its value for boxes that were placed."""
+"""Name of a term → its description, and the function for its value."""
 
 USUAL: Final = {"utilisation": 10.0, "fall": 1.0, "illegal": 0.1}
 
 
 def weights_of(rewards: Any) -> dict[str, float]:
-    """Weights by term; None: the usual ones.
+    """Weights by term; None: the default weights.
 
     Raises:
-        InputError: no such term, or a weight that is no number.
+        InputError: an unknown term, or a weight that is no number.
     """
     if rewards is None:
         return dict(USUAL)

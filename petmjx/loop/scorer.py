@@ -37,7 +37,7 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """What a score says of plans, as ``petmjx.RunResults`` has it: a row a plan, or a box, in the order given."""
+    """The tables of a score, as in ``petmjx.RunResults``: a row a plan or a box, in the order of the plans."""
 
     worlds: pd.DataFrame
     boxes: pd.DataFrame
@@ -45,7 +45,7 @@ class Scored:
 
 
 class Scorer(Closable):
-    """Scores plans as ``petmjx.score`` does, to the last bit, with an engine that is there already.
+    """Scores plans as ``petmjx.score`` does, to the last bit, with an engine that is already running.
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
@@ -81,7 +81,7 @@ class Scorer(Closable):
             plans: a plan, a list of plans, a ``PlanSet``, or a data frame with a row a box.
 
         Raises:
-            InputError: files, or a plan that cannot be used: none is skipped.
+            InputError: files were given, or a plan cannot be used; none is skipped.
         """
         self._check_open()
         results = self._results(self._usable(plans))
@@ -104,11 +104,11 @@ class Scorer(Closable):
         return Scored(**frames)
 
     def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> PlacementResults:
-        """What a score says of m plans, in arrays. ``pallet`` counts the plans, and forces are those at rest.
+        """The results of a score for m plans, as arrays. ``pallet`` counts the plans, and forces are those at rest.
 
         Args:
             size_mm, corner_mm: (m, k, 3) as in ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans of fewer boxes than k
-                have NaN behind their own.
+                have NaN after their own boxes.
 
         Raises:
             InputError: wrong shapes or numbers; the line names the argument, or plan and field.
@@ -119,7 +119,7 @@ class Scorer(Closable):
         return PlacementResults.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
 
     def close(self) -> None:
-        """Free what the engine holds. Whatever is asked afterwards is an InputError."""
+        """Free the engine's resources. Any later call is an InputError."""
         self._is_closed = True
         if self._own:
             self._engine.close()
@@ -140,13 +140,13 @@ class Scorer(Closable):
             if not plans:
                 raise InputError("plans: there are none")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PlanWarning)  # of plans that look odd: here nobody reads them
+            warnings.simplefilter("ignore", PlanWarning)  # warnings about odd plans: here nobody reads them
             kept_plans = usable_plans(plans, self.simulation, RunOptions(strict=True)).plans
         check_surfaces(kept_plans, self.simulation)
         return kept_plans
 
     def _results(self, plans: Sequence[Plan]) -> list[WorldResult[World]]:
-        """In the order of the plans."""
+        """The results, in the order of the plans."""
         worlds = [World(plan, NOMINAL.index, Job(build_scene(plan, self.simulation))) for plan in plans]
         place = {id(world): number for number, world in enumerate(worlds)}
         results = list(score_worlds(worlds, self.simulation, self._engine))

@@ -1,17 +1,17 @@
-"""Worlds as rows of arrays: the engine mjx-jax, and what mjx-warp shares with it.
+"""Worlds as rows of arrays: the engine mjx-jax, and the tables that mjx-warp shares with it.
 
-Shapes are annotations that tests check at every call. Their axes:
+Array shapes are annotations, which tests check at every call. The axes:
 
 * ``world``: worlds that are simulated together, padded to a power of two;
 * ``box``: boxes of a world, padded to the same number in all worlds of a table;
-* ``body``: the carrier, then the boxes, and with ``body_end`` one more; MuJoCo's have the world's body before them;
-* ``shape``: shapes of the bodies, in their order; with the floor before them they are MuJoCo's geoms;
-* ``surface``: surfaces of shapes, between which friction is said;
+* ``body``: the carrier, then the boxes; ``body_end`` is one longer; MuJoCo's bodies begin with the world's body;
+* ``shape``: shapes of the bodies, in the order of bodies; the floor and then these shapes are MuJoCo's geoms;
+* ``surface``: surfaces of shapes; friction is given for pairs of surfaces;
 * ``coordinate`` and ``velocity``: generalized positions and velocities of one world;
 * ``constraint``: rows of MuJoCo's constraints; ``contact`` and ``geom``: its contacts and its shapes;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
-* ``row`` and ``word``: rows of a table that are picked, and the numbers in each;
-* ``queue``: of worlds of one size that wait for a thread block;
-* ``batch`` and ``k``: whatever the caller has; the function treats all of it alike.
+* ``row`` and ``word``: rows that are read back from a table, and the numbers in each row;
+* ``queue``: queues, each of worlds of one size that wait for a thread block;
+* ``batch`` and ``k``: any axis of the caller; the function treats all entries alike.
 """

@@ -1,5 +1,8 @@
-"""Faces of boxes that give, pressed on one another, in MJX's data. Twin of petmjx/engines/mujoco/bed.py, without shared
-arithmetic: the face of one box is cut off along the sides of the other, and where it does not press."""
+"""Contacts of compliant boxes in MJX's data: where the faces of two boxes press on one another.
+
+Twin of petmjx/engines/mujoco/bed.py, without shared arithmetic. The face of one box is clipped along the sides of the
+other face, and then where the faces do not press.
+"""
 
 from __future__ import annotations
 
@@ -18,19 +21,21 @@ from petmjx.options.physics import Physics
 from petmjx.world.compliance import EDGE_SHARE, FACE_COSINE, LEAST_SHARE, OUTWARD, POINTS_PER_BED
 
 LEAST_MOMENT_M2: Final = 1e-9
-"""Second moment below which an area is a line."""
+"""Second moment below which an area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Square of the slope below which depth is the same everywhere."""
+"""Square of the slope below which the depth counts as the same everywhere."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
 
 class Faces(NamedTuple):
-    """What beds need to know of each geom of a world, the floor first.
+    """Geoms of a world as beds need them; the floor comes first.
 
-    ``give``: area for each half stiffness, m³/N; ``half``: half extents without skin, m; ``inverse_mass``: 1/kg, 0 of
-    what does not move.
+    Attributes:
+        give: area divided by half the stiffness, m³/N.
+        half: half extents without skin, m.
+        inverse_mass: 1/kg; 0 for bodies that do not move.
     """
 
     give: Float[Array, "... geom"]
@@ -39,7 +44,7 @@ class Faces(NamedTuple):
 
     @classmethod
     def of(cls, worlds: Worlds, inverse_mass: Float[Array, "world body"]) -> Faces:
-        """Of all worlds. The floor gives nothing."""
+        """The faces of all worlds. The floor is rigid."""
         inverse = jnp.take_along_axis(inverse_mass, worlds.shape_body, axis=1)
         return cls(
             give=jnp.pad(worlds.shape_give, ((0, 0), (1, 0))),
@@ -49,10 +54,14 @@ class Faces(NamedTuple):
 
 
 class FacePressure(NamedTuple):
-    """Where faces of two boxes press on one another.
+    """Where the faces of two boxes press on one another.
 
-    ``flat``: whether they are faces; ``normal``: from the first to the second; ``points`` and ``depth``, m; ``area``
-    that is pressed, and the ``least`` as on which the faces are stiff, m².
+    Attributes:
+        flat: whether faces meet.
+        normal: from the first box to the second.
+        points, depth: contact points and their depths, m.
+        area: the pressed area, m².
+        least: smallest area that counts for the stiffness, m².
     """
 
     flat: Bool[Array, ""]
@@ -64,7 +73,7 @@ class FacePressure(NamedTuple):
 
 
 class Beds:
-    """Puts the contacts of faces, one of which gives, where a bed has its force and moments."""
+    """Moves the contacts of two faces, at least one of them compliant, to where a bed has its force and moments."""
 
     def __init__(self, model: Any, data: Any, physics: Physics) -> None:
         self._physics = physics
@@ -76,7 +85,7 @@ class Beds:
         assert (geom[self._rows] == self._geom[:, None]).all()
 
     def pressed(self, data: Any, faces: Faces) -> Any:
-        """Data after a collision, with other contacts."""
+        """The data after a collision, with the contacts of beds in place of the collider's."""
         contact, rows = data._impl.contact, self._rows
         one, two = self._geom.T
         place, turn = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
@@ -116,7 +125,7 @@ class Beds:
 
 
 def _frame_of(normal: Float[Array, 3]) -> Float[Array, "3 3"]:
-    """The frame of a contact, axis after axis, as MuJoCo has it."""
+    """The frame of a contact, one axis a row, as in MuJoCo."""
     other = jnp.where(jnp.abs(normal[1]) < 0.5, jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
     one = other - normal * (normal @ other)
     one /= jnp.linalg.norm(one)
@@ -132,10 +141,10 @@ def bed_of(
     half_b: Float[Array, 3],
     toward: Float[Array, 3],
 ) -> FacePressure:
-    """Where faces of two boxes press on one another.
+    """Where the faces of two boxes press on one another.
 
     Args:
-        toward: the collider's normal, from the first to the second.
+        toward: the collider's normal, from the first box to the second.
     """
     out_a, reach_a, edges_a = _face(turn_a, half_a, toward)
     out_b, reach_b, edges_b = _face(turn_b, half_b, -toward)
@@ -175,7 +184,7 @@ def bed_of(
 def _face(
     turn: Float[Array, "3 3"], half: Float[Array, 3], toward: Float[Array, 3]
 ) -> tuple[Float[Array, 3], Float[Array, ""], Float[Array, "2 3"]]:
-    """Outward normal, distance from the middle and half edges of the face that looks most this way."""
+    """Outward normal, distance from the centre and half edges of the face that points most in this direction."""
     along = toward @ turn
     axis = jnp.argmax(jnp.abs(along))
     sides = (turn * half).T
@@ -190,7 +199,8 @@ def _area(edges: Float[Array, "2 3"]) -> Float[Array, ""]:
 def _cut(
     corners: Float[Array, "k 2"], kept: Bool[Array, " k"], across: Float[Array, 2], offset: Float[Array, ""]
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
-    """What is left of a polygon where across · x + offset is positive. The first of its rows are ``kept``."""
+    """The part of a polygon in which across · x + offset is positive. ``kept`` marks its valid rows, which come
+    first."""
     k = len(corners)
     count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)
@@ -200,7 +210,7 @@ def _cut(
     part = here / jnp.where(crosses, here - ahead, 1.0)
     points = jnp.stack([corners, corners + part[:, None] * (corners[following] - corners)], axis=1)
     stay = jnp.stack([kept & (here >= 0), crosses], axis=1).reshape(-1)
-    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # those beyond the last one are dropped
+    row = jnp.where(stay, jnp.cumsum(stay) - 1, k + 1)  # rows beyond the last one are dropped
     left = jnp.zeros((k + 1, 2)).at[row].set(points.reshape(-1, 2), mode="drop")
     return left, jnp.arange(k + 1) < stay.sum()
 

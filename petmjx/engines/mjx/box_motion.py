@@ -1,4 +1,5 @@
-"""Shift, tilt, drop, excess and speed of boxes (JAX). Twin of ``motion_np``, without shared arithmetic."""
+"""Shift, tilt, drop, excess and speed of boxes (JAX). Twin of petmjx/engines/mujoco/box_motion.py, without shared
+arithmetic."""
 
 from __future__ import annotations
 
@@ -14,8 +15,8 @@ def shift(
     floor_m: float,
     sinks_m: Float[Array, "world box"] | None = None,
 ) -> Float[Array, "world box 3"]:
-    """Displacement from the planned centre, m; components under ``floor_m`` count as 0, and so does what boxes are
-    meant to come down (``sinks_m``)."""
+    """Displacement from the planned centre, m. Components under ``floor_m`` count as 0. The descent that is expected of
+    a compliant stack (``sinks_m``) does not count."""
     delta = pos - target
     if sinks_m is not None:
         down = jnp.where(delta[..., 2] < 0, jnp.minimum(delta[..., 2] + sinks_m, 0.0), delta[..., 2])
@@ -24,7 +25,7 @@ def shift(
 
 
 def middles(pose: Float[Array, "world box 7"], middle: Float[Array, "world box 3"]) -> Float[Array, "world box 3"]:
-    """Middles of boxes, m, from the poses of their frames, in which they are at ``middle``."""
+    """Centres of boxes, m, from the poses of their frames; ``middle`` is the centre in the box's frame."""
     w, axis = pose[..., 3:4], pose[..., 4:]
     twice = 2 * jnp.cross(axis, middle) / (pose[..., 3:] ** 2).sum(-1, keepdims=True)
     return pose[..., :3] + (middle + w * twice + jnp.cross(axis, twice))
@@ -89,7 +90,7 @@ def speed(vel: Float[Array, "world box 6"], half: Float[Array, "world box 3"]) -
 def moved(
     before: Float[Array, "world box 7"], after: Float[Array, "world box 7"], half: Float[Array, "world box 3"]
 ) -> Float[Array, "world box"]:
-    """How far a point of a box has moved at most, m: twice the chord between two quaternions is the angle, as long as
-    that is small."""
+    """Upper bound of how far a point of a box has moved, m. The angle is twice the chord between two quaternions, if it
+    is small."""
     change = (after - before) ** 2
     return jnp.sqrt(change[..., :3].sum(-1)) + 2 * radius(half) * jnp.sqrt(change[..., 3:].sum(-1))

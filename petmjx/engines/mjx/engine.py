@@ -1,4 +1,4 @@
-"""Engine ``mjx-jax``: batches of worlds side by side on padded MJX models, in pure JAX. The rules as array programs."""
+"""Engine ``mjx-jax``: batches of worlds on one padded MJX model, in pure JAX. The rules are array programs."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Job
 
 MOST_WORLDS = 256
-"""Worlds of a batch, if the user gives no number of ``lanes``."""
+"""Most worlds of a batch if the user gives no number of ``lanes``."""
 
 FEWEST_WORLDS = 8
-"""A batch has room for so many worlds at least: each size is a program of its own, and compiles for a minute."""
+"""Smallest number of rows of a batch. Each number needs a program of its own, which compiles for a minute."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class ProgramKey:
         boards: shapes of each carrier.
         drive: kind of the excitation; None: placement.
         profiles: shape of the table of profiles.
-        carries: whether there are boxes that do not appear at their places.
-        gives: whether there are boxes that give.
+        carries: whether some boxes do not appear at their places.
+        gives: whether some boxes are compliant.
         wraps: whether film holds boxes.
     """
 
@@ -71,13 +71,13 @@ class Program:
 
 
 class MjxJaxEngine(Engine):
-    """Worlds of similar size side by side, each step for all of them, until the last one has ended.
+    """Simulates worlds of similar size in batches. A batch takes each step for all its worlds until the last one ends.
 
-    Boxes that are not placed yet hang in the air. So a batch has one model from its first step to its last.
+    Boxes that are not placed yet hang in the air. So a batch keeps one model from its first step to its last.
 
-    Boxes have no skin: MJX's collider always prefers a face to an edge that is almost parallel to it. And it measures
-    depths along the face's normal (3.17: ``collision_convex.py``), so that with a skin contacts of edges and corners
-    would be deeper than they are.
+    Boxes have no skin. MJX's collider always prefers a face to an edge that is almost parallel to it, and it measures
+    depths along the face's normal (3.17: ``collision_convex.py``). With a skin, contacts of edges and corners would be
+    deeper than they are.
 
     Args:
         lanes: most worlds of a batch; fewer if there are fewer worlds, or if memory runs out.
@@ -89,15 +89,15 @@ class MjxJaxEngine(Engine):
         set_up_jax()
         self.lanes = lanes or MOST_WORLDS
         self.programs: dict[ProgramKey, Program] = {}
-        """What is compiled, and kept for later runs."""
+        """Compiled programs, kept for later runs."""
         self._running = RunLock(self.name)
 
     def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
-        """The padded model for worlds of up to so many boxes."""
+        """The padded model for worlds of up to ``capacity`` boxes."""
         return PaddedModel(capacity, boards, sim, held=held)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """As in the protocol, as many worlds at a time as in a batch."""
+        """See ``Engine.paths``. At most ``lanes`` worlds are simulated at a time."""
         with self._running:
             return paths(bodies, without_skin(sim), self.lanes)
 
@@ -117,7 +117,7 @@ class MjxJaxEngine(Engine):
             for alike in stackable_jobs(jobs):
                 capacity = round_up(max(jobs[index].scene.n_boxes for index in alike))
                 while alike:
-                    # as many in each batch, so that one program serves all
+                    # batches of equal size, so that one program serves all
                     some = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
                     room = min(max(1 << (len(some) - 1).bit_length(), FEWEST_WORLDS), most)
                     rows, batch = np.arange(len(some)), _load(jobs, some, room, capacity, sim)
@@ -136,10 +136,10 @@ class MjxJaxEngine(Engine):
                     alike = alike[len(some) :]
 
     def _simulate(self, batch: Batch, sim: Simulation, progress: Progress) -> bool:
-        """Take a batch, whose worlds are alike, to its end: through the placement, then the drive.
+        """Run a batch of stackable worlds to its end: the placement, then the drive.
 
         Returns:
-            Whether there was memory for it. If not, what is compiled is let go.
+            Whether device memory was enough. If not, compiled programs are dropped.
         """
         job = batch.jobs[0]
         try:
@@ -155,8 +155,8 @@ class MjxJaxEngine(Engine):
         return True
 
     def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
-        """Steps until no world is left that is placed, or driven."""
-        # placement needs no profiles, whose table would make it compile again for each shape
+        """Step the batch until no world is left in the placement or, with a drive, in the drive."""
+        # the placement needs no profiles; with their table it would compile again for each shape of it
         profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
         program = self._program(batch, sim, drive, profiles, progress)
         worlds, capacity, _ = batch.worlds.half.shape
@@ -196,15 +196,17 @@ class MjxJaxEngine(Engine):
 
 
 def without_skin(sim: Simulation) -> Simulation:
-    """These options with boxes that have no skin."""
+    """The same options with boxes that have no skin."""
     return sim.changed(physics=sim.physics.changed(skin_m=0.0))
 
 
 def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
-    """Jobs that may share a batch, by index, those with the largest plans first: with the same kind of drive, all from
-    their beginning or all from a settled state, all with boxes that appear at their places or none, on carriers of as
-    many boards, all with boxes that give or none, all wrapped or none, and of similar size: 1 to 4 boxes, 5 to 8, 9 to
-    16, …."""
+    """Groups of jobs that may share a batch, as indices. Groups with the largest plans come first.
+
+    Jobs of a group have the same kind of drive. All start from their beginning, or all from a settled state. Their
+    carriers have the same number of boards. In all of them, or in none, boxes appear at their places, boxes are
+    compliant, and film wraps the boxes. Their plans are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
+    """
     indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):
         size = ((job.scene.n_boxes - 1) // GRANULE).bit_length()
@@ -217,7 +219,7 @@ def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
 
 
 def _load(jobs: Sequence[Job], some: list[int], room: int, capacity: int, sim: Simulation) -> Batch:
-    """A batch with room for so many worlds and boxes. Its padding has ended already."""
+    """A batch of the jobs ``some``, with ``room`` rows and ``capacity`` boxes. Padding rows have ended already."""
     timetable = build_timetable(sim, capacity)
     batch = load([jobs[index] for index in some], room, capacity, sim, timetable)
     status = np.array(batch.table.status)

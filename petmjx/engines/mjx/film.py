@@ -1,4 +1,4 @@
-"""Film around the pallets of a batch (petmjx/world/film.py). Twin of petmjx/engines/mujoco/film.py."""
+"""Forces of film on the boxes of a batch (petmjx/world/film.py). Twin of petmjx/engines/mujoco/film.py."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from petmjx.world.film import SLACK_M, spring_rate_1_s
 
 
 def hold(state: State, worlds: Worlds, timestep_s: float) -> tuple[Float[Array, "world box 3"], State]:
-    """Forces on boxes during the step to come, N, and states with where film holds them then. A drive that begins puts
-    film around boxes as they are."""
+    """Forces on boxes during the coming step, N, and states with the new anchors of the film. When a drive begins, film
+    is put around the boxes where they are."""
     rate = spring_rate_1_s(timestep_s)
     mass, most = worlds.mass[:, 1:, None], worlds.wrap_hold[..., None]
     place = state.qpos[..., :3] - state.carrier_qpos[:, None, :3]

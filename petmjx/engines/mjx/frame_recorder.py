@@ -1,4 +1,4 @@
-"""Frames of worlds that are simulated together, as they come from the device, and the histories made of them."""
+"""Frames of recorded worlds as they come from the device, and the histories that are made of them."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """What worlds went through in the steps of a chunk; all as it was after a step and what followed from it.
+    """The steps of a chunk, world by world. Values are those after a step and after the rules.
 
-    ``ran``: whether the step was taken; ``fresh``: a box has just been placed.
+    ``ran``: whether the step was taken; ``fresh``: whether a box has just been placed.
     """
 
     ran: Bool[Array, "step world"]
@@ -34,7 +34,7 @@ class Trail(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """Some frames of one world of n boxes. NumPy arrays; as the arguments of ``history_of``."""
+    """Frames of one world of n boxes, as NumPy arrays. The fields are arguments of ``history_of``."""
 
     step: NDArray[np.int32]
     placed: NDArray[np.int32]
@@ -44,10 +44,10 @@ class Frames(NamedTuple):
 
 
 class Recorder:
-    """Frames of those worlds whose jobs ask for a history.
+    """Collects the frames of worlds whose jobs ask for a history.
 
     Args:
-        jobs: that are simulated together; job i has row i.
+        jobs: jobs that are simulated together; job i has row i.
         sim: the run's options.
 
     Attributes:
@@ -68,12 +68,12 @@ class Recorder:
         return not self._found
 
     def add(self, row: int, frames: Frames) -> None:
-        """Frames of a world, later than those before; with room for more boxes than it has."""
+        """Append frames of a world. They are later than its earlier frames, and may have columns for more boxes."""
         n = self._jobs[row].scene.n_boxes
         self._found[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
 
     def add_trail(self, trail: Trail) -> None:
-        """The frames among the steps of a chunk."""
+        """Append the frames that are due in the steps of a chunk."""
         rows = list(self._found)
         columns: list[Any] = [np.asarray(values)[:, rows] for values in trail]
         some = Trail(*columns)
@@ -87,18 +87,18 @@ class Recorder:
 
     @staticmethod
     def _frames(steps: Any) -> Frames:
-        """Frames from some steps of one world, a ``Trail`` on the host without the axis of worlds. Nothing has acted
-        yet on a box that was just placed."""
+        """Frames from steps of one world: a ``Trail`` on the host without the axis of worlds. A box that was just
+        placed has no force on its top yet."""
         (fresh,) = np.nonzero(steps.fresh)
         steps.top_force[fresh, steps.placed[fresh] - 1] = 0.0
         return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
 
     def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
-        """The history of a world that has ended, whose frames are forgotten; None if it was not recorded.
+        """The history of a world that has ended; None if it was not recorded. Its frames are dropped.
 
         Args:
-            world: its last state: one row, on the host.
-            time_s: the time after a step.
+            world: the world's last state: one row, on the host.
+            time_s: gives the time after a step.
         """
         frames = self._found.pop(row, None)
         if frames is None:
@@ -108,13 +108,13 @@ class Recorder:
             frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not frames or frames[-1].step[-1] != last.step[0]:
-            frames.append(last)  # given up by the host
+            frames.append(last)  # the host has given up the world
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }
         driven_from = None if world.driven_from == NEVER else int(world.driven_from)
         pose = parts["pose"].astype(np.float64)
-        with np.errstate(invalid="ignore"):  # boxes that are not placed
+        with np.errstate(invalid="ignore"):  # boxes that are not placed yet
             pose[..., :3] = job.scene.middles(pose[..., :3], pose[..., 3:])
         return history_of(
             job,
@@ -129,7 +129,7 @@ class Recorder:
 
 
 def _of_state(job: Job, state: State) -> Frames:
-    """A frame of a state; what acted is not known."""
+    """The frame of a state; the forces on tops are not known."""
     n = job.scene.n_boxes
     pose = np.array(state.qpos, np.float32)[None, :n]
     return Frames(

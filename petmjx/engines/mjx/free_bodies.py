@@ -1,4 +1,4 @@
-"""Boxes that are let go, on mjx-jax: the steps of ``BatchRollout``, with rules that only count them."""
+"""Free motion of released boxes on mjx-jax: steps of ``BatchRollout``, with rules that only count the steps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from petmjx.world.free_bodies import FreeBodies
 
 
 def paths(bodies: FreeBodies, sim: Simulation, most: int) -> FloatArray:
-    """As ``petmjx.engines.protocol.Engine.paths``, for so many worlds at a time."""
+    """As ``petmjx.engines.protocol.Engine.paths``, for ``most`` worlds at a time."""
     begins = range(0, len(bodies.scenes), most)
     return np.concatenate([_paths_of_batch(bodies.part(slice(begin, begin + most)), sim) for begin in begins])
 
@@ -50,21 +50,22 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
 
 
 def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
-    """Worlds whose carrier has no shapes: MJX would look at each of them in each step, near or not."""
+    """The worlds without the shapes of their carriers. MJX would check each shape in each step, even if no box is
+    near."""
     axes = {name: getattr(kind, "dim_str", "").split() for name, kind in get_type_hints(Worlds).items()}
     of_shapes = [name for name, axes_of in axes.items() if axes_of[1:2] == ["shape"]]
     return worlds._replace(**{name: getattr(worlds, name)[:, boards:] for name in of_shapes})
 
 
 class _NoRules(Rules):
-    """What ``BatchRollout`` asks of rules, where boxes move and nothing follows from it."""
+    """Rules for ``BatchRollout`` under which boxes only move."""
 
     def park(self, state: State) -> State:
         """No box waits in the air."""
         return state
 
     def after_step(self, state: State, *args: Any, **named: Any) -> State:
-        """Nothing."""
+        """Leave everything as it is."""
         return state
 
 

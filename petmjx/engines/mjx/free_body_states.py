@@ -1,4 +1,4 @@
-"""Boxes that are let go, as tables on the device: for mjx-jax and mjx-warp."""
+"""Device tables of released boxes, for mjx-jax and mjx-warp."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 _HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive that does nothing: while a world has one of this kind its carrier is held."""
+"""A drive that does nothing. It only holds the carrier, as all drives of its kind do."""
 
 
 def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:
-    """Worlds in which all boxes have been let go, and their states: driven by nothing, with their end after the last
-    step that is looked at.
+    """Worlds in which all boxes are released, and their states. Nothing drives them. They end after the last step that
+    is asked for.
 
     Args:
-        rows: at least one a world; those behind them have ended.
+        rows: rows of the tables, at least one a world; spare rows have ended.
         width: box columns.
     """
     n, k = bodies.velocity.shape[:2]

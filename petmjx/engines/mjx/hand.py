@@ -1,6 +1,7 @@
-"""The hands that carry boxes to their places, for all worlds of a batch (docs/rules.md, section 4).
+"""Hands that carry boxes to their places, for all worlds of a batch (docs/rules.md, section 4).
 
-Pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a world is the last that was placed.
+Pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a world is always the last placed
+one.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def carried_worlds(state: State) -> Bool[Array, " world"]:
 
 
 def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep_s: float) -> State:
-    """Move the last box, which is where it is to be let go, to where it begins; a hand may then have it."""
+    """Move the last box from its release pose to the place where its way begins. If its way takes steps, a hand carries
+    it."""
     box = jnp.maximum(state.placed - 1, 0)
     where = where & ~worlds.appears
     pose, offset, steps = (_values_of_box(values, box) for values in (state.qpos, worlds.way_offset, worlds.way_steps))
@@ -65,8 +67,8 @@ def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep
 
 
 def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Simulation) -> State:
-    """After a step in which boxes were carried: carry them on, or let them go. One that has arrived and rests is set
-    down first, unless it is to fall from there."""
+    """After a step in which boxes were carried: carry them on, or let them go. A box that has arrived and rests is set
+    down first, unless it is meant to fall from its release pose."""
     box = jnp.maximum(state.placed - 1, 0)
     patience = stuck_steps(sim.physics.timestep_s)
     slow = _values_of_box(motion.speed(state.qvel, worlds.half), box) < sim.quiet.quiet_m_s
@@ -92,7 +94,7 @@ def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Si
 
 
 def wrenches(state: State, worlds: Worlds, sim: Simulation) -> Float[Array, "world box 6"]:
-    """Force, N, and moment, N·m, in world axes, with which hands act on boxes during the step to come."""
+    """Force, N, and moment, N·m, of hands on boxes during the coming step, in world axes."""
     timestep, gravity = sim.physics.timestep_s, sim.physics.gravity_m_s2
     box = jnp.maximum(state.placed - 1, 0)
     pose, vel, half, held = (
@@ -130,7 +132,8 @@ def _free_begin(
     stands: Bool[Array, "world box"],
     most_aside: Float[Array, " world"],
 ) -> Vector:
-    """Where boxes begin so that they are in none that stands, m: there, or as little aside as they must, or above."""
+    """Places where boxes may begin without overlapping a standing box, m: the given place, else a place moved aside by
+    as little as needed, else one above."""
 
     def overlap(place: Vector) -> tuple[Float[Array, "world box 3"], Bool[Array, "world box"]]:
         shared = reaches + reach[:, None] - jnp.abs(middles - place[:, None])
@@ -181,12 +184,12 @@ def _rotations(quat: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
 
 
 def _reaches(pose: Float[Array, "world box 7"], half: Float[Array, "world box 3"]) -> Float[Array, "world box 3"]:
-    """Half extents along x, y and z of the boxes around turned boxes, m."""
+    """Half extents of the axis-aligned bounding boxes of turned boxes, m."""
     return jnp.einsum("wbij,wbj->wbi", jnp.abs(_rotations(pose[..., 3:])), half)
 
 
 def _progress(step: Int[Array, " world"], steps: Int[Array, " world"]) -> Float[Array, " world"]:
-    """Share of the way after some of its steps."""
+    """Share of the way that is covered after ``step`` of its ``steps``."""
     share = jnp.clip(step / steps, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
@@ -196,13 +199,13 @@ def _length(vector: Vector) -> Float[Array, " world"]:
 
 
 def _limited(vector: Vector, most: Float[Array, "world 1"]) -> Vector:
-    """Vectors, or those of the same direction that are not longer than this."""
+    """Vectors, shortened to this length where they are longer."""
     length = _length(vector)[:, None]
     return jnp.where(length <= most, vector, vector * (most / jnp.maximum(length, 1e-30)))
 
 
 def _rotation_vectors(quat: Float[Array, "world 4"], target_quat: Float[Array, "world 4"]) -> Vector:
-    """Rotations from one orientation to another, in the axes of the first, rad; for small angles."""
+    """Rotation vectors from one orientation to another, in the axes of the first, rad; for small angles."""
     w, u, v = quat[:, :1], quat[:, 1:], target_quat[:, 1:]
     real = w * target_quat[:, :1] + (u * v).sum(-1, keepdims=True)
     imaginary = w * v - target_quat[:, :1] * u - jnp.cross(u, v)

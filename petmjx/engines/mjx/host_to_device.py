@@ -1,4 +1,4 @@
-"""From jobs to tables on the device: worlds that are simulated together."""
+"""Loads jobs into tables on the device, for worlds that are simulated together."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Job
 
 GRANULE = 4
-"""Tables have room for a multiple of so many boxes, so that runs with different plans use the same programs."""
+"""Box columns of a table are a multiple of this, so that runs with different plans use the same programs."""
 
 
 @dataclass
 class Batch:
-    """Worlds that are simulated together; job i has row i. Rows beyond the jobs' are padding.
+    """Worlds that are simulated together. Job i has row i; the remaining rows are padding.
 
     Attributes:
-        table: their states, which go on.
+        table: the states, replaced after each step or slice.
         profiles: (profile, step, 3) the samples of all excitations.
         profile_rows: ``id`` of an excitation → its row in ``profiles``.
     """
@@ -43,7 +43,7 @@ class Batch:
 
     @property
     def boards(self) -> int:
-        """Most shapes of a carrier for which tables have room."""
+        """Shapes of a carrier for which the tables have room."""
         return int(self.worlds.shape_half.shape[1] - self.worlds.half.shape[1])
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
@@ -58,9 +58,9 @@ def load(
     """The tables of some jobs.
 
     Args:
-        rows: at least one a job.
+        rows: rows of the tables, at least one a job.
         width: box columns, at least as many as the largest plan has boxes.
-        ready: what has been made before, as for ``scene_rows.rows_of``.
+        ready: rows that were made before, as for ``scene_rows.rows_of``.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
     steps = max([len(e.samples) for e in excitations.values()], default=1)
@@ -82,7 +82,7 @@ def tables(
     boards: int = 1,
     ready: Rows | None = None,
 ) -> tuple[Worlds, State]:
-    """Constants and first states of jobs; ``boards`` and ``ready`` as in ``upload_worlds``."""
+    """Constants and first states of jobs. ``boards`` and ``ready`` as in ``upload_worlds``."""
     worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards, ready)
     static = sim.check is Check.STATIC
     ends = np.full(rows, NEVER, np.int32)
@@ -92,7 +92,7 @@ def tables(
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
     if all(isinstance(job.start, State) for job in jobs):
-        # no job needs a fresh state, whose program would have to be made first
+        # no job needs a fresh state, and so its program need not be compiled
         return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
     return worlds, started_states(jobs, fresh(worlds, ends=device_array(ends)))
 
@@ -103,7 +103,8 @@ def round_up(n: int, granule: int = GRANULE) -> int:
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error of JAX, XLA or Warp says that device memory ran out, or one of Python that the host's did."""
+    """Whether an error of JAX, XLA or Warp says that device memory ran out, or an error of Python that the host's
+    did."""
     text = str(error).lower()
     return isinstance(error, MemoryError) or any(
         words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")

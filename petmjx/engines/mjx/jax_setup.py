@@ -1,7 +1,8 @@
-"""Sets up JAX for petmjx: device memory shared with Warp, compiled programs kept between runs in JAX's own cache.
+"""Sets up JAX for petmjx: device memory is shared with Warp, and compiled programs are kept in JAX's own cache.
 
-Its folder is a setting of the process. The first engine makes it; it stays, and also applies to the caller's own JAX
-programs. If the caller has set it before, it is not changed. Warp: petmjx/common/warp_setup.py.
+The folder of this cache is a setting of the process. The first engine sets it. It stays, and also applies to the
+caller's own JAX programs. A folder that the caller has set before is not changed. For Warp:
+petmjx/common/warp_setup.py.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_writte
 from petmjx.common.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
-"""Programs that compile faster than this are not kept. A run has about a hundred small ones, together some seconds."""
+"""Programs that compile faster than this are not kept. A run has about a hundred small programs, which together take
+some seconds."""
 
 CPU_COMPILER_OPTIONS = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
 """With XLA's CPU scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool (jaxlib

@@ -12,14 +12,15 @@ from petmjx.options.simulation import Simulation
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
-    """Which boxes tremble. Once another one has been placed, that is not known."""
+    """Which boxes tremble. This is not known right after another box has been placed."""
     return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
 
 
 def after_look(
     state: State, worlds: Worlds, looks: Bool[Array, " world"], speed: Float[Array, "world box"], sim: Simulation
 ) -> State:
-    """States of worlds some of which are looked at. ``speed``: of boxes' fastest points, m/s."""
+    """States after a look for trembling at the worlds ``looks``. ``speed``: speeds of the boxes' fastest points,
+    m/s."""
     rule = sim.quiet
     period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
     look = state.tremble_looks

@@ -1,5 +1,8 @@
-"""Landings, for all worlds of a batch. Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, which
-explain the law; without shared arithmetic."""
+"""Contact law of landing boxes, for all worlds of a batch.
+
+Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, without shared arithmetic. They explain the
+law.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,8 @@ from petmjx.world.friction_pairs import USUAL
 
 
 class Landing(NamedTuple):
-    """Which boxes land, as ``State`` has it, on what surfaces, and how."""
+    """Boxes that land (``landing_left`` and ``landing_qvel`` of ``State``), the surfaces of geoms, and landing laws by
+    pair of surfaces."""
 
     left: Int[Array, "*world box"]
     before: Float[Array, "*world box 6"]
@@ -25,16 +29,19 @@ class Landing(NamedTuple):
 
     @classmethod
     def of(cls, state: State, worlds: Worlds) -> Landing:
-        """Geom 0 is the floor, which has surface 0."""
+        """The landings of all worlds. Geom 0 is the floor, which has surface 0."""
         surface = jnp.pad(worlds.shape_surface, ((0, 0), (1, 0)))
         return cls(state.landing_left, state.landing_qvel, surface, worlds.pair_landing)
 
 
 def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, sim: Simulation) -> tuple[Any, Landing]:
-    """One world's MJX data between collision and solver, with other contacts while a box lands; and which do.
+    """Replace the contacts of landing boxes in one world's MJX data, between collision and solver.
 
     Args:
-        boxes: of the contacts' geoms; negative: no box.
+        boxes: the box of each contact's geoms; negative: no box.
+
+    Returns:
+        The data, and the landings afterwards.
     """
     physics = sim.physics
     rows, contact = data._impl, data._impl.contact

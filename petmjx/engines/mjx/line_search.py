@@ -13,7 +13,7 @@ import numpy as np
 from petmjx.engines.mjx.mjx_import import mjx
 
 _ROUNDED: Final = 8 * float(np.finfo(np.float32).eps)
-"""A square is known to so much of its terms in float32."""
+"""Relative accuracy of a square in float32, as a share of its terms."""
 
 
 def solve(model: Any, data: Any) -> Any:
@@ -22,8 +22,8 @@ def solve(model: Any, data: Any) -> Any:
     Along a search direction v from u the square of a contact's tangential force is u² + α·(2·u·v + α·v²). MJX (3.17:
     mujoco/mjx/_src/solver.py, ``_LSPoint``) takes its root. Where friction is to vanish, as under a box that lands
     flat, a Newton step has v = −u, and in float32 the square is slightly negative at its end. Then cost and slope are
-    not numbers, the search finds nothing better, and the solver ends where it is, with whatever force that means. So
-    u² is here as large as the square needs to be not negative. That is less than float32 rounds.
+    NaN, the search finds no better point, and the solver stops with an arbitrary force. So u² is raised here until the
+    square is not negative. The change is smaller than float32's rounding.
 
     Args:
         model: MJX's, of one world.
@@ -35,7 +35,7 @@ def solve(model: Any, data: Any) -> Any:
 
 @contextmanager
 def _real_roots() -> Iterator[None]:
-    """While a program is traced, points of the line search have real roots."""
+    """While a program is traced inside this context, the roots in the line search's points are real."""
     point = _point_class()
     original, found = point.create, vars(point)["create"]
 

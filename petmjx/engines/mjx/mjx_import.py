@@ -28,7 +28,7 @@ class _SilentLoader(SourceFileLoader):
 
 
 class _SilentFinder(MetaPathFinder):
-    """Finds the module that prints, and no other."""
+    """Finds only the module that prints."""
 
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
         # ``path`` is a list of folders, or an iterable that importlib makes

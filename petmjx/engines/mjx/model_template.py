@@ -1,7 +1,7 @@
-"""The padded model of a capacity: one compiled MuJoCo model for every plan of up to that many boxes.
+"""The padded template of a capacity: one compiled MuJoCo model for all plans of up to ``capacity`` boxes.
 
-What differs from world to world (sizes, masses, frictions, gravity) is not in the template but in per-world
-overrides of model fields, which ``override_fields`` alone computes.
+Sizes, masses, frictions and gravity differ from world to world. They are not in the template, but in per-world
+overrides of model fields. Only ``override_fields`` computes these.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ FLOOR_GEOM = 0
 CARRIER_BODY, FIRST_BOX_BODY = 1, 2
 
 FLOAT32_TOLERANCE = 1e-6
-"""Smallest relative solver tolerance: float32 does not resolve MuJoCo's 1e-8, which would only cost iterations."""
+"""Smallest relative solver tolerance. Float32 does not resolve MuJoCo's 1e-8, which would only cost iterations."""
 
 MAX_ITERATIONS = 100
 """MuJoCo's default limit of solver iterations."""
 
 LINE_SEARCH_ITERATIONS = 50
-"""MuJoCo's default limit of a line search."""
+"""MuJoCo's default limit of line search iterations."""
 
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
-"""Boxes that are not placed yet hang in a row this high and this far apart: no two bounding spheres meet
-(the largest BED-BPP item is under 1 m), and float32 still resolves their positions to 0.05 mm."""
+"""Distance of boxes that are not placed yet, which hang in a row at ``PARKING_HEIGHT_M``. No two bounding spheres meet
+(the largest BED-BPP item is under 1 m), and float32 still resolves positions to 0.05 mm."""
 
 
 def padded_template(
@@ -51,12 +51,12 @@ def padded_template(
     iterations: int,
     line_search_iterations: int,
 ) -> mujoco.MjModel:
-    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes; nominal sizes that overrides
-    replace.
+    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. Sizes are nominal, and overrides
+    replace them.
 
     Args:
-        boards: 0: nothing touches the carrier.
-        held: the carrier has no joint (prescribed-acceleration profiles) instead of a free one; it stands where its
+        boards: with 0 nothing touches the carrier.
+        held: the carrier has no joint instead of a free one (prescribed-acceleration profiles). It stands where its
             world's data say.
     """
     scene = _nominal_scene(capacity, boards, physics)
@@ -71,8 +71,8 @@ def padded_template(
 
 
 def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
-    """Boxes that wait in the air. Its inertia is explicit: MuJoCo would else sort the principal axes, and worlds could
-    not write theirs in the order of a box's axes."""
+    """The carrier, and boxes that wait in the air. Inertia is explicit. Else MuJoCo would sort the principal axes, and
+    overrides could not follow the order of a box's axes."""
     half, place = np.tile([0.15, 0.15, 0.1], (capacity, 1)), np.array(parked_positions(capacity), np.float64)
     solid = np.array([0.4, 0.3, physics.carrier_half_height_m])
     board = np.tile(solid, (boards, 1))
@@ -93,7 +93,7 @@ def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
 
 
 def parked_positions(capacity: int) -> Float[Array, "box 3"]:
-    """Where boxes of a world wait for their turn, m."""
+    """Where boxes of a world wait until they are placed, m."""
     x = PARKING_PITCH_M * jnp.arange(1, capacity + 1)
     return jnp.stack([x, jnp.zeros(capacity), jnp.full(capacity, PARKING_HEIGHT_M)], axis=-1)
 
@@ -109,12 +109,12 @@ def override_fields(
 ) -> dict[str, Float[Array, "world ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
-    ``physics`` says by how much geoms are larger than boxes. ``model`` is the template's MJX model, whose values stand
-    for what no world changes (the world body, the floor). With ``gives`` contacts have laws of their own.
+    ``physics`` gives the skin by which geoms are larger than boxes. ``model`` is the template's MJX model; its values
+    stay for the world body and the floor, which no world changes. With ``gives``, contacts of compliant boxes have laws
+    of their own.
 
-    Derived fields follow MuJoCo's compiler: ``body_invweight0``
-    and ``dof_invweight0`` of a free body are 1/m and the mean of 1/I; ``geom_rbound`` is the half diagonal; all are
-    checked against it in tests.
+    Derived fields follow MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are 1/m and the
+    mean of 1/I. ``geom_rbound`` is the half diagonal. Tests check all of them against the compiler.
     """
     n_worlds, shapes = worlds.shape_half.shape[:2]
     boards = shapes - worlds.half.shape[1]

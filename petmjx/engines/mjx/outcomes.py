@@ -1,4 +1,4 @@
-"""Outcomes of finished worlds, judged and read out on the host; and where worlds start that others have settled."""
+"""Outcomes of finished worlds, made on the host, and first states of worlds that start from a settled state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from petmjx.world.job import Job
 
 
 def outcomes(picked: Sequence[Readback], jobs: Sequence[Job], sim: Simulation, recorder: Recorder) -> Iterator[Outcome]:
-    """Outcomes of rows of a table that ``pick`` has picked, with their histories; job i has row i."""
+    """Outcomes, with histories, of the rows that ``read_back`` has read back. Job i has row i."""
     clock = Clock(sim.physics.timestep_s)
     for batch in picked:
         state, measured = batch.on_host()
@@ -70,7 +70,7 @@ def _outcomes(
             boxes=boxes,
             n_at_sign=int(m.sign_placed[i]) if known else 0,
             solver=sim.solver.value,
-            # without other worlds' columns: what starts from it may be in a narrower table
+            # only the world's own columns: a world that starts from this state may be in a narrower table
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
             history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
             if job.record
@@ -79,10 +79,10 @@ def _outcomes(
 
 
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
-    """First states of jobs: fresh ones, and for jobs that start from a kept state that one.
+    """First states of jobs: the kept state for jobs that start from one, else a fresh state.
 
-    Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh ones come there from the device
-    only if a job needs them: rows behind the jobs', which never run, may have any state.
+    Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh states are fetched from the device
+    only if a job needs them. Padding rows never run, and may have any state.
 
     Args:
         fresh: shapes and types are enough if all jobs start from kept states.

@@ -20,15 +20,16 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
-"""Under ``vmap`` all iterations of a line search are computed, even those not needed. With 10, in 2.2 % of the steps of
-small piles a force on a box was more than 50 N from that of C: the solver had given up while boxes land. With 30 it is
-in 0.2 %."""
+"""Line search iterations. Under ``vmap`` all of them are computed, also unneeded ones. With 10 iterations, a force on a
+box differed by more than 50 N from that of C MuJoCo in 2.2 % of the steps of small piles: the solver had given up while
+boxes landed. With 30 iterations it does so in 0.2 %."""
 
 
 class StepResult(NamedTuple):
-    """What a step gives: MuJoCo's coordinates, and what samples and the next step need.
+    """The result of a step: MuJoCo's coordinates, and values for samples and for the next step.
 
-    ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``forces``: of all constraints.
+    ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``forces``: those of all
+    constraints.
     """
 
     qpos: Float[Array, "world coordinate"]
@@ -41,14 +42,16 @@ class StepResult(NamedTuple):
 
 
 class PaddedModel:
-    """Steps worlds of up to so many boxes with ``mjx.step``'s parts under ``vmap``. What differs between them, their
-    fields of the model, is given with each step. Contacts have fixed slots, so nothing can overflow.
+    """Steps worlds of up to ``capacity`` boxes with the parts of ``mjx.step`` under ``vmap``.
+
+    Model fields that differ between worlds are given with each step. Contacts have fixed slots, so nothing can
+    overflow.
 
     Attributes:
-        carrier, bodies: the number of the carrier's body, and of all bodies.
+        carrier, bodies: the index of the carrier's body, and the number of bodies.
 
     Args:
-        capacity: boxes.
+        capacity: most boxes of a world.
         boards: shapes of each carrier.
         held: the carrier stands where its world's data say (acceleration profiles).
     """
@@ -77,15 +80,15 @@ class PaddedModel:
         self._beds: Beds | None = None
 
     def lay_beds(self) -> None:
-        """From now on boxes may give. To be called outside of compiled programs."""
+        """Allow compliant boxes from now on. Call it outside of compiled programs."""
         self._beds = Beds(self.model, self._data, self._physics)
 
     def _model_of(self, fields: dict[str, jax.Array]) -> Any:
-        """A world's model."""
+        """The model of one world."""
         return self.model.tree_replace(fields)
 
     def no_forces(self, worlds: int) -> Float[Array, "world constraint"]:
-        """The forces before the first step."""
+        """Constraint forces before the first step: zeros."""
         return jnp.zeros((worlds, *self._data._impl.efc_force.shape))
 
     def step(
@@ -99,11 +102,11 @@ class PaddedModel:
         """One step of all worlds.
 
         Args:
-            fields: of the model.
-            inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied; where a held carrier is.
-            forces: of the step before.
-            faces: where boxes give (``lay_beds``).
-            landing: which boxes land, if they follow a law of their own.
+            fields: fields of the model that differ between worlds.
+            inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
+            forces: constraint forces of the step before.
+            faces: for compliant boxes (``lay_beds``).
+            landing: the boxes that land, if they follow a law of their own.
         """
 
         def ready(
@@ -121,8 +124,8 @@ class PaddedModel:
             return mjx.fwd_acceleration(model, data), landing
 
         def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
-            # Float32 may lose the solver's matrix between stiff contacts. Then the accelerations and forces of the last
-            # step are used, from which the solver started.
+            # Between stiff contacts the solver's matrix may become NaN in float32. Then the accelerations and forces of
+            # the last step are used, from which the solver started.
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)
             forces = jnp.where(lost, forces, data._impl.efc_force)

@@ -1,4 +1,4 @@
-"""Worlds that have ended, on their way from a device to the host."""
+"""Readback of ended worlds from the device to the host."""
 
 from __future__ import annotations
 
@@ -18,16 +18,17 @@ from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
 PICKED: Final = 256
-"""Rows that are picked at a time, or as many as a smaller table has: XLA compiles a program for each number."""
+"""Rows that are read back at a time; a smaller table has fewer. XLA compiles a program for each number."""
 
 
 class Readback(NamedTuple):
-    """States and metrics of rows of a table, the bits of all in one array: a host waits for each array that it fetches
-    from a GPU.
+    """States and metrics of rows of a table, as bits of one array. The host waits for each array that it fetches from a
+    GPU, so one is best.
 
     Attributes:
-        rows: which these are; in ``bits`` more may follow, which fill it up.
-        kinds: a ``State`` and ``RunMetrics``, with shape and type instead of each array.
+        rows: rows of the table; ``bits`` may have more rows, as padding.
+        bits: the values of all arrays.
+        kinds: a ``State`` and ``RunMetrics`` that hold shape and type in place of each array.
     """
 
     rows: NDArray[np.int64]
@@ -35,7 +36,7 @@ class Readback(NamedTuple):
     kinds: Any
 
     def on_host(self) -> tuple[State, RunMetrics]:
-        """The arrays, once the device has picked them."""
+        """The arrays on the host. Waits for the device."""
         bits, first = np.asarray(self.bits), 0
 
         def next_of(kind: Any) -> NDArray[Any]:
@@ -65,12 +66,12 @@ def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim:
 
 
 def prepare_readback(table: State, worlds: Worlds, sim: Simulation) -> None:
-    """Compile what ``read_back`` needs: while the device is at work nobody waits for it."""
+    """Compile the programs of ``read_back`` while the device is busy, so that no one waits for them later."""
     read_back(np.zeros(1, np.int64), table, worlds, sim)
 
 
 def read_back(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Readback]:
-    """Some rows of a table, still on the device, in batches of the same size; the last one is filled up."""
+    """Rows of a table, still on the device, in batches of equal size. The last batch is padded."""
     size = min(PICKED, len(table.status))
 
     def kind(of_row: tuple[int, ...], dtype: Any) -> Any:

@@ -1,7 +1,7 @@
-"""The rules of a run, one step of all worlds at a time: sampling, placing, resting, ending (docs/rules.md).
+"""The rules of a run, applied after each step of all worlds: sampling, placing, resting, ending (docs/rules.md).
 
-Pure functions of states; nothing here knows how a step is taken. The C engine follows the same rules in its own
-words.
+Pure functions of states. This module does not depend on how a step is taken. The C engine has its own implementation of
+the same rules.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ UNBELIEVABLE = 1e10
 
 
 class _SampleInputs(NamedTuple):
-    """What samples see: values at the beginning of a step. Shapes and units as in ``Rules.after_step``."""
+    """Values at the beginning of a step, for samples. Shapes and units as in ``Rules.after_step``."""
 
     qpos: Float[Array, "world box 7"]
     qacc: Float[Array, "world box 6"]
@@ -40,14 +40,17 @@ class _SampleInputs(NamedTuple):
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
-    """The last step of each drive, if its world does not rest before."""
+    """The last step of each drive, unless its world rests earlier."""
     return state.driven_from + worlds.drive_steps
 
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """The rules with their numbers, for worlds with room for ``capacity`` boxes. ``driven``: settled worlds are shaken
-    instead of boxes placed. ``carries``: there are worlds in which boxes do not appear at their places."""
+    """The rules and their constants, for worlds with room for ``capacity`` boxes.
+
+    ``driven``: settled worlds are shaken, and no boxes are placed. ``carries``: in some worlds boxes do not appear at
+    their places.
+    """
 
     sim: Simulation
     timetable: Timetable
@@ -61,14 +64,14 @@ class Rules:
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 
     def standing(self, state: State) -> Bool[Array, "world box"]:
-        """Boxes in play: placed, in a world that runs."""
+        """Boxes in play: placed, and in a running world."""
         return self._placed(state) & state.running[:, None]
 
     def _placed(self, state: State) -> Bool[Array, "world box"]:
         return jnp.arange(self.capacity)[None] < state.placed[:, None]
 
     def judged(self, state: State) -> Bool[Array, "world box"]:
-        """Boxes in play that no hand has."""
+        """Boxes in play that no hand carries."""
         standing = self.standing(state)
         if not self.carries:
             return standing
@@ -76,8 +79,8 @@ class Rules:
         return standing & ~in_hand
 
     def park(self, state: State) -> State:
-        """Put boxes that are not in play to the places where they wait, at rest. Carriers of worlds that have ended go
-        into the air, too: where nothing touches the solver has nothing to find."""
+        """Move boxes that are not in play to their waiting places, at rest. Carriers of ended worlds are lifted into
+        the air, too: without contacts the solver has nothing to solve."""
         standing, ended = self.standing(state)[..., None], ~state.running[:, None]
         aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, *IDENTITY_QUAT]])
         return state._replace(
@@ -90,7 +93,7 @@ class Rules:
         )
 
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
-        """Release the next box: at its release pose, at rest; or where it begins to fall, or is carried from."""
+        """Release the next box at rest: at its release pose, or where its fall or its way begins."""
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
         placed = state._replace(
@@ -114,7 +117,7 @@ class Rules:
         return next_state
 
     def _come_down(self, state: State, worlds: Worlds) -> Float[Array, "world box"]:
-        """How far the support of each box is from its planned height, m; 0 where it has none."""
+        """How far the support of each box is above its planned height, m; 0 for boxes without a support."""
         boxes = motion.middles(state.qpos, worlds.middle)[..., 2] - worlds.target[..., 2]
         carrier = state.carrier_qpos[:, 2] - worlds.carrier_pos[:, 2]
         moved = jnp.take_along_axis(boxes, jnp.maximum(worlds.support, 0), axis=1)
@@ -126,7 +129,7 @@ class Rules:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = _drive_end(state, worlds)
-        # signs from the placement (a hard landing) are forgotten where no box is over a threshold now
+        # signs from the placement (as of a hard landing) are dropped where no box is over a threshold now
         metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
@@ -151,7 +154,8 @@ class Rules:
         return (self._placed(state) & (excess > 1)).any(-1)
 
     def _is_lost(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
-        """Whether a box has dropped, or is tilted too far now and, in a drive, away by what it allows."""
+        """Whether a box has dropped, or is tilted too far now. In a drive, a tilted box counts only if it has also
+        swayed as far as its drive allows."""
         tilted = motion.tilt_deg(state.qpos[..., 3:]) > self.sim.thresholds.tilt_deg
         if self.driven:
             tilted &= state.metrics.sway(motion.middles(state.qpos, worlds.middle)) >= worlds.allowed_sway[:, None]
@@ -166,13 +170,14 @@ class Rules:
         top_force: Float[Array, "world box"],
         presses: Bool[Array, " world"],
     ) -> State:
-        """Everything that happens between two steps.
+        """Apply all rules between two steps.
 
         Args:
-            state: poses, velocities and step counters as the step left them.
+            state: poses, velocities and step counters after the step.
             seen_qpos: poses at the beginning of the step, to which contacts and accelerations belong.
-            qacc: linear (m/s²) and angular (rad/s²) of each box in that step.
-            top_force: N. ``presses``: it counts, also in a step without a sample.
+            qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in that step.
+            top_force: force on each box's top, N.
+            presses: whether ``top_force`` counts, also in a step without a sample.
         """
         before, in_hand = state.running, hand.carried_worlds(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
@@ -216,8 +221,9 @@ class Rules:
         lin = jnp.sqrt((seen.qacc[..., :3] ** 2).sum(-1))
         ang = jnp.sqrt((seen.qacc[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
-        # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
-        # placement do not count, and a violent one is an explosion only if those that follow say the same.
+        # Light boxes that land, and tipping boxes that hit, reach up to 240 rad/s² for a few steps. So samples right
+        # after a placement do not count. A violent sample is an explosion only if the following samples are violent,
+        # too.
         landing = self.sim.quiet.landing_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
         if self.carries:
@@ -249,7 +255,7 @@ class Rules:
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
         if looks:
-            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # as found at an earlier look
+            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # the culprit of an earlier look
             lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
@@ -263,10 +269,14 @@ class Rules:
     def count_quiet(
         self, state: State, worlds: Worlds, poll: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> tuple[State, Bool[Array, " world"]]:
-        """In worlds with ``poll``, count the steps for which all boxes were quiet. If one creeps, start again.
+        """In worlds with ``poll``, count the steps for which all boxes were quiet. The count starts again if a box
+        creeps.
 
-        A pallet is quiet, which is the second answer, from ``quiet.steps`` on, if none creeps, and boxes that tremble
-        do not count; with such ones the count is 0 then. Which do is looked at where waits adapt.
+        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes do not count; if there are any,
+        the count is set to 0 then. Looks for trembling happen where waits adapt.
+
+        Returns:
+            The states, and which pallets are quiet.
         """
         quiet = self.sim.quiet
         speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
@@ -307,7 +317,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         late = ~in_drive & (state.step >= self._deadline(state, worlds, more, adapts))
         go = waits & (late | (still & adapts & enough))
-        # with a drive to come, and no look whether the pallet rests
+        # a drive follows, without a check whether the pallet rests
         settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~more & ~settles
         moves = (settles | (go & more)) & ~failed & (state.quiet_steps < quiet.steps)
@@ -322,8 +332,8 @@ class Rules:
         return self.place_next(state, worlds, go & more)
 
     def rest_from(self, state: State) -> Int[Array, " world"]:
-        """The step after which the rest window of a world begins that is quiet now: its last box has landed by then, as
-        it has when a drive begins."""
+        """The step after which the rest window of a quiet world begins. By then its last box has landed; before a drive
+        it has landed already."""
         if self.driven:
             return state.step
         return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
@@ -334,20 +344,20 @@ class Rules:
 
     @property
     def _rests_first(self) -> bool:
-        """Whether a rest window, and a look at its end, come before a drive."""
+        """Whether a rest window, and a check at its end, come before a drive."""
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """Whether quiet brings the end of a drive forward: if a rest window from here on is over when the last one
-        begins."""
+        """Whether quiet may bring the end of a drive forward: a rest window that begins now must be over when the last
+        one begins."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 
     def _deadline(
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
-        """The latest step for the event that is waited for. A box that has failed ends patience, counted from the first
-        sign; so does a wait before a box that was in vain."""
+        """The latest step for the next event. The long wait ends early once a box has failed, counted from the first
+        sign. It also ends early before a further box if an earlier wait was in vain."""
         sim, table = self.sim, self.timetable
         hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
@@ -365,14 +375,14 @@ class Rules:
         return jnp.where(patient & hopeful & ~restless, self._longest_wait(state, worlds), due)
 
     def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
-        """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+        """The step until which the rules wait for a moving world, after its last placement or the end of its drive."""
         if self.driven:
             return _drive_end(state, worlds) + self.timetable.longest_steps
         return jnp.asarray(self.timetable.longest)[state.last_placed_at]
 
     def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
-        """At the last step: a world that moves is waited for, if no box is lost or its drive may go on. One that rests
-        may begin its drive."""
+        """Decide at the last step. The rules wait for a moving world if no box is lost or its drive may go on. A world
+        at rest may begin its drive."""
         sim, table = self.sim, self.timetable
         ends = state.running & (state.step > 0) & (state.step >= state.end)
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)

@@ -1,8 +1,7 @@
-"""Running metrics of boxes, of all worlds at a time: what is kept of samples, and what comes of it at the end.
+"""Running metrics of boxes for all worlds at a time: statistics of samples, and the final metrics of a run.
 
-The twin of petmjx/engines/mujoco/running_metrics.py, and of petmjx/engines/warp/kernels/samples.py, which works on the
-same fields.
-Definitions: docs/metrics.md. Which boxes and steps count is the rules' matter (petmjx/engines/mjx/rules.py).
+Twin of petmjx/engines/mujoco/running_metrics.py and of petmjx/engines/warp/kernels/samples.py, which works on the same
+fields. Definitions: docs/metrics.md. The rules decide which boxes and steps count (petmjx/engines/mjx/rules.py).
 """
 
 from __future__ import annotations
@@ -20,11 +19,15 @@ from petmjx.options.simulation import Thresholds
 
 
 class Sample(NamedTuple):
-    """What a look at boxes sees: middles, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on tops, N.
+    """Values of boxes at a sample or a look: centres, m; tilts, degrees; accelerations, m/s² and rad/s²; forces on
+    tops, N.
 
-    ``sampled`` are the boxes of which it is a sample, ``presses`` those whose forces count, ``tilts`` also those of a
-    look in a drive, ``looked`` also those of worlds that are at their end, ``rested`` those in a rest window, whose
-    steps ``rests`` counts.
+    Attributes:
+        sampled: boxes for which this is a sample.
+        presses: boxes whose forces count.
+        tilts: boxes whose tilts count: also at a look in a drive.
+        looked: boxes that are checked: also in worlds at their end.
+        rested: boxes in a rest window; ``rests`` marks the worlds whose steps are counted.
     """
 
     step: Int[Array, " world"]
@@ -43,8 +46,8 @@ class Sample(NamedTuple):
 
 
 class Metrics(NamedTuple):
-    """Running statistics of boxes; over the samples since a box was placed, tilt and sway also over looks
-    in a drive. And the first sign."""
+    """Running statistics of boxes over the samples since a box was placed; tilt and sway also over looks in a drive.
+    And the first sign of failure."""
 
     max_tilt: Float[Array, "world box"]
     max_lin_acc: Float[Array, "world box"]
@@ -60,7 +63,7 @@ class Metrics(NamedTuple):
     sign_placed: Int[Array, " world"]
 
     def with_sample(self, sample: Sample, worlds: Worlds, *, driven: bool) -> Metrics:
-        """With what was seen in a step; ``driven``: worlds are shaken. The first sign stays as it is."""
+        """The metrics with one more sample. ``driven``: worlds are shaken. The first sign stays as it is."""
 
         def largest(old: Array, new: Array, where: Array) -> Array:
             return jnp.where(where, jnp.maximum(old, new), old)
@@ -84,20 +87,20 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
-        judged at rest, and may go back until then."""
+        """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift does not count
+        here. It is judged at rest, and may go back until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 
     def without_rest(self, where: Bool[Array, " world"]) -> Metrics:
-        """Begin with another rest window."""
+        """The metrics at the beginning of a new rest window."""
         return self._replace(
             rest_force_sum=jnp.where(where[:, None], 0.0, self.rest_force_sum),
             rest_samples=jnp.where(where, 0, self.rest_samples),
         )
 
     def without_sign(self, where: Bool[Array, " world"]) -> Metrics:
-        """Forget the first sign."""
+        """The metrics without the first sign."""
         return self._replace(
             culprit=jnp.where(where, -1, self.culprit),
             sign_step=jnp.where(where, -1, self.sign_step),
@@ -105,7 +108,7 @@ class Metrics(NamedTuple):
 
 
 def no_metrics(n_worlds: int, n_boxes: int) -> Metrics:
-    """Of worlds in which nothing was measured."""
+    """Metrics of worlds before any sample."""
     zeros, ints = jnp.zeros((n_worlds, n_boxes)), jnp.zeros(n_worlds, jnp.int32)
     return Metrics(
         max_tilt=zeros,
@@ -140,8 +143,8 @@ def run_metrics(
     ended: Bool[Array, " world"],
     thresholds: Thresholds,
 ) -> RunMetrics:
-    """Metrics that need the whole run, of the boxes that are placed, with their last poses. Only worlds that came to
-    their end have forces at rest."""
+    """Metrics that need the whole run, for placed boxes, from their last poses. Only worlds that reached their end have
+    forces at rest."""
     m = metrics
     shift = motion.shift(motion.middles(qpos, worlds.middle), worlds.target, thresholds.shift_floor_m, worlds.sinks)
     rested = (m.rest_samples > 0) & ended
@@ -156,8 +159,8 @@ def run_metrics(
 
 
 def of_boxes(metrics: Metrics, measured: RunMetrics, row: int, n: int, driven: bool) -> dict[str, FloatArray]:
-    """Fields of ``petmjx.engines.metrics.BoxMetrics``: of the n boxes of the world in this row, from records on the
-    host. Poses and times, which need the scene and the clock, are not among them."""
+    """Fields of ``petmjx.engines.metrics.BoxMetrics`` for the n boxes of the world in this row, from records on the
+    host. Poses and times are missing, since they need the scene and the clock."""
 
     def doubles(values: Any) -> FloatArray:
         return np.asarray(values[row, :n], np.float64)

@@ -1,4 +1,4 @@
-"""From scenes to rows of tables. Scenes that are alike are filled in together: one by one that took longer than a GPU's
+"""Rows of tables from scenes. Similar scenes are filled in together: one by one, this took longer than a GPU's
 simulation of small worlds."""
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.stackable_scenes import stackable_groups, stacked_values
 
 Rows = dict[str, NDArray[Any]]
-"""Name of a field of ``batch.worlds.Worlds`` → a row for each scene."""
+"""Name of a field of ``world_constants.Worlds`` → its rows, one for each scene."""
 
 
 def rows_of(
     scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, spare: int = 0, ready: Rows | None = None
 ) -> Rows:
-    """What the tables have of some scenes: the fields of ``batch.worlds.Worlds`` that do not belong to a job.
+    """Rows of scenes: the fields of ``world_constants.Worlds`` that do not depend on the job.
 
     Args:
-        scenes: those that are there several times are filled in once.
+        scenes: a scene that is repeated is filled in once.
         width: box columns.
-        boards: shapes for which carriers have room; more where a scene's has more.
-        spare: rows more, which repeat the first scene's.
-        ready: the rows of the first of these scenes, made before with as many columns and no spare ones.
+        boards: columns for the shapes of a carrier; more if a scene's carrier has more.
+        spare: number of additional rows, which repeat the first scene's row.
+        ready: rows of the first of these scenes, made before with the same columns and without spare rows.
     """
     if ready is not None:
         room = ready["shape_half"].shape[1] - width
@@ -53,12 +53,12 @@ def rows_of(
 
 
 def joined_rows(parts: Sequence[NDArray[Any]], spare: int) -> NDArray[Any]:
-    """Rows one behind the other, and spare ones, which repeat the first."""
+    """The rows of all parts, one after another, and then spare rows, which repeat the first."""
     return np.concatenate([*parts, np.repeat(parts[0][:1], spare, axis=0)])
 
 
 def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:
-    """``rows_of`` scenes that are all different."""
+    """As ``rows_of``, for scenes that are all different."""
     boards = max(boards, *(_n_shapes(scene) - scene.n_boxes for scene in scenes))
     n = len(scenes)
     rows = _empty(n + spare, width, boards)
@@ -117,7 +117,7 @@ def _empty(n: int, width: int, boards: int) -> Rows:
 
 
 def _scene_values(scenes: Sequence[Scene]) -> Rows:
-    """What has one value a scene."""
+    """Fields with one value a scene."""
     of_placing = {id(scene.placing): scene.placing for scene in scenes}
     aside = {key: most_aside_m(placing) for key, placing in of_placing.items()}
     return {
@@ -136,7 +136,7 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
 def _put_plain(
     rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, course: ApproachPath | None
 ) -> None:
-    """Fill in plain scenes that are alike."""
+    """Fill in plain scenes that are stackable."""
     k, s = scenes[0].n_boxes, len(scenes[0].carrier.half_size)
     half = stacked_values(scenes, "half_size")
     quat, place = stacked_values(scenes, "start_quat"), release.pos

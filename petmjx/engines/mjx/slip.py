@@ -1,4 +1,4 @@
-"""Contacts that slide, between MJX's contacts and its solver. The law: petmjx/world/contact_laws.py."""
+"""The law of sliding contacts, applied between MJX's contacts and its solver (petmjx/world/contact_laws.py)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 
 
 class SlipLaw:
-    """The law of contacts that slide, for elliptic cones. Contacts that are open have rows of zeros, and stay as they
-    are.
+    """The law of sliding contacts, for elliptic cones. Open contacts have rows of zeros, and stay as they are.
 
     Args:
-        model_of: a world's model, of its fields.
+        model_of: gives a world's model for its fields.
     """
 
     def __init__(self, physics: Physics, model_of: Callable[[Any], Any]) -> None:
@@ -30,12 +29,12 @@ class SlipLaw:
         self._model_of = model_of
 
     def solve(self, fields: Any, data: Any) -> Any:
-        """The data of all worlds with the solver's accelerations and forces. All worlds are solved again while contacts
-        of any world need another round.
+        """The data of all worlds with the solver's accelerations and forces. All worlds are solved again while the
+        contacts of any world need another round.
 
         Args:
-            fields: of the model, by world.
-            data: MJX's, by world, ready for the solver.
+            fields: fields of the model, by world.
+            data: MJX's data, by world, ready for the solver.
         """
         data = jax.vmap(self._with_friction)(data)
         excess, slides = jax.vmap(self._begin)(data)
@@ -62,8 +61,8 @@ class SlipLaw:
         excess: Float[Array, " contact"],
         slides: Bool[Array, " contact"],
     ) -> tuple[Float[Array, " velocity"], Float[Array, " constraint"], Float[Array, " contact"], Bool[Array, ""]]:
-        """Accelerations and forces of one world at this excess; by how much these say that it is another, m/s²; and
-        whether that is enough for another round."""
+        """Accelerations and forces of one world at this excess; the change of the excess that follows from them, m/s²;
+        and whether this change needs another round."""
         normal, friction, aref = self._normal(data), data._impl.contact.friction[:, 0], data._impl.efc_aref
         lowered = {"_impl.efc_aref": aref.at[normal].add(-friction * excess)}
         done = solve(self._model_of(fields), data.replace(qacc_warmstart=start).tree_replace(lowered))
@@ -74,14 +73,14 @@ class SlipLaw:
         return done.qacc, force, change, (friction * jnp.abs(change)).max() > ENOUGH_M_S2
 
     def _begin(self, data: Any) -> tuple[Float[Array, " contact"], Bool[Array, " contact"]]:
-        """The excess of one world's contacts to begin with, m/s²; and which of them slide."""
+        """The initial excess of one world's contacts, m/s², and which of them slide."""
         normal, aref = self._normal(data), data._impl.efc_aref
         most = _tangent(aref, normal) - self._slack
         beyond = _tangent(data._impl.efc_J @ data.qacc_warmstart - aref, normal) - self._slack
         return jnp.clip(beyond, 0.0, jnp.maximum(most, 0.0)), most > 0
 
     def _with_friction(self, data: Any) -> Any:
-        """One world's data with the friction of contacts that slide."""
+        """One world's data with the friction of its sliding contacts."""
         if self._kinetic == 1:
             return data
         slip = _tangent(data._impl.efc_J @ data.qvel, self._normal(data))
@@ -91,7 +90,7 @@ class SlipLaw:
 
     @staticmethod
     def _normal(data: Any) -> NDArray[np.integer]:
-        """(contact,) rows of normals; the tangents' rows follow."""
+        """(contact,) rows of the normals; the rows of the tangents follow them."""
         return np.asarray(data._impl.contact.efc_address)
 
 

@@ -1,8 +1,8 @@
-"""Times of a run as whole steps, the same steps as in the reference implementation.
+"""The timetable of a run in whole steps, the same steps as in the reference implementation.
 
-MuJoCo's clock is a float64 running sum of the timestep, and events happen after the first step at which
-``time − earlier time ≥ interval``. The batched engines count steps in integers; these tables carry the
-float64 comparisons over.
+MuJoCo's clock is a float64 running sum of the timestep. An event happens after the first step at which ``time − earlier
+time ≥ interval``. The batched engines count steps in integers. These tables give them the results of the float64
+comparisons.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.approach_paths import MOST_STUCK_S, MOST_WAY_S
 
 KEPT: Final = 8
-"""Timetables that are kept: each has up to 20 bytes a step, 25 MB for 250 boxes."""
+"""Number of timetables that are kept. Each has up to 20 bytes a step, 25 MB for 250 boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,15 +28,16 @@ class Timetable:
 
     Attributes:
         clock: time after each step, s.
-        due: after a wait of ``interval_s`` that began after step s it is step ``due[s]``.
-        longest: the same of ``longest_wait_s``.
-        settled: the same of ``settle_s``, from the beginning of time on.
-        settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule: the
+        due: a wait of ``interval_s`` that began after step s ends at step ``due[s]``.
+        longest: the same for ``longest_wait_s``.
+        settled: the same for ``settle_s``, counted from the beginning of time.
+        settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
             reference counts from the nominal moment of the last placement, which rounding to steps puts a little later.
-        sample_every, rest_steps: steps between two samples, and in the rest window.
-        still_steps: steps before a world's end for which boxes must be still.
-        due_steps, longest_steps: as ``due`` and ``longest``, after a drive, where waits are counted in steps.
-        one_by_one_end: last step of the fixed one-by-one check by number of boxes; static_end: of the static one.
+        sample_every, rest_steps: steps between two samples, and steps of the rest window.
+        still_steps: steps before a world's end in which boxes must be still.
+        due_steps, longest_steps: as ``due`` and ``longest``, for waits after a drive, which are counted in steps.
+        one_by_one_end: last step of the fixed one-by-one check, by number of boxes.
+        static_end: last step of the static check.
     """
 
     clock: Float64[np.ndarray, " step"]
@@ -55,10 +56,11 @@ class Timetable:
 
 @functools.lru_cache(KEPT)
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
-    """Tables long enough for the placement of ``max_boxes`` boxes, settling included. Kept: do not change them."""
+    """Tables long enough for the placement of ``max_boxes`` boxes, settling included. They are cached: do not change
+    them."""
     dt = sim.physics.timestep_s
     wait_s = max(sim.interval_s, sim.longest_wait_s)
-    # a wait takes whole steps, and the clock's rounding may make it one more
+    # a wait takes whole steps, and the clock's rounding may add one step
     waits = 2 if sim.check is Check.STATIC else max_boxes + 2
     if sim.may_carry:
         wait_s += MOST_WAY_S + 2 * MOST_STUCK_S
@@ -86,10 +88,11 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
-    """For each step, the first step that is at least ``wait_s`` later; beyond the end of the tables, one more."""
+    """For each step, the first step that is at least ``wait_s`` later; beyond the end of the tables, the step after the
+    last."""
     n = len(clock) - 1
     # searchsorted compares a time with (earlier time + wait), which rounds differently from the difference of times in
-    # the rule. So its answer is corrected with the comparison of the rule.
+    # the rule. So the result is corrected with the rule's own comparison.
     after = np.searchsorted(clock, clock + wait_s - timestep_s / 2).astype(np.int64)
     for _ in range(2):
         inside = np.minimum(after, n)

@@ -1,4 +1,4 @@
-"""The force on top of each box, from contacts (JAX). Twin of ``force_np``."""
+"""The force on top of each box, from contacts (JAX). Twin of petmjx/engines/mujoco/top_forces.py."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def pressed_box(
     geom_z: Float[Array, "*batch 2"],
     normal_z: Float[Array, "*batch"],
 ) -> tuple[Int[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """Which box a contact presses on: the partner whose centre is lower. ``body``: boxes, or negative numbers.
+    """The box that a contact presses on: the partner whose centre is lower. ``body``: boxes, or negative numbers.
 
     Returns:
-        Box index (negative for carrier and floor), the sign by which the force on the second geom becomes a force that
-        presses down on the lower one, and whether the contact is vertical and its lower partner is a box.
+        Box index (negative for carrier and floor). The sign that turns the force on the second geom into a force that
+        presses down on the lower one. And whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[..., 0] < geom_z[..., 1]
     box = jnp.where(first_is_lower, body[..., 0], body[..., 1])

@@ -1,4 +1,4 @@
-"""What is constant about worlds, on the device: tables with a row a world, made of jobs.
+"""Constants of worlds on the device: tables made from jobs, with a row a world.
 
 Box columns are padded to the same number. Axes are named in ``petmjx.engines.mjx``.
 """
@@ -23,21 +23,30 @@ from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 class Worlds(NamedTuple):
     """Constants of worlds.
 
-    Body 0 is the carrier, and box k is body k + 1. The shapes of body b are from ``first_shape[b]`` on, in the order of
-    bodies, and ``shape_body`` says whose each is. ``half`` and ``middle`` are the boxes' half extents and their middles
-    in their frames; ``inertia_box`` is as in ``petmjx.world.body_shapes.Body``. ``floor_friction`` and ``friction``:
-    sliding, torsional and rolling coefficients; ``shape_surface``, ``pair_friction`` and ``pair_landing``:
-    petmjx/world/friction_pairs.py; ``shape_give``, m³/N, and ``sinks``, how far boxes are meant to come down:
-    petmjx/world/compliance.py. ``drive_yaw`` is (cos, sin); ``profile_steps`` counts the drive's samples, and
-    ``drive_steps`` goes on to the world's end, if it does not rest before. ``driven``: a drive follows; ``held``: it
-    holds the carrier fast. ``settles``: the placement ends in a settled state, for a drive or to keep.
-    ``ends_when_lost``: ``has_errors`` of ``petmjx.world.job.Job``. ``allowed_sway``, m: that of its drive. ``pauses``:
-    when its boxes rest the world waits for more (petmjx/engines/open_worlds.py). ``start`` is where a box is released
-    if its ``support``, which it follows by ``most_followed``, m, is where the plan has it
-    (petmjx/world/release_places.py). ``appears``: all boxes begin there. Else they begin by ``way_offset`` from there,
-    for a way of ``way_steps``, or 0 if they fall; at its end those that are not let go to fall are set down
-    (petmjx/world/approach_paths.py). ``hand_force``, N, ``hand_speed``, m/s, and ``hand_aside``, m, are what a hand may
-    do; ``wrap_press`` and ``wrap_hold``, N, what film does (petmjx/world/film.py).
+    Body 0 is the carrier, and box k is body k + 1.
+
+    Shapes and boxes: the shapes of body b begin at ``first_shape[b]``, in the order of bodies; ``shape_body`` gives the
+    body of each shape. ``half`` and ``middle`` are the boxes' half extents, and their centres in their frames.
+    ``inertia_box`` is as in ``petmjx.world.body_shapes.Body``.
+
+    Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
+    ``shape_surface``, ``pair_friction`` and ``pair_landing`` see petmjx/world/friction_pairs.py. For ``shape_give``,
+    m³/N, and ``sinks``, the expected descent of boxes, see petmjx/world/compliance.py.
+
+    Drives: ``driven``: a drive follows; ``held``: it holds the carrier fast. ``drive_yaw`` is (cos, sin).
+    ``profile_steps`` counts the drive's samples; ``drive_steps`` counts the steps to the world's end, unless it rests
+    earlier. ``allowed_sway``, m, is that of the drive.
+
+    Course: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
+    ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest, the world waits for more
+    (petmjx/engines/open_worlds.py).
+
+    Placing: ``start`` is where a box is released if its ``support`` is where the plan has it. The release follows the
+    support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
+    Else they begin at an offset of ``way_offset`` from it, for a way of ``way_steps``, or 0 if they fall. At the end of
+    the way boxes are set down, unless they are let go to fall (petmjx/world/approach_paths.py). ``hand_force``, N,
+    ``hand_speed``, m/s, and ``hand_aside``, m, are a hand's limits. ``wrap_press`` and ``wrap_hold``, N, are the forces
+    of film (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]
@@ -85,7 +94,7 @@ class Worlds(NamedTuple):
 
 
 def device_array(values: NDArray[Any]) -> jax.Array:
-    """An array on the device. On a CPU it may share the memory of ``values``, which must not change any more.
+    """An array on the device. On a CPU it may share the memory of ``values``, so ``values`` must not change afterwards.
 
     ``jnp.asarray`` would compile a program for each shape.
     """
@@ -94,7 +103,7 @@ def device_array(values: NDArray[Any]) -> jax.Array:
 
 
 def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
-    """As ``device_array``: many arrays in one call, which takes half of the time."""
+    """As ``device_array``, for many arrays in one call. This takes half of the time."""
     uploads: list[jax.Array] = jax.device_put([*arrays])
     return uploads
 
@@ -108,15 +117,15 @@ def upload_worlds(
     boards: int = 1,
     ready: Rows | None = None,
 ) -> Worlds:
-    """Constants of a group of jobs as device arrays. Everything is made on the host: on a device each operation of each
-    shape would first have to be compiled.
+    """Constants of a group of jobs as device arrays. Everything is made on the host. On a device each operation would
+    first have to be compiled for each shape.
 
     Args:
-        rows: at least one a job; those beyond repeat the first job's scene and are never run.
+        rows: rows of the tables, at least one a job; spare rows repeat the first job's scene and never run.
         width: box columns.
         profiles: ``id`` of an excitation → its row in the profile table.
-        boards: shapes for which carriers have room; more where a scene's has more.
-        ready: what has been made before, as for ``rows_of``.
+        boards: columns for the shapes of a carrier; more if a scene's carrier has more.
+        ready: rows that were made before, as for ``rows_of``.
     """
     spare = rows - len(jobs)
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare, ready)
@@ -130,7 +139,7 @@ _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0,
 
 
 def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
-    """What the tables have of some jobs beside their scenes, without ``pauses``."""
+    """Fields of the tables that depend on the job and not only on its scene, without ``pauses``."""
     drives = [job.drive or _NO_DRIVE for job in jobs]
     profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
     profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)

@@ -1,4 +1,5 @@
-"""The states of worlds on the device, from step to step: tables with the rows and columns of ``worlds.Worlds``."""
+"""The states of worlds on the device, from step to step: tables with the rows and columns of
+``world_constants.Worlds``."""
 
 from __future__ import annotations
 
@@ -17,14 +18,14 @@ from petmjx.options.simulation import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
-"""A step that is never reached: an end that is not known yet."""
+"""A step that is never reached; also stands for an end that is not known yet."""
 
 SOFT_START_BEGIN = -2 * SOFT_START_STEPS
 """Step counter of a fresh world: the soft start's steps come before step 0."""
 
 
 class Status:
-    """Where a world is. Plain integers, because they live in device arrays."""
+    """Phases of a world. Plain integers, since they are stored in device arrays."""
 
     RUNNING = 0
     SETTLED = 2
@@ -33,14 +34,15 @@ class Status:
     OVERFLOWED = 4
     """On mjx-warp: a buffer is too small for the next step."""
     PAUSED = 5
-    """All boxes of an open world are placed and rest, and more may come."""
+    """All boxes of an open world are placed and at rest, and more may come."""
 
 
 class State(NamedTuple):
     """The state of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # As MuJoCo's arrays of free bodies, boxes and carrier apart: positions, velocities, the accelerations of the last
-    # step, and those from which mjx-warp's solver starts in the next one. Other solvers start from the last step's.
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays: positions, velocities, accelerations of
+    # the last step, and accelerations from which mjx-warp's solver starts in the next step. Other solvers start from
+    # the last step's.
     qpos: Float[Array, "world box 7"]
     qvel: Float[Array, "world box 6"]
     qacc: Float[Array, "world box 6"]
@@ -50,56 +52,58 @@ class State(NamedTuple):
     carrier_qacc: Float[Array, "world 6"]
     carrier_qacc_warmstart: Float[Array, "world 6"]
 
-    # Where bodies stand in the system of equations, for a solver that orders them (mjx-warp): a permutation of those
-    # that are placed, in which a box that is placed comes last.
+    # Positions of bodies in the system of equations, for a solver that orders them (mjx-warp): a permutation of the
+    # placed bodies. A newly placed box comes last.
     position: Int[Array, "world box"]
     carrier_position: Int[Array, " world"]
 
-    # Placing: the last step taken, how many boxes are placed, and the step after which the last one was.
+    # Placing: the last step taken, the number of placed boxes, and the step after which the last box was placed.
     step: Int[Array, " world"]
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
 
-    # Carrying: the steps after which a hand took up the last of these boxes, and began to set it down, or NEVER; the
-    # steps and the ends of its way, where the origin of the box's frame is.
+    # Carrying: the steps after which a hand took up the last placed box and began to set it down, or NEVER; the number
+    # of steps of its way, and the way's ends, for the origin of the box's frame.
     carried_from: Int[Array, " world"]
     lowered_from: Int[Array, " world"]
     carried_steps: Int[Array, " world"]
     way_begin: Float[Array, "world 3"]
     way_end: Float[Array, "world 3"]
 
-    # Landing: steps for which a box counts as landing, and its velocity before it touched.
+    # Landing: steps for which a box still counts as landing, and its velocity before it touched.
     landing_left: Int[Array, "world box"]
     landing_qvel: Float[Array, "world box 6"]
 
-    # Film: where boxes were when it was put around them, and from where it holds them, less the carrier's place.
+    # Film: where boxes were when it was put around them, and the anchors from which it holds them, both relative to the
+    # carrier.
     film_home: Float[Array, "world box 3"]
     film_anchor: Float[Array, "world box 3"]
 
-    # For the rules: the step after which the wait for the next event began, steps for which all boxes have been quiet,
-    # their speed at the first of these, and the first of consecutive violent samples.
+    # For the rules: the step after which the wait for the next event began, the number of steps for which all boxes
+    # have been quiet, the boxes' speeds at the first of these, and the step of the first of consecutive violent
+    # samples.
     waits_since: Int[Array, " world"]
     quiet_steps: Int[Array, " world"]
     quiet_speed: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
-    # Looks for trembling since the last placement, which boxes tremble (1), and since this was last found out: the way
-    # that each has gone, how far it has been from where it was, m, and where that was.
+    # Trembling: the looks since the last placement, and which boxes tremble (1). And, since this was last decided: the
+    # way that each box has gone, its largest distance from its start, m, and its start.
     tremble_looks: Int[Array, " world"]
     trembles: Int[Array, "world box"]
     tremble_path: Float[Array, "world box"]
     tremble_away: Float[Array, "world box"]
     tremble_qpos: Float[Array, "world box 7"]
 
-    # What follows, as steps or NEVER: when the drive starts, the rest window starts, and the world ends. And the poses
-    # shortly before the end, from which on boxes must be still.
+    # Coming events, as steps or NEVER: the start of the drive, the start of the rest window, and the end of the world.
+    # And the poses shortly before the end; from then on boxes must be still.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
     still_qpos: Float[Array, "world box 7"]
     status: Int[Array, " world"]
 
-    # For the outcome: bits of Flag, steps simulated in this run of jobs, and what was measured.
+    # For the outcome: bits of Flag, the steps simulated in this run of jobs, and the metrics.
     flags: Int[Array, " world"]
     steps_done: Int[Array, " world"]
     metrics: Metrics
@@ -112,14 +116,14 @@ class State(NamedTuple):
         return self.status == Status.RUNNING
 
     def flat(self) -> dict[str, Array]:
-        """All arrays by name, those of the metrics among them: what mjx-warp's kernels take."""
+        """All arrays by name, including those of the metrics, as mjx-warp's kernels take them."""
         arrays: dict[str, Array] = self._asdict() | self.metrics._asdict()
         del arrays["metrics"]
         return arrays
 
 
 def of_flat(arrays: Mapping[str, Array]) -> State:
-    """States whose arrays ``State.flat`` has given."""
+    """The states from arrays by name, as ``State.flat`` gives them."""
     metrics = Metrics(**{name: arrays[name] for name in Metrics._fields})
     return State(**{name: arrays[name] for name in State._fields if name != "metrics"}, metrics=metrics)
 
@@ -149,8 +153,8 @@ def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
 
 
 def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
-    """As ``put_rows``, with states that have columns for more boxes than the table, which are dropped, or for fewer:
-    then the others stay as they are in the table."""
+    """As ``put_rows``, for states with another number of box columns. Columns that the table does not have are dropped.
+    If the states have fewer, the table's other columns stay as they are."""
 
     def write(old: Array, new: Array) -> Array:
         columns = tuple(slice(min(sizes)) for sizes in zip(old.shape[1:], new.shape[1:], strict=True))
@@ -161,7 +165,7 @@ def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
 
 
 def take_rows(record: Record, rows: Int[Array, " row"]) -> Record:
-    """Rows of a record, in order; out-of-range rows give some valid row."""
+    """Rows of a record, in order. An out-of-range row gives some valid row."""
     selected: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
     return selected
 

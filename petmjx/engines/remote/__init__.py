@@ -1,1 +1,2 @@
-"""Runs the jobs of an engine in worker processes on one machine or many, by Ray. Nothing else here imports Ray."""
+"""Runs the jobs of an engine in worker processes on one machine or many, with Ray. No other package of petmjx imports
+Ray."""

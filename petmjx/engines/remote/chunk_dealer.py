@@ -1,4 +1,4 @@
-"""Which jobs a worker gets next, and what becomes of the jobs that it held when it died. Nothing here knows Ray."""
+"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. Independent of Ray."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ import numpy as np
 from petmjx.common.units import FloatArray
 
 PIECES = 4
-"""A chunk is this part of a slot's share of what is left, so that slots end together although costs are guesses."""
+"""A chunk is one ``PIECES``-th of a slot's share of the remaining cost, so that slots end together although costs are
+guesses."""
 
 MOST_JOBS = 64
-"""Most jobs in such a chunk: a worker that dies has done little in vain."""
+"""Most jobs of a chunk, so that little work is lost when a worker dies."""
 
 PLENTY = 4
-"""Slots hold chunks in reserve while this many jobs for each of them are waiting. Later a job could wait behind a long
+"""Slots hold chunks in reserve while at least this many jobs per slot are waiting. Later a job might wait behind a long
 one while another slot is idle."""
 
 
@@ -26,7 +27,7 @@ one while another slot is idle."""
 class Chunk:
     """Jobs that one worker simulates, longest first.
 
-    ``alone``: no other job may be in the worker meanwhile, since one of these may be what workers die of.
+    ``alone``: no other job may be in the worker meanwhile, since a job of this chunk may kill workers.
     """
 
     jobs: tuple[int, ...]
@@ -36,19 +37,19 @@ class Chunk:
 class Deal:
     """Hands out jobs, longest first, until each one is answered or given up.
 
-    Of engines that simulate job after job, chunks shrink towards the end, to single jobs. Of engines that simulate
-    worlds side by side, all chunks are of equal size and mix, and there are as few as busy workers allow: the end of
-    each one runs on a nearly idle device.
+    For engines that simulate job after job, chunks shrink towards the end, down to single jobs. For engines that
+    simulate worlds side by side, all chunks have equal size and a similar mix. There are as few chunks as busy workers
+    allow, since the end of each chunk runs on a nearly idle device.
 
-    A first death may come from outside, so the jobs of a dead worker are dealt again as any others. Those of a second
-    death wait until no others are left and run in small pieces, √n each, and after another death one by one. A job that
-    was alone in a worker when that died is given up.
+    A first death may have an outside cause, so the jobs of the dead worker are dealt again like other jobs. After a
+    second death its jobs wait until no other jobs are left. Then they run in small pieces of √n jobs, and after another
+    death one by one. A job that was alone in a worker when the worker died is given up.
 
     Args:
         costs: (n,) expected time of each job, in any unit.
         slots: chunks that are simulated at the same time, over all workers.
-        group: most jobs of a chunk of an engine that simulates worlds side by side; None: job after job.
-        least: fewer jobs than this are not divided among workers that simulate side by side.
+        group: most jobs of a chunk, for an engine that simulates worlds side by side; None: it simulates job after job.
+        least: with ``group``, fewer jobs than this are not divided among workers.
         deadly: jobs that are known to have been alone in a worker that died.
     """
 
@@ -72,7 +73,7 @@ class Deal:
         return self._group is None and len(self._pending) > PLENTY * self._slots
 
     def take(self, idle: bool) -> Chunk | None:
-        """The next chunk for a worker; None if there is nothing for it now.
+        """The next chunk for a worker; None if no chunk is due for it now.
 
         Args:
             idle: whether the worker holds no other chunk.
@@ -99,16 +100,16 @@ class Deal:
         return chunk
 
     def answered(self, job: int) -> None:
-        """A job has its outcome.
+        """Record that a job has its outcome.
 
         Raises:
-            KeyError: it has one already, or was never asked.
+            KeyError: the job has an outcome already, or does not exist.
         """
         self.unanswered.remove(job)
 
     def died(self, held: Iterable[Chunk]) -> list[int]:
-        """A worker has died with some chunks. Their unanswered jobs wait again, except those that are returned, which
-        are given up."""
+        """Record that a worker has died with these chunks. Their unanswered jobs wait again, except the given-up ones,
+        which are returned."""
         given_up = []
         again: list[int] = []
         twice: list[int] = []
@@ -129,7 +130,7 @@ class Deal:
         return given_up
 
     def put_back(self, held: Iterable[Chunk]) -> None:
-        """A worker has died with some chunks before it simulated any of them. Their jobs wait again."""
+        """Record that a worker has died before it simulated any of these chunks. Their jobs wait again."""
         for chunk in held:
             left = self._left(chunk)
             if chunk.alone:
@@ -138,7 +139,7 @@ class Deal:
                 self._wait_again(left)
 
     def _left(self, chunk: Chunk) -> list[int]:
-        """Jobs of a chunk that are not answered."""
+        """Unanswered jobs of a chunk."""
         return [job for job in chunk.jobs if job in self.unanswered]
 
     def _wait_again(self, jobs: list[int]) -> None:

@@ -1,4 +1,4 @@
-"""What runs in a worker's process: an engine, and how its outcomes come back. It works without Ray, too."""
+"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. It also works without Ray."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 REPORT_S = 0.2
-"""Time between two reports of a chunk: each costs the driver a millisecond."""
+"""Time between two reports of a chunk, s. Each report costs the driver a millisecond."""
 
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """What a worker says when it is ready; ``error`` if its engine cannot be built here."""
+    """A worker's first answer, when it is ready. ``error``: why its engine cannot be built here."""
 
     pid: int
     host: str
@@ -43,7 +43,7 @@ class WorkerReady:
 
 @dataclass
 class Report:
-    """What is new of a chunk: outcomes, the progress since its beginning, and the exception that ended it."""
+    """News of a chunk: new outcomes, the progress since its beginning, and the exception that ended it."""
 
     outcomes: list[Outcome]
     progress: Progress
@@ -62,13 +62,13 @@ class Worker:
     """Builds an engine once and runs chunks of jobs on it. Several chunks may run in threads side by side.
 
     Args:
-        threads: of its engine, as it says them.
-        lookers: processes that look at the outcomes of large chunks beside it, of which one runs at a time.
-        thorough: it says that it is ready when its engine is built. Else, for ``mjx-warp`` alone, that is done in a
-            thread while the first jobs are made and sent: it takes seconds.
+        threads: threads of its engine; None: the engine's default.
+            lookers: processes that check the outcomes of large chunks; one large chunk runs at a time.
+            thorough: whether the worker is ready only when its engine is built. Else, for ``mjx-warp`` alone, a thread
+                builds the engine, which takes seconds, while the first jobs are made and sent.
 
-    Everything goes as pickled bytes: what came through Ray's store of objects would be read-only, and would hold the
-    store's memory.
+        All data are pickled bytes. Objects from Ray's object store would be read-only, and would hold the store's
+        memory.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Worker:
         self._built: Future[Engine] = Future()
 
     def hello(self) -> bytes:
-        """Build the engine, or begin to, where nothing speaks against it."""
+        """Build the engine, or begin to build it, unless something prevents it."""
         error: BaseException | None = None
         device = ""
         try:
@@ -100,7 +100,7 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Build the engine, and start what a GPU needs beside it. Whatever is in the way is not for a stand-in."""
+        """Build the engine, and start what a GPU needs beside it. No fallback takes over if this fails."""
         name = self._recipe.name
         try:
             if name == "mjx-warp":
@@ -112,7 +112,7 @@ class Worker:
             self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
-        """Run a pickled (jobs, sim); yield pickled reports, whose outcomes are looked at and count jobs from 0."""
+        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked, and count jobs from 0."""
         jobs, sim = pickle.loads(chunk)
         lookers = self._lookers_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
@@ -126,13 +126,14 @@ class Worker:
             outcomes = _checked_outcomes(new_outcomes, jobs, sim, lookers, wait=not going)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
-                # a copy: the engine writes into it meanwhile
+                # a copy, since the engine writes into ``extra`` meanwhile
                 so_far = replace(progress, extra=dict(progress.extra))
                 yield pickle.dumps(Report(outcomes, so_far, ended[0] if ended else None))
         runner.join()
 
     def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
-        """Of a large chunk: they stay as long as the worker. Without processes it looks itself."""
+        """The check pool for a chunk. A large chunk gets processes, which stay as long as the worker. Without processes
+        the worker checks outcomes itself."""
         if self._most_lookers == 0 or len(jobs) < LARGE:
             return CheckPool(0)
         self._lookers = self._lookers or CheckPool(self._most_lookers)
@@ -156,7 +157,7 @@ class Worker:
 
 
 def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], bool]:
-    """The outcomes of the next moments, and whether there may be more."""
+    """The outcomes that arrive within ``REPORT_S``, and whether more may follow."""
     outcomes: list[Outcome] = []
     until = time.monotonic() + REPORT_S
     while (left := until - time.monotonic()) > 0:
@@ -173,10 +174,10 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
 def _checked_outcomes(
     outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, lookers: CheckPool[None], *, wait: bool
 ) -> list[Outcome]:
-    """Give outcomes to be looked at, some at a time, and take those that have been.
+    """Hand outcomes to the check pool, some at a time, and take checked ones.
 
     Args:
-        wait: for all of them.
+        wait: whether to wait for all outcomes.
     """
     keyed_outcomes: list[tuple[None, Outcome]] = []
     for first in range(0, len(outcomes), MOST_TOGETHER):
@@ -188,7 +189,7 @@ def _checked_outcomes(
 
 
 def _sendable(error: BaseException) -> BaseException:
-    """The exception, or one with its text where it cannot be pickled."""
+    """The exception, or one with its text if it cannot be pickled."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

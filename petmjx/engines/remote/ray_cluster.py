@@ -1,4 +1,4 @@
-"""Starts Ray on this machine or joins a cluster, and leaves the process as it was."""
+"""Starts Ray on this machine or joins a cluster, and restores the process's settings afterwards."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from petmjx.engines.remote.worker_resources import Node
 from petmjx.options.run_options import AUTO
 
 LONGEST_TEMPORARY = 24
-"""Longest name of a folder for temporary files, bytes. Below it Ray makes sockets, whose names may have 107."""
+"""Longest path of a folder for temporary files, bytes. Ray makes sockets in it, whose paths may have 107 bytes."""
 
 REACH_S = 10.0
 """Longest time to reach the head of a cluster, s."""
 
 END_S = 5.0
-"""Longest time that the end of this process waits for Ray's, s. That takes a minute if a signal has ended Ray's
+"""Longest time that the end of this process waits for the end of Ray, s. Ray takes a minute if a signal has ended its
 processes while they started."""
 
 _OF_RAY = ("RAY_", "PYTHONBREAKPOINT")
@@ -44,21 +44,21 @@ _HTTP2_SETTINGS = b"\x00\x00\x00\x04"
 """The beginning of a frame of settings: three bytes of length and its type."""
 
 _HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
-"""What a client says first, with an empty frame of settings."""
+"""A client's first bytes, with an empty frame of settings."""
 
 _SIGACTION_BYTES = 1024
-"""More than C's ``struct sigaction`` has on any system."""
+"""At least the size of C's ``struct sigaction`` on any system."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
-"""Ray's variable for lines that it does not print; it is read when the package is imported."""
+"""Ray's variable for lines that it does not print. Ray reads it when the package is imported."""
 
 
 def import_ray() -> Any:
-    """The package Ray. Imported here first, it does not tell of workers that died on standard output, where only
-    results belong.
+    """The package Ray. If it is first imported here, it does not report dead workers on standard output, which is only
+    for results.
 
     Raises:
-        EngineUnavailable: it is not installed, or cannot be imported.
+        EngineUnavailable: Ray is not installed, or cannot be imported.
     """
     try:
         with _restored_process():
@@ -72,7 +72,7 @@ def import_ray() -> Any:
 
 @contextmanager
 def _restored_process() -> Iterator[None]:
-    """Takes back what Ray changes in the process: variables, ``sys.excepthook``, the level of its logger."""
+    """Restores what Ray changes in the process: environment variables, ``sys.excepthook``, the level of its logger."""
     environment = {name: value for name, value in os.environ.items() if name.startswith(_OF_RAY)}
     hook, logger = sys.excepthook, logging.getLogger("ray")
     level = logger.level
@@ -88,8 +88,8 @@ def _restored_process() -> Iterator[None]:
 
 @contextmanager
 def _restored_sigterm() -> Iterator[None]:
-    """Puts back what the process does at SIGTERM: Ray's native code ends it with a list of addresses, or, once Ray has
-    ended, without a word. Python itself can do it in the main thread alone, which may be reading plans."""
+    """Restores the handling of SIGTERM. Ray's native handler ends the process with a list of addresses, or, once Ray
+    has ended, silently. Python itself can set handlers only in the main thread, which may be busy reading plans."""
     libc, kept = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
     libc.sigaction(int(signal.SIGTERM), None, kept)
     try:
@@ -101,28 +101,28 @@ def _restored_sigterm() -> Iterator[None]:
 class _LocalRay:
     """A Ray that this process starts or joins, and the thread that starts and ends it.
 
-    In the main thread Ray would take over SIGTERM, and turn what a handler of signals raises into a bare
-    KeyboardInterrupt. The thread lives as long as Ray: with it Ray's processes die.
+    In the main thread Ray would take over SIGTERM, and turn exceptions of signal handlers into a bare
+    KeyboardInterrupt. The thread lives as long as Ray, since Ray's processes die with it.
 
     Args:
-        address: of a cluster's head; None: on this machine alone.
+        address: address of a cluster's head; None: a new Ray on this machine alone.
     """
 
     def __init__(self, ray: Any, address: str | None) -> None:
         self.address, self.users = address, 0
         self._ray = ray
         self._folder: Path | None = None
-        """Its temporary files, if it runs on this machine alone."""
+        """Folder of Ray's temporary files, if it runs on this machine alone."""
         self._started: Future[None] = Future()
         self._enough = threading.Event()
         self._thread = threading.Thread(target=self._live, name="petmjx-ray", daemon=True)
         self._thread.start()
 
     def wait_until_started(self) -> None:
-        """Wait for it. If that is interrupted, it ends when it has started.
+        """Wait until Ray has started. If the wait is interrupted, Ray ends as soon as it has started.
 
         Raises:
-            InputError: there is no cluster.
+            InputError: there is no cluster at the address.
             EngineUnavailable: Ray does not start.
         """
         try:
@@ -132,15 +132,15 @@ class _LocalRay:
             raise
 
     def end(self) -> None:
-        """Stop Ray or leave the cluster, when it has started. Returns at once."""
+        """Stop Ray or leave the cluster, once it has started. Returns at once."""
         self._enough.set()
 
     def wait_until_ended(self) -> None:
-        """Wait for it."""
+        """Wait until Ray has ended."""
         self._thread.join()
 
     def _live(self) -> None:
-        # a process that ends meanwhile waits; Ray's own function for its end was registered before, so it comes later
+        # A process that ends meanwhile must wait. Ray's own exit function was registered earlier, so it runs later.
         atexit.register(self._end_with_process)
         try:
             self._start()
@@ -163,8 +163,8 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # its processes die with this one
-            atexit.unregister(self._ray.shutdown)  # would wait, too
+        if self._thread.is_alive():  # Ray's processes die with this one
+            atexit.unregister(self._ray.shutdown)  # this would wait, too
             self._remove_folder()
 
     def _start(self) -> None:
@@ -179,7 +179,7 @@ class _LocalRay:
             _check_reachable(self.address)
             how |= {"address": self.address}
         with _restored_process(), _restored_sigterm(), warnings.catch_warnings():
-            # JAX warns of every fork once it has started; Ray's are followed by an exec
+            # once started, JAX warns of every fork; Ray's forks are harmless, since an exec follows
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
             logging.getLogger("ray").setLevel(logging.CRITICAL)
@@ -195,15 +195,15 @@ class _LocalRay:
 
 
 def _end_monitor() -> None:
-    """Kill what adds machines to a cluster, if this process has started it. Ray would ask it to end, which it does not
-    hear, and wait for a second."""
-    with suppress(Exception):  # not of Ray's documented interface: then it takes the second
+    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray would ask it to end,
+    get no reaction, and wait for a second."""
+    with suppress(Exception):  # not Ray's documented interface; on failure the end takes a second longer
         importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 
 
 def _check_reachable(address: str) -> None:
-    """Raises InputError if no head listens there: Ray itself would ask again and again without an end, and no signal
-    would end it. A head speaks HTTP/2 (RFC 9113): to an empty frame of settings it answers with its own."""
+    """Raises InputError if no head listens at the address. Ray itself would retry for ever, and no signal would stop
+    it. A head speaks HTTP/2 (RFC 9113): it answers an empty frame of settings with its own settings."""
     host, _, port = address.rpartition(":")
     if address == AUTO:
         return
@@ -222,7 +222,7 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """A user of the cluster of this process: Ray has one a process. The last user to close it ends it.
+    """A user of this process's cluster. Ray allows one cluster a process. The last user to close it ends it.
 
     Where the caller's own program has started Ray, that cluster is used and stays.
 
@@ -237,7 +237,7 @@ class Cluster:
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """What this process has started or joined last. Without users it is ending."""
+    """The Ray that this process has started or joined last. Without users it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
@@ -245,7 +245,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # one at a time: what another thread's import has just set would be put back as if it had been there before
+            # one thread at a time: else settings of another thread's import would be restored as if they were the
+            # process's own
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)
@@ -263,8 +264,8 @@ class Cluster:
         return [Node(int(resource.get("CPU", 0)), int(resource.get("GPU", 0))) for resource in resources]
 
     def check(self) -> None:
-        """Raises PetmjxError if the Ray that this process has started is dead: nothing starts it again. The machines of
-        a cluster may come back."""
+        """Raises PetmjxError if the Ray that this process has started is dead, since nothing restarts it. Machines of a
+        cluster may come back."""
         if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(
                 "Ray died on this machine (out of memory?); finished work is kept, continue with "
@@ -272,7 +273,7 @@ class Cluster:
             )
 
     def leave(self) -> None:
-        """This user needs it no more. Returns at once, though the last user's cluster takes a second or two to end."""
+        """Stop using the cluster. Returns at once; after the last user the cluster takes a second or two to end."""
         with Cluster._lock:
             uses, self._uses = self._uses, False
             if uses and self._ours is not None:
@@ -281,7 +282,7 @@ class Cluster:
                     self._ours.end()
 
     def close(self) -> None:
-        """The same, and wait until it has ended, if it ends."""
+        """Stop using the cluster, and wait for its end if this was the last user."""
         self.leave()
         if self._ours is not None and not self._ours.users:
             self._ours.wait_until_ended()

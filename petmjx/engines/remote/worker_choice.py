@@ -1,4 +1,5 @@
-"""The workers of a run: joins the cluster, chooses the engine, and starts the pool, while plans are read if it can."""
+"""Chooses and starts the workers of a run: joins the cluster, chooses the engine, and starts the pool, if possible
+while plans are read."""
 
 from __future__ import annotations
 
@@ -18,16 +19,16 @@ from petmjx.engines.subprocess.check_pool import max_check_processes
 from petmjx.options.run_options import AUTO, RunOptions
 
 Begun = tuple[Cluster, WorkerPool | None]
-"""A cluster, and the pool that uses it, if that has been started."""
+"""A cluster, and the pool that uses it, if one has been started."""
 
 
 class WorkerStartup:
-    """Workers that start in a thread while plans are read: the cluster, and the pool if its engine can be known.
+    """Starts workers in a thread while plans are read: the cluster, and the pool if its engine is known early.
 
-    They are either taken or given up.
+    The caller either takes the workers or gives them up.
 
     Args:
-        worth_gpus: whether ``auto`` will take the GPUs that a cluster has.
+        worth_gpus: whether ``auto`` will use the GPUs of a cluster.
     """
 
     def __init__(self, options: RunOptions, *, worth_gpus: bool) -> None:
@@ -39,7 +40,7 @@ class WorkerStartup:
         self._thread.start()
 
     def take(self) -> Begun:
-        """What has been started. The caller closes it.
+        """The started cluster and pool. The caller closes them.
 
         Raises:
             InputError, EngineUnavailable: as ``resolve_workers``.
@@ -52,7 +53,7 @@ class WorkerStartup:
             self._decided.set()
 
     def give_up(self) -> None:
-        """End what has been started. Returns at once; a process that ends meanwhile waits for it."""
+        """End the started cluster and pool. Returns at once; a process that ends meanwhile waits for this."""
         self._decided.set()
 
     def _live(self) -> None:
@@ -65,11 +66,11 @@ class WorkerStartup:
         atexit.unregister(self._end_with_process)
 
     def _settle(self) -> None:
-        """Wait until they are taken or given up."""
+        """Wait until the workers are taken or given up."""
         self._decided.wait()
         if not self._taken:
             cluster, pool = self._begun.result()
-            with suppress(Exception):  # nobody would hear of it
+            with suppress(Exception):  # nobody would get the error
                 (pool or cluster).close()
 
     def _end_with_process(self) -> None:
@@ -79,7 +80,7 @@ class WorkerStartup:
 
     def _begin(self) -> Begun:
         cluster = _run_cluster(self._options)
-        # if the process ends now, this thread stops using Ray before that is ended
+        # if the process ends now, this thread stops using Ray before Ray ends
         atexit.register(self._end_with_process)
         try:
             name = None if self._decided.is_set() else self._engine(cluster.nodes)
@@ -89,7 +90,7 @@ class WorkerStartup:
             raise
 
     def _engine(self, nodes: list[Node]) -> str | None:
-        """The engine of the run, if that is known before its plans are."""
+        """The engine of the run, if it is known before the plans are."""
         if self._options.engine != AUTO:
             return str(self._options.engine)
         return "mjx-warp" if self._worth_gpus and _why_no_gpu(self._options, nodes) is None else None
@@ -101,7 +102,7 @@ def resolve_workers(
     """The pool of a run with workers, and why its engine was chosen: ``auto`` counts the CPUs and GPUs of the cluster.
 
     Args:
-        ahead: what has been started already for these options.
+        ahead: the startup that has begun for these options.
 
     Raises:
         InputError: unusable options, no cluster at the address, or more workers than it has room for.
@@ -130,7 +131,7 @@ def _run_cluster(options: RunOptions) -> Cluster:
 
 
 def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> tuple[str, str, float | None]:
-    """The engine's name, why, and the expected time in s."""
+    """The engine's name, the reason for it, and the expected time, s."""
     workers, engine = options.asked_workers, str(options.engine)
     assert workers is not None
     threads = sum(node.cpus for node in nodes)
@@ -159,7 +160,7 @@ def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
-    """A pool whose workers begin to start."""
+    """A pool whose workers begin to start at once."""
     assert options.asked_workers is not None
     limits = options_of(name, options)
     worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
@@ -167,6 +168,6 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
         limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
     elif name == "mjx-warp-cpu":
         limits["threads"] = min(place.cpus for place in worker_places)
-    # on CPUs all threads simulate
+    # on CPUs all threads simulate, and none checks outcomes
     threads = threads_beside(cluster.nodes, len(worker_places)) if name == "mjx-warp" else 0
     return WorkerPool(Recipe(name, limits), worker_places, cluster, max_check_processes(threads))

@@ -1,4 +1,5 @@
-"""An engine whose jobs run in the workers of a cluster: deals chunks, gathers outcomes, replaces workers that die."""
+"""An engine whose jobs run in the workers of a cluster: it deals chunks, gathers outcomes, and replaces dead
+workers."""
 
 from __future__ import annotations
 
@@ -27,17 +28,18 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S = 0.25
-"""Longest wait for news, s: a signal is noticed after it, and progress is brought up to date."""
+"""Longest wait for news, s. After each wait signals are noticed and progress is updated."""
 
 START_S = 30.0
-"""Time that the first worker is waited for while the engine is made, s: what it cannot do at all is then known before a
-run begins. A cluster that is busy may need longer; then the run begins, and waits."""
+"""Longest wait for the first worker while the engine is made, s. So an engine that cannot run here is known before a
+run begins. A busy cluster may need longer; then the run begins, and waits."""
 
 FALSE_STARTS = 3
-"""So many workers in a row that do not get ready end the run, or the attempts to replace one that died."""
+"""Number of workers in a row that fail to get ready after which the run ends, or the attempts to replace a dead worker
+end."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""Fewer jobs than this are not divided among the workers of these engines: a device takes as long for a few worlds as
+"""Fewer jobs than this are not divided among the workers of these engines. A device takes as long for a few worlds as
 for many."""
 
 _HIGHEST = (" lanes", " contacts")
@@ -46,7 +48,7 @@ _HIGHEST = (" lanes", " contacts")
 
 @dataclass(eq=False)
 class _Stream:
-    """A chunk in a worker, and the progress of it that is counted already."""
+    """A chunk in a worker, and the part of its progress that is counted already."""
 
     chunk: Chunk
     counted: Progress = field(default_factory=Progress)
@@ -57,10 +59,10 @@ class _Hand:
     """A worker.
 
     Attributes:
-        hello: its first answer, until that is there.
-        working: its engine is there: it was built before the first answer, or has reported.
-        streams: the reports of its chunks, as Ray gives them.
-        said: its last message.
+        hello: Ray's reference of its first answer; None once it has arrived.
+        working: whether its engine exists: it was built before the first answer, or has reported.
+        streams: Ray's streams of reports, one for each of its chunks.
+        said: its last progress message.
     """
 
     place: Place
@@ -77,7 +79,7 @@ class _Hand:
         return self.hello is None
 
     def has_room(self, plenty: bool) -> bool:
-        """Whether it can be given another chunk."""
+        """Whether the worker can take another chunk."""
         if not self.ready or any(stream.chunk.alone for stream in self.streams.values()):
             return False
         return len(self.streams) < self.place.slots * (2 if plenty else 1)
@@ -90,9 +92,9 @@ class WorkerPool(Engine):
     :meth:`close`.
 
     Args:
-        places: of the workers, one each. They begin to start at once.
+        places: the places of the workers, which begin to start at once.
         cluster: used until :meth:`close`, which closes it.
-        lookers: processes beside each worker (petmjx/engines/subprocess/check_pool.py).
+        lookers: check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
     """
 
     looks = True
@@ -101,7 +103,7 @@ class WorkerPool(Engine):
         self.name = recipe.name
         self._recipe, self._cluster, self._ray, self._lookers = recipe, cluster, cluster.ray, lookers
         self._running = RunLock(self.name)
-        # As `_Ours.thread`: what a handler of signals raises while Ray waits in the main thread would be lost.
+        # As in `_LocalRay`: if Ray waited in the main thread, exceptions of signal handlers would be lost.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="petmjx-workers")
         self._hands: list[_Hand] = []
         self._devices: dict[str, None] = {}
@@ -129,12 +131,12 @@ class WorkerPool(Engine):
 
     @property
     def device(self) -> str:
-        """The number of workers and the names of the devices that they have said they have."""
+        """The number of workers, and the names of the devices that they have reported."""
         return ": ".join(filter(None, (count_text(self.size, "worker"), ", ".join(self._devices))))
 
     @property
     def pids(self) -> list[int]:
-        """Processes of the workers that are ready, on their machines."""
+        """Process ids of the ready workers, on their machines."""
         return [hand.pid for hand in self._hands if hand.ready]
 
     def dismiss(self) -> None:
@@ -148,7 +150,7 @@ class WorkerPool(Engine):
         try:
             self.dismiss()
         finally:
-            self._thread.shutdown()  # after an interruption it may still ask for news, which would hang where Ray ends
+            self._thread.shutdown()  # after an interruption it may still wait for news, which would hang when Ray ends
             self._cluster.leave()
 
     def close(self) -> None:
@@ -179,7 +181,7 @@ class WorkerPool(Engine):
         self._hands += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        # engines of others that run in workers are taken for MJX engines, whose base class they are told to use
+        # third-party engines in workers count as MJX engines, whose base class they should use
         group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
         least = LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
@@ -202,7 +204,7 @@ class WorkerPool(Engine):
                         self._greet(hand, ref)
                         continue
                     if ref not in hand.streams:
-                        continue  # it was lost a moment ago, with another chunk of its worker
+                        continue  # lost a moment ago, with another chunk of its worker
                     report = self._next_report(ref)
                     if isinstance(report, Report):
                         hand.working = True
@@ -216,7 +218,7 @@ class WorkerPool(Engine):
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
         finally:
-            for hand in [hand for hand in self._hands if hand.streams]:  # what still runs there is for nobody
+            for hand in [hand for hand in self._hands if hand.streams]:  # their remaining chunks are not needed
                 self._hands.remove(hand)
                 self._kill(hand)
 
@@ -236,7 +238,7 @@ class WorkerPool(Engine):
         self._ray.kill(hand.actor)
 
     def _news(self) -> list[tuple[_Hand, Any]]:
-        """Workers with news, and what their news come from: their first answer, or the stream of a chunk."""
+        """Workers with news, and the source of each news: the first answer, or the stream of a chunk."""
         owner = {ref: hand for hand in self._hands for ref in (hand.hello, *hand.streams) if ref is not None}
 
         def wait() -> list[Any]:
@@ -246,7 +248,7 @@ class WorkerPool(Engine):
         return [(owner[ref], ref) for ref in self._thread.submit(wait).result()]
 
     def _greet(self, hand: _Hand, ref: Any) -> None:
-        """A worker's first answer; or it has died before."""
+        """Handle a worker's first answer, or its death before that."""
         try:
             hello: WorkerReady = pickle.loads(self._thread.submit(self._ray.get, ref).result())
         except self._ray.exceptions.RayError as death:
@@ -267,11 +269,11 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
-        """A worker has not come up. In place of one that died, on a device that may be broken, three are tried; if
-        there are others, the run goes on with them.
+        """Handle a worker that failed to start. To replace a dead worker, whose device may be broken, three workers are
+        tried; if they fail, the run goes on with the remaining workers.
 
         Args:
-            error: raised if there are no others, or none has died, after ``most`` tries.
+            error: raised after ``most`` tries if no other workers are left, or if no worker has died.
         """
         self._false_starts += 1
         spare = self._deaths > 0 and any(hand.ready for hand in self._hands)
@@ -288,7 +290,7 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes of the jobs that are given up: none if its engine was not there."""
+        """Replace a dead worker. Yields outcomes of the given-up jobs; none if its engine did not exist yet."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)
@@ -306,7 +308,7 @@ class WorkerPool(Engine):
     # Chunks.
 
     def _hand_out(self, deal: Deal, jobs: Sequence[Job], sim: Simulation) -> None:
-        """Give chunks to workers, one each in turn, while there are chunks and room."""
+        """Give chunks to workers, one each in turn, while chunks and room are left."""
         waiting = deque(sorted(self._hands, key=lambda hand: len(hand.streams)))
         while waiting:
             hand = waiting.popleft()
@@ -317,7 +319,7 @@ class WorkerPool(Engine):
                 waiting.append(hand)
 
     def _next_report(self, ref: Any) -> Report | Exception | None:
-        """The next report of a chunk; None at its end; the error if the worker is lost."""
+        """The next report of a chunk; None at the chunk's end; the error if the worker is lost."""
         try:
             item = self._thread.submit(lambda: self._ray.get(ref_of) if (ref_of := next(ref, None)) else None).result()
             report: Report | None = pickle.loads(item) if item is not None else None
@@ -354,7 +356,7 @@ class WorkerPool(Engine):
             raise report.error
 
     def _message(self, seconds: float) -> str:
-        """What the workers do, in one line."""
+        """A line on what the workers do."""
         waiting = [hand for hand in self._hands if not hand.ready]
         parts = [f"{count_text(self._deaths, 'worker')} died"] if self._deaths else []
         if waiting:

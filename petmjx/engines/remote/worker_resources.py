@@ -1,4 +1,4 @@
-"""How many workers a cluster gets, and what each of them takes. Nothing here knows Ray."""
+"""The number of workers on a cluster, and the CPUs and GPUs of each. Independent of Ray."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from petmjx.common.text import count_text
 from petmjx.options.run_options import AUTO
 
 MOST_SHARING = 4
-"""Most workers of a GPU. Each has a context, tables and buffers of its own in its memory. In sweeps of small worlds
-four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
+"""Most workers that share a GPU. Each has a context, tables and buffers of its own in the GPU's memory. In sweeps of
+small worlds four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
 
 PARTS = 10_000
-"""Ray counts a GPU in so many parts."""
+"""Number of parts into which Ray divides a GPU."""
 
 
 @dataclass(frozen=True)
 class Node:
-    """What one machine of a cluster has."""
+    """The resources of one machine of a cluster."""
 
     cpus: int
     gpus: int = 0
@@ -27,12 +27,12 @@ class Node:
 
 @dataclass(frozen=True)
 class Place:
-    """What one worker takes.
+    """The resources of one worker.
 
     Attributes:
-        cpus: of one node.
-        gpus: of that node, or the share of one GPU.
-        slots: chunks of jobs that it simulates side by side: the threads of ``mujoco``; MJX engines have one.
+        cpus: CPUs of one node.
+        gpus: GPUs of that node, or the share of one GPU.
+        slots: chunks that the worker simulates side by side: the number of threads on ``mujoco``, one on MJX engines.
     """
 
     cpus: int
@@ -44,13 +44,13 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     """The places of all workers.
 
     Args:
-        workers: their number; ``auto``: one for each GPU, or else one for each node, with all its CPUs. If there are
-            more workers than GPUs, as many share each GPU.
-        threads: of each worker of ``mujoco``; None: its share of the CPUs.
+        workers: number of workers; ``auto``: one for each GPU, or else one for each node, with all its CPUs. If there
+            are more workers than GPUs, each GPU is shared by the same number of workers.
+            threads: threads of each worker of ``mujoco``; None: its share of the CPUs.
 
-    Raises:
-        InputError: the cluster can never place so many, or not as many on each GPU.
-        EngineUnavailable: the engine needs a GPU, and there is none.
+        Raises:
+            InputError: the cluster has no room for the workers, or cannot place equally many on each GPU.
+            EngineUnavailable: the engine needs a GPU, and the cluster has none.
     """
     gpus = sum(node.gpus for node in nodes)
     if engine == "mjx-warp" or (engine == "mjx-jax" and gpus):
@@ -59,8 +59,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         if why := why_no_gpus(nodes, workers):
             raise InputError(f"workers: {why}")
         number = gpus if workers == AUTO else int(workers)
-        # Whole parts, rounded down: so many fit into a GPU, and not one more. All GPUs are then full, whichever of them
-        # Ray takes first.
+        # In whole parts, rounded down: then exactly this number of workers fits into a GPU. All GPUs get full,
+        # whichever Ray takes first.
         share = PARTS // _sharing(gpus, number) / PARTS
         return [Place(cpus=1, gpus=share)] * number
     if workers == AUTO:
@@ -78,10 +78,10 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
-    """Why the GPUs cannot be divided among so many workers, in a few words; None if they can.
+    """Why the GPUs cannot be divided among this number of workers, in a few words; None if they can.
 
-    A worker takes a whole GPU, or the same share as all others do: with shares of two sizes Ray might leave no room for
-    the last one, and with GPUs that are not full it would rather fill one than use them all.
+    A worker takes a whole GPU, or the same share as all other workers. With shares of two sizes Ray might leave no room
+    for the last worker. If GPUs did not get full, Ray would fill one GPU instead of using them all.
     """
     gpus = sum(node.gpus for node in nodes)
     if not gpus:
@@ -100,19 +100,18 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
 
 
 def threads_beside(nodes: Sequence[Node], workers: int) -> int:
-    """The fewest CPU threads that each of so many workers with GPUs has, where a machine has as many of them as its
-    GPUs have room for."""
+    """The fewest CPU threads of a worker, if each machine has as many workers as its GPUs have room for."""
     per_gpu = _sharing(sum(node.gpus for node in nodes), workers)
     return min(node.cpus // min(per_gpu * node.gpus, workers) for node in nodes if node.gpus)
 
 
 def _sharing(gpus: int, workers: int) -> int:
-    """How many workers share the GPU that has most of them."""
+    """The largest number of workers that share a GPU."""
     return -(-workers // gpus)
 
 
 def _share(nodes: Sequence[Node], workers: int) -> int:
-    """The most CPUs with which so many workers fit, each of them on one node; at least 1."""
+    """The most CPUs per worker with which this number of workers fits, each on one node; at least 1."""
     most = max(sum(node.cpus for node in nodes) // workers, 1)
     return next((share for share in range(most, 1, -1) if sum(node.cpus // share for node in nodes) >= workers), 1)
 

@@ -1,1 +1,2 @@
-"""Further attempts at single worlds, in a process of their own beside the run: on CPU threads, while a GPU goes on."""
+"""Processes beside a run: further attempts at single worlds on CPU threads while a GPU goes on, and checks of
+outcomes."""

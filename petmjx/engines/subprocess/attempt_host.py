@@ -1,4 +1,4 @@
-"""Tasks for the process beside a run, and their answers: the side of the run."""
+"""The run's side of the attempt process: it sends tasks and receives answers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from petmjx.engines.subprocess.attempt_process import READY, Answer, Task
 from petmjx.engines.subprocess.task_pipe import Child
 
 LOOK_S: Final = 0.25
-"""Longest wait for an answer, s: a signal is noticed after it."""
+"""Longest wait for an answer, s. After each wait signals are noticed."""
 
 
 class SideSimulator(Protocol):
@@ -24,23 +24,22 @@ class SideSimulator(Protocol):
         """Simulate a world. Returns at once."""
 
     def ended(self, *, wait: bool) -> Iterator[Answer]:
-        """The answers that have come, each once.
+        """The answers that have arrived; each is given once.
 
         Args:
-            wait: for one at least, if a task is unanswered.
+            wait: whether to wait for at least one answer, if a task is unanswered.
         """
         ...
 
     def close(self) -> None:
-        """Nothing is asked any more. What is unanswered is for nobody."""
+        """End the simulator. Unanswered tasks are dropped."""
 
 
 class SubprocessSimulator:
-    """Worlds in a process of their own, which starts with the first one.
+    """Simulates worlds in a separate process, which starts with the first task.
 
-    Tasks that a process leaves unanswered when it dies are answered without an outcome. The next task starts another
-    one.
-    Processes that have nothing to do are kept for the next user, since each has to load JAX, Warp and the kernel.
+    If the process dies, its unanswered tasks are answered without an outcome, and the next task starts a new process.
+    Idle processes are kept for the next user, since a new one has to load JAX, Warp and the kernel.
     """
 
     def __init__(self) -> None:
@@ -48,7 +47,7 @@ class SubprocessSimulator:
         self._unanswered: set[int] = set()
 
     def begin(self, task: Task) -> None:
-        """As in the protocol."""
+        """See ``SideSimulator.begin``."""
         if self._process is None:
             self._process = _idle_child()
         self._unanswered.add(task.number)
@@ -58,7 +57,7 @@ class SubprocessSimulator:
             self._process.answers.put(Answer(task.number, None, one_line(error)))
 
     def ended(self, *, wait: bool) -> Iterator[Answer]:
-        """As in the protocol."""
+        """See ``SideSimulator.ended``."""
         while self._unanswered:
             assert self._process is not None
             try:
@@ -79,7 +78,7 @@ class SubprocessSimulator:
                 yield Answer(number, None, "the process beside the run died")
 
     def close(self) -> None:
-        """As in the protocol."""
+        """See ``SideSimulator.close``."""
         process, self._process = self._process, None
         if process is None:
             return
@@ -90,11 +89,11 @@ class SubprocessSimulator:
 
 
 _IDLE: Final[dict[int, list[Child]]] = {}
-"""Processes that have nothing to do, by the process that has started them: a fork of it must not use them, too."""
+"""Idle processes, by the id of the process that has started them. A fork of that process must not use them."""
 
 
 def _idle_child() -> Child:
-    """One that has nothing to do, or a new one."""
+    """An idle process, or a new one."""
     idle = _IDLE.get(os.getpid(), [])
     while idle:
         process = idle.pop()

@@ -1,7 +1,7 @@
-"""What runs in the process beside a run: engines of one thread each, and tasks from a pipe.
+"""The code of the attempt process beside a run: it takes tasks from a pipe and runs them on engines of one thread each.
 
-The process has no GPU, so that JAX and Warp work on its CPU whatever they do in the process of the run. It ends when
-the pipe does, with the process that started it.
+The process has no GPU. So JAX and Warp use the CPU here, even if they use a GPU in the run's process. It ends when the
+pipe ends, and so with the process that started it.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 NICE = 5
-"""How much later its threads come than those of the run, which keep a GPU at work."""
+"""Niceness of its threads, below the run's threads, which keep a GPU busy."""
 
 GRANULE = 96
-"""Tables have room for a multiple of so many boxes: single worlds of nearly all sizes use the same programs."""
+"""Box columns of tables are a multiple of this, so that single worlds of nearly all sizes use the same programs."""
 
 _BUILDING = threading.Lock()
-"""The first engine starts JAX and Warp."""
+"""Held while an engine is built, since the first engine starts JAX and Warp."""
 
 
 READY = -1
-"""Number of a task whose answer nobody needs: after it an engine is compiled."""
+"""Number of a task whose answer is not needed. It only makes an engine compile."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A world to simulate, on an engine of this name. ``sim`` and ``job`` are as an engine takes them."""
+    """A world to simulate on the engine of this name. ``sim`` and ``job`` are arguments of ``Engine.run``."""
 
     number: int
     engine: str
@@ -49,7 +49,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """The outcome of a task; None where there is none, with why, in one line."""
+    """The outcome of a task, or None and the reason in one line."""
 
     number: int
     outcome: Outcome | None
@@ -74,11 +74,11 @@ def main() -> None:
     pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-beside")
     while (task := next_of(tasks)) is not None:
         pool.submit(answer, task)
-    os._exit(0)  # whatever still runs is for nobody
+    os._exit(0)  # running tasks are not needed any more
 
 
 def _answer(task: Task, engines: dict[str, Engine]) -> Answer:
-    """Simulate a world, on one of a thread's engines."""
+    """Simulate a world on one of the thread's engines."""
     try:
         if task.engine not in engines:
             with _BUILDING:

@@ -1,4 +1,5 @@
-"""Looks at outcomes in processes beside a run: of many small worlds the run itself would be slower than a GPU."""
+"""Checks outcomes in processes beside a run. For many small worlds a run that checks them itself would be slower than a
+GPU."""
 
 from __future__ import annotations
 
@@ -19,47 +20,47 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 LARGE: Final = 1000
-"""Worlds that are worth processes beside them."""
+"""Number of worlds from which check processes are worthwhile."""
 
 MOST: Final = 3
-"""Processes. With three the run has more to do itself than each of them."""
+"""Most processes. With three, the run itself is busier than each of them."""
 
 THREADS_EACH: Final = 4
-"""So many CPU threads of a machine are worth one of them."""
+"""CPU threads of a machine for each check process."""
 
 MOST_WAITING: Final = 8
-"""Looks that wait for one of them: with 128 outcomes each, 10 MB."""
+"""Most unanswered checks of a process: with 128 outcomes each they take 10 MB."""
 
 LOOK_S: Final = 0.005
-"""Longest wait for an answer, s: a signal is noticed after it, or that there is something else to do."""
+"""Longest wait for an answer, s. After each wait signals and other work are noticed."""
 
 INTERRUPTED_S: Final = 2.0
-"""After Ctrl-C: how long all of them together are waited for. What is left then is looked at here."""
+"""Longest wait for all processes together after Ctrl-C, s. The rest is then checked in this process."""
 
 HANGS_S: Final = 60.0
-"""A process that is waited for and has not answered for so long hangs, s. It starts in a few seconds, and a look takes
-less than one."""
+"""A process hangs if a wait for its answer takes this long, s. It starts in a few seconds, and a check takes less than
+one."""
 
 Key = TypeVar("Key")
 
 
 def max_check_processes(threads: int) -> int:
-    """Processes beside a run that has so many CPU threads."""
+    """Number of check processes for a run with this number of CPU threads."""
     return min(threads // THREADS_EACH, MOST)
 
 
 @dataclass(eq=False)
 class _CheckProcess(Generic[Key]):
-    """A process, and the looks that it has not answered, with a key for each outcome; it answers them in turn."""
+    """A process and its unanswered checks, with a key for each outcome. It answers checks in order."""
 
     child: Child = field(default_factory=lambda: Child("petmjx.engines.subprocess.check_process"))
     unanswered: deque[tuple[list[Key], Look]] = field(default_factory=deque)
 
 
 class CheckPool(Generic[Key]):
-    """Processes that look at outcomes (``looked_at``). What none of them answers is looked at here.
+    """Processes that check outcomes (``outcome_checks``). Outcomes that no process answers are checked in this process.
 
-    Each outcome has a key, by which the run knows it again.
+    Each outcome has a key, by which the run recognises it.
     """
 
     def __init__(self, processes: int) -> None:
@@ -69,16 +70,16 @@ class CheckPool(Generic[Key]):
 
     @classmethod
     def here(cls) -> CheckPool[Key]:
-        """As many as this machine has CPU threads for."""
+        """A pool with as many processes as this machine's CPU threads allow."""
         return cls(max_check_processes(cpu_threads()))
 
     def hurry(self) -> None:
-        """The run is about to end: wait no longer than a moment, whatever hangs."""
+        """Wait only a moment from now on, since the run is about to end."""
         if self._until_s is None:
             self._until_s = time.monotonic() + INTERRUPTED_S
 
     def _hangs(self, waits: int) -> bool:
-        """Whether a process that was waited for so often takes too long."""
+        """Whether a process hangs, after this number of waits for it."""
         return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
     def exchanged(
@@ -90,12 +91,12 @@ class CheckPool(Generic[Key]):
         wait: bool,
         until: Callable[[], bool] = lambda: False,
     ) -> list[tuple[Key, Outcome]]:
-        """Give outcomes to be looked at, and take those that have been. Nobody may change outcomes meanwhile.
+        """Hand in outcomes to be checked, and take checked ones. Outcomes must not be changed meanwhile.
 
         Args:
             jobs: one for each outcome.
-            wait: for all outcomes.
-            until: whether there is something else to do: what has not been looked at by then follows in later calls.
+            wait: whether to wait for all outcomes.
+            until: says whether other work is due. Outcomes that are not checked by then follow in later calls.
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))
@@ -107,13 +108,13 @@ class CheckPool(Generic[Key]):
         return finished
 
     def _begin(self, keys: list[Key], look: Look) -> None:
-        """Begin a look. Waits where too many have not been answered."""
+        """Begin a check. Waits if too many checks are unanswered."""
         large = any(outcome.state is not None or outcome.history is not None for outcome in look[0])
         while self._lookers and not large:
             looker = min(self._lookers, key=lambda candidate: len(candidate.unanswered))
             if len(looker.unanswered) < MOST_WAITING:
                 outcomes, jobs, sim = look
-                # states are of no use there, and for those of a GPU it would have to import JAX
+                # checks do not need states, and for states of a GPU the process would have to import JAX
                 sent = [replace(job, start=None) if job.start is not None else job for job in jobs]
                 try:
                     task = pickle.dumps((outcomes, sent, sim))
@@ -126,13 +127,13 @@ class CheckPool(Generic[Key]):
         self._look(keys, look)
 
     def _look(self, keys: list[Key], look: Look) -> None:
-        """Look here."""
+        """Check outcomes in this process."""
         self._found += zip(keys, outcome_checks(*look), strict=True)
 
     def _take(self, looker: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
-        """Take the answers of a process, with ``wait`` one at least, or until there is something else to do. One that
-        died or hangs is done without."""
-        waits = 0  # not the time: while this process is stopped itself (Ctrl-Z), no answer is late
+        """Take the answers of a process. With ``wait``, wait for at least one, unless other work is due (``until``). A
+        process that died or hangs is dropped."""
+        waits = 0  # not the time: while this process itself is stopped (Ctrl-Z), no answer is late
         while looker.unanswered:
             try:
                 answer = looker.child.answers.get(timeout=LOOK_S) if wait else looker.child.answers.get_nowait()
@@ -151,7 +152,7 @@ class CheckPool(Generic[Key]):
                     self._look(*looker.unanswered.popleft())
                 return
             keys, look = looker.unanswered.popleft()
-            if isinstance(answer, str):  # an error, which is raised here
+            if isinstance(answer, str):  # the text of an error, which is raised here
                 self._look(keys, look)
                 continue
             outcomes, edges = answer
@@ -160,6 +161,6 @@ class CheckPool(Generic[Key]):
             self._found += zip(keys, outcomes, strict=True)
 
     def close(self) -> None:
-        """End the processes. What is unanswered is for nobody."""
+        """End the processes. Unanswered checks are dropped."""
         while self._lookers:
             self._lookers.pop().child.end()

@@ -1,4 +1,4 @@
-"""What runs in a process that looks at outcomes. It needs neither JAX nor Warp, and ends with the run."""
+"""The code of a check process, which checks outcomes. It needs neither JAX nor Warp, and ends with the run."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from petmjx.world.job import Job
 NICE: Final = 5
 
 Look = tuple[Sequence[Outcome], Sequence[Job], Simulation]
-"""The arguments of ``looked_at``."""
+"""The arguments of ``outcome_checks``."""
 
 Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
-"""Outcomes without their boxes, and the boxes' edges by the plan and at rest, m: what was found of boxes."""
+"""Outcomes without their boxes, and the results for boxes: their edges by the plan and at rest, m."""
 
 
 def main() -> None:
-    """Answer each look in turn, or say the line of an error."""
+    """Answer each check in turn, or give the line of an error."""
     looks, answers = own_pipes(NICE)
     while (look := next_of(looks)) is not None:
         answer: Answer | str
@@ -33,7 +33,7 @@ def main() -> None:
             outcomes = outcome_checks(*look)
             edges = [(outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m) for outcome in outcomes]
             for outcome in outcomes:
-                del outcome.boxes  # the run has them, and would need most of its time for an answer to read them
+                del outcome.boxes  # the run has the boxes; reading them would take most of its time for an answer
             answer = outcomes, edges
         except Exception as error:
             answer = one_line(error)

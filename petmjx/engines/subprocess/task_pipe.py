@@ -1,4 +1,4 @@
-"""A process beside a run: tasks go to its standard input, and answers come from its standard output, as pickles."""
+"""The pipes of a process beside a run: pickled tasks on its standard input, pickled answers on its standard output."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
 
 class Child:
-    """The side of the run: threads write tasks and read answers.
+    """The run's side of the pipes: threads write tasks and read answers.
 
     Args:
-        module: whose ``main`` the process runs.
+        module: the process runs the ``main`` of this module.
 
     Attributes:
-        tasks: pickled; after None nothing more is written.
-        answers: None is the last one.
+        tasks: queue of pickled tasks; None ends it.
+        answers: queue of answers; None is the last one.
     """
 
     def __init__(self, module: str) -> None:
@@ -43,7 +43,7 @@ class Child:
             )
             for target in (self._write, self._read):
                 threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
-        except (OSError, RuntimeError):  # no memory for it or a thread, or an interpreter inside another program
+        except (OSError, RuntimeError):  # no memory for the process or a thread, or an embedded interpreter
             self.answers.put(None)
 
     @property
@@ -55,7 +55,7 @@ class Child:
         return self._popen.pid if self._popen is not None else None
 
     def end(self) -> None:
-        """Kill it."""
+        """Kill the process."""
         self.tasks.put(None)
         if self._popen is not None:
             self._popen.kill()
@@ -77,21 +77,21 @@ class Child:
 
 
 def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
-    """The side of the process, at its start: tasks and answers. Its threads come later than those of the run, by their
-    niceness. Ctrl-C is for the run, which ends this process when it wants to."""
+    """The process's side of the pipes: tasks and answers. Called at its start. Its threads get a niceness, so that the
+    run's threads come first. Ctrl-C is ignored: the run handles it, and ends this process."""
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
         os.nice(nice)
     answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no answer
+    os.dup2(2, 1)  # output of libraries must not mix with answers
     return sys.stdin.buffer, answers
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object of a pipe; None at its end, and where it cannot be read: the pipe ends in the middle of it, there
-    is no memory for it, or its class cannot be imported."""
+    """The next object of a pipe. None at the end of the pipe, or if the object cannot be read: the pipe ends in the
+    middle of it, memory is short, or its class cannot be imported."""
     try:
         return pickle.load(pipe)
-    except Exception:  # a thread that ended without a word would be waited for without end
+    except Exception:  # if this thread ended silently, the run would wait for ever
         return None

@@ -1,1 +1,1 @@
-"""Engine mjx-warp: batches of worlds on CUDA devices. petmjx has its own step and contact solver for it."""
+"""Engine mjx-warp: batches of worlds on CUDA devices, with a step and a contact solver of petmjx's own."""

@@ -1,17 +1,16 @@
-"""Launches of thread blocks: on a GPU by its scheduler, on a CPU each in a thread of its own.
+"""Launches of mjx-warp's thread blocks: block sizes, their kernels, and kernels that run side by side.
 
-Kernels that run at the same time on one device.
+On a GPU its scheduler runs the blocks. On a CPU each block runs in a thread of its own.
 
-How a device runs the thread blocks of mjx-warp, and the kernel for that: by the size of the world.
+The size of a world decides which blocks it has. A step of forty boxes is mostly latency, so another world should share
+the multiprocessor. A step of two hundred boxes is work for many threads. So there are blocks of two sizes, each with a
+kernel of its own.
 
-A step of forty boxes is latency for the most part, and needs another world beside it; one of two hundred is work for
-many threads. So there are blocks of two sizes, each with a kernel of its own.
+A step of few boxes is latency alone, so many worlds must be stepped together. A third kernel has sixteen worlds in a
+block, a warp each. Pallets of all sizes begin in these blocks. A run ends with its longest worlds, each of which is
+faster with a multiprocessor to itself. They have a fourth kernel.
 
-A step of few boxes is latency alone, and many worlds have to go through it together: a third kernel has sixteen of them
-in a block, a warp each. Pallets of all sizes begin there. And a run ends with its longest worlds, each of which is
-faster with a multiprocessor to itself: these have a fourth kernel.
-
-All kernels sum in the same order, so that a world may go on in another one after any step, with the same bits.
+All kernels sum in the same order. So a world may move to another kernel after any step, with the same bits.
 """
 
 from __future__ import annotations
@@ -46,11 +45,11 @@ from petmjx.engines.warp.world_arrays import (
 
 @dataclass(frozen=True)
 class Call:
-    """A kernel, and the blocks that it is launched with.
+    """A kernel and the blocks that it is launched with.
 
     Attributes:
-        threads: of a block.
-        arguments: those of the kernel, by the number of the first block.
+        threads: threads of a block.
+        arguments: gives the kernel's arguments for the number of the first block.
     """
 
     kernel: Any
@@ -59,17 +58,17 @@ class Call:
     arguments: Callable[[int], Sequence[Any]]
 
     def launch(self, first: int, blocks: int, **options: Any) -> None:
-        """Some of its blocks, from this one on."""
+        """Launch some of the blocks, from ``first`` on."""
         dim, inputs = (blocks, self.threads), list(self.arguments(first))
         wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
 
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Inside a call of Python by JAX: let JAX call Python in other threads at the same time.
+    """While JAX calls Python: let JAX call Python in other threads at the same time.
 
-    Warp (1.18) holds a lock during such a call, so engines in several threads on a CPU would take turns, a slice each.
-    What the lock guards is read before Warp calls our function. Other versions may have no such lock.
+    Warp (1.18) holds a lock during a call from JAX. So engines in several threads on a CPU would take turns, a slice
+    each. The data that the lock guards are read before Warp calls our function. Other versions may not have this lock.
     """
     lock = getattr(sys.modules[wp.jax_callable.__module__], "_FFI_CALLBACK_LOCK", None)
     if lock is None or not lock.locked():
@@ -83,10 +82,10 @@ def others_may_call() -> Iterator[None]:
 
 
 def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
-    """Launch all blocks of some calls, on Warp's current device. JAX calls Python for this.
+    """Launch all blocks of some calls on Warp's current device. JAX calls Python for this.
 
     Args:
-        clock: (1,) the number that tells blocks on a CPU that the time slice is over.
+        clock: (1,) a number that tells blocks on a CPU when the time slice is over.
         slice_ns: the time slice, ns.
     """
     device = wp.get_device()
@@ -107,7 +106,7 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             for block in range(max(call.blocks for call in calls)):
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        finally:  # also after an error: then the memory of all blocks is freed
+        finally:  # also after an error, since the memory of all blocks is freed then
             clock.numpy()[0] = 1  # the kernels' own memory
             wait(running)
         for future in running:
@@ -119,13 +118,14 @@ MOST_THREADS: Final = 1024
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """Threads for the blocks of all engines, as many as are needed at once. They are kept: each slice needs them."""
+    """Threads for the blocks of all engines, as many as are needed at once. They are kept, since every slice needs
+    them."""
     return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")
 
 
 HEAD_START_NS = 50_000
-"""How much later each kernel begins than the one before. A GPU gives thread blocks to its multiprocessors in the order
-in which they come, and lets them run to their end: so blocks of the first kernel have what room they need."""
+"""Delay of each kernel after the one before, ns. A GPU assigns thread blocks to its multiprocessors in the order of
+their launch, and runs them to their end. So blocks of the first kernel find the room that they need."""
 
 
 @functools.cache
@@ -134,15 +134,16 @@ def _more_streams(device: str, count: int) -> list[wp.Stream]:
 
 
 def own_kernels(count: int) -> list[wp.Kernel]:
-    """What ``side_by_side`` launches itself."""
+    """The kernels that ``side_by_side`` itself launches."""
     return [pause] if count > 1 and wp.get_device().is_cuda else []
 
 
 @contextmanager
 def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
-    """Streams for kernels that run at the same time, between what is on the current stream before and after.
+    """Streams for kernels that run at the same time. They start after earlier work on the current stream; later work on
+    it waits for them.
 
-    Kernels are to be launched in the order of the streams.
+    Launch the kernels in the order of the streams.
     """
     device = wp.get_device()
     current = wp.get_stream(device)
@@ -158,22 +159,23 @@ def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
 
 
 TILE_BYTES = 4
-"""Shared memory that Warp takes for a thread of a block with tiles."""
+"""Shared memory, in bytes, that Warp takes for each thread of a block with tiles."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """Thread blocks for worlds of a size.
+    """Thread blocks for worlds of one size.
 
     Attributes:
-        most_boxes: of a world.
-        threads: of a block, from 64 to 512. Those of a world are a power of two, from 32 to 256 (ORDER in block.cuh).
+        most_boxes: most boxes of a world.
+        threads: threads of a block, from 64 to 512. The threads of a world are a power of two, from 32 to 256 (ORDER in
+            block.cuh).
         per_sm: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
-        shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. Of 256 kB a
-            multiprocessor has for all its blocks the rest is cache.
-        worlds: of a block: one of all its threads, or each one of a warp.
+        shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. A multiprocessor has
+            256 kB for all its blocks; the rest is cache.
+        worlds: worlds of a block: one for all its threads, or one for each warp.
         pause_after: iterations after which the solver of a world pauses, so that the other worlds of its block need not
-            wait for it to end; 0: it does not.
+            wait for its end; 0: it never pauses.
     """
 
     most_boxes: int
@@ -185,33 +187,33 @@ class Size:
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
-"""By size; sizes are multiples of ``batch.upload.GRANULE``, as those of worlds. Measured:
-benchmarks/notebook/performance.md."""
+"""All sizes, ascending. ``most_boxes`` is a multiple of ``petmjx.engines.mjx.host_to_device.GRANULE``, as the box
+columns of tables are. Measurements: benchmarks/notebook/performance.md."""
 
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
-"""For worlds with so few boxes so far: with a carrier that moves they fill six panels."""
+"""Blocks for worlds with at most 15 boxes so far. With a moving carrier these fill six panels."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
-"""For a run's last worlds of the smaller size. No other block has room beside one of these."""
+"""Blocks for a run's last worlds of the smaller size. One of them fills a multiprocessor."""
 
 
 def size_for(n_boxes: int) -> Size:
-    """Of the block for a world."""
+    """The size of the block for a world."""
     return next(size for size in SIZES if n_boxes <= size.most_boxes)
 
 
 @dataclass(frozen=True)
 class Launch:
-    """How a device runs thread blocks: the execution configuration of a launch, and the sizes that a kernel knows.
+    """The execution configuration of a launch, and the sizes and features that its kernel is compiled for.
 
     Attributes:
-        blocks: at the same time.
+        blocks: blocks at the same time.
         threads, per_sm, worlds, pause_after: as in ``Size``.
         shared_words: shared memory for rows of a world's factor and its Hessian, in numbers of four bytes.
-        panels: of the largest system.
-        hands: whether a hand may carry boxes. Without it a kernel has fewer registers to spill.
-        gives, wraps: whether boxes may give, and film may hold them; as for hands.
-        lands: whether boxes that land follow a law of their own.
+        panels: panels of the largest system.
+        hands: whether a hand may carry boxes. Without this a kernel spills fewer registers.
+        gives, wraps: whether boxes may be compliant, and whether film may hold them; also spared if unused.
+        lands: whether landing boxes follow a law of their own.
     """
 
     blocks: int
@@ -233,19 +235,19 @@ class Launch:
 
     @property
     def tile_words(self) -> int:
-        """Of the tile in a block's shared memory, numbers of four bytes; 0: it has none."""
+        """Size of the tile in a block's shared memory, in numbers of four bytes; 0: no tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
         return self.worlds * (self.shared_words + newton_words)
 
     @classmethod
     def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
-        """For worlds of up to so many boxes on Warp's current device. On a CPU a block is one thread, and one kernel is
-        for all sizes."""
+        """The launch for worlds of up to ``n_boxes`` boxes on Warp's current device. On a CPU a block is one thread,
+        and one kernel serves all sizes."""
         return cls.of(size_for(n_boxes), hands, gives, wraps)
 
     @classmethod
     def of(cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
-        """For blocks of this size; of fewer worlds where a GPU has not enough shared memory for so many."""
+        """The launch for blocks of this size. Blocks have fewer worlds if a GPU's shared memory is too small."""
         device = wp.get_device()
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
@@ -266,7 +268,7 @@ class Launch:
 
 @functools.cache
 def kernel(launch: Launch) -> Any:
-    """The kernel of a launch; ``kernel.worlds.run_worlds`` is what its threads do."""
+    """The kernel of a launch. Its threads call ``kernels.world_loop.run_worlds``."""
     shared_words, of_block = launch.shared_words, launch.worlds
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))

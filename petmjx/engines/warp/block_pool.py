@@ -1,4 +1,4 @@
-"""Which thread blocks the worlds of a group have, and how much room there is for each."""
+"""Block pools: the thread blocks for the worlds of a group, and the size of their buffers."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Boxes for which a world of a size may have contacts and pairs at most: the same in all runs, so that which
-    worlds are given up does not depend on the largest plan of a run."""
+    """Number of boxes whose contacts and pairs the buffers of a world of this size can hold at most. It is the same in
+    all runs. So the largest plan of a run does not affect which worlds are given up."""
     return MAX_GROWTH * (size + MORE_BOXES)
 
 
 class BlockPools:
-    """The fleets of an engine's groups. Where worlds overflow their buffers these grow, and stay so.
+    """Makes the block pools of an engine's groups. Buffers that overflow grow, and stay large.
 
     Args:
         lanes: most worlds of a size at the same time; None: as many as the device has room for.
-        blocks: of a launch.
+        blocks: gives the number of blocks of a launch.
     """
 
     def __init__(self, lanes: int | None, blocks: Callable[[Launch], int]) -> None:
         self._lanes, self._blocks = lanes, blocks
         self._growth: dict[tuple[Cone, int], int] = {}
-        """How much larger than usual buffers have to be, by size of worlds."""
+        """Factor by which buffers must be larger than usual, by size of worlds."""
 
     def of(self, group: Group) -> tuple[BlockPool, ...]:
-        """Those of a group: for the last worlds and for few boxes, if they are worth while, then by size, for the
-        largest worlds first."""
+        """The block pools of a group. The pools for the last worlds and for small worlds come first, if they are
+        worthwhile. The pools by size follow, the one for the largest worlds first."""
         run = group.run
         fleets = tuple(self._of_size(run, size, group.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
-        # not with larger buffers of all lanes, and not in stiff contacts: there a step takes five times as many
-        # iterations, in some worlds many more, for which the others of their block would wait
+        # Not with enlarged buffers, which all lanes would have. And not with stiff contacts: a step then takes five
+        # times as many iterations, in some worlds many more, and the other worlds of their block would wait for them.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(fleets[-1], worlds, self._lanes)
@@ -51,8 +51,8 @@ class BlockPools:
         return (last, *fleets) if last else fleets
 
     def grow(self, run: Run, size: int) -> int | None:
-        """Make the buffers for worlds of a size twice as large. Returns how much larger than usual they are now, or
-        None where they already are as large as they may be."""
+        """Double the buffers for worlds of a size. Returns the new factor over the usual size, or None if they have
+        their largest size already."""
         if self._boxes_of_room(run, size) == most_room(size):
             return None
         growth = 2 * self._growth_of(run, size)
@@ -63,11 +63,11 @@ class BlockPools:
         return self._growth.get((run.sim.physics.cone, size), 1)
 
     def _boxes_of_room(self, run: Run, size: int) -> int:
-        """Boxes for which a world of a size has contacts and pairs, as far as buffers have grown."""
+        """Number of boxes whose contacts and pairs the buffers of a world of this size can hold now."""
         return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
 
     def _of_size(self, run: Run, size: int, boards: int) -> BlockPool:
-        """Thread blocks for worlds of a size, as many as there can be, for carriers of so many shapes."""
+        """The largest block pool for worlds of a size whose carriers have ``boards`` shapes."""
         n_boxes = run.needs.widths[size]
         launch = Launch.here(n_boxes, run.needs.hands, run.needs.gives, run.needs.wraps)
         launch = replace(launch, lands=run.sim.physics.has_landings)

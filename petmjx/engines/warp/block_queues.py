@@ -1,4 +1,4 @@
-"""The worlds of each size, in the order in which thread blocks take them."""
+"""Queues of worlds, one for each size, from which thread blocks take them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from petmjx.world.job import Job
 
 
 class Queues:
-    """A queue for each size of worlds. Of the worlds that are added together the longest come first, so that the last
+    """A queue for each size of worlds. Among worlds that are added together the longest come first, so that the last
     ones to end are short.
 
     Args:
-        sizes: most boxes of a world of each size, in the order of their queues.
-        size_of: the size of a job's world.
-        rows: of the tables.
+        sizes: most boxes of a world of each size, in the order of the queues.
+        size_of: gives the size of a job's world.
+        rows: rows of the tables.
     """
 
     def __init__(self, sizes: Sequence[int], size_of: Callable[[Job], int], rows: int) -> None:
@@ -30,7 +30,7 @@ class Queues:
         self.order: Int[jax.Array, "queue world"] = device_array(self._host.copy())
 
     def add(self, jobs: Sequence[Job], first_row: int, sim: Simulation) -> None:
-        """Put jobs, which have the rows from this one on, at the ends of their queues."""
+        """Append jobs to their queues. Their rows begin at ``first_row``."""
         sizes = np.array([self._size_of(job) for job in jobs])
         by_cost = np.argsort(-MEASURED.of_jobs_on_device(jobs, sim), kind="stable")
         for queue, size in enumerate(self._sizes):

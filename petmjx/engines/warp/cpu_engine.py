@@ -22,7 +22,7 @@ GROUP_WORLDS = 4096
 
 
 class MjxWarpCpuEngine(MjxWarpEngine):
-    """Worlds on Warp's kernels, compiled for this machine's CPU: a world in each thread at a time.
+    """Runs Warp's kernels, compiled for this machine's CPU. Each thread simulates one world at a time.
 
     A world's outcome does not depend on the number of threads.
 
@@ -34,7 +34,7 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     """
 
     name = "mjx-warp-cpu"
-    takes_parts = False  # its tables are made in no time beside what its worlds take
+    takes_parts = False  # making its tables takes no time compared with its worlds
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:
@@ -55,7 +55,7 @@ class MjxWarpCpuEngine(MjxWarpEngine):
         return device_name(self.name, self.threads)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
-        """As in the protocol."""
+        """See ``Engine.open``."""
         return WarpWorlds(scenes, sim, most_boxes, self.threads)
 
     def _blocks(self, launch: Launch) -> int:

@@ -1,4 +1,4 @@
-"""Engine ``mjx-warp``: worlds that each go at their own pace, on NVIDIA Warp's kernels. The fastest engine."""
+"""Engine ``mjx-warp``: worlds on NVIDIA Warp's kernels, each at its own pace. The fastest engine."""
 
 from __future__ import annotations
 
@@ -40,50 +40,53 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 SPARE_ROWS = 4
-"""Rows of a table when more jobs may follow, as a multiple of the jobs at the beginning; jobs without a row run after
-the others."""
+"""Rows of a table if more jobs may follow, as a multiple of the jobs at the beginning. Jobs that find no free row run
+in a later group."""
 
 MORE_AT_ONCE = 64
-"""Jobs that are put into a table at the same time. XLA compiles a program for each number."""
+"""Jobs that are written into a table at a time. XLA compiles a program for each number."""
 
 LEFT_SHARE, READY_SHARE = 16, 3
-"""A group that another one follows ends when a world in so many is left, which goes on there. Tables for these are made
-when so many times as many are left: that takes as long as the device has enough of them."""
+"""A group with a successor ends when one world in ``LEFT_SHARE`` is left; the remaining worlds go on in the next group.
+The tables of the next group are made when ``READY_SHARE`` times as many worlds are left. The device is still busy
+during that time."""
 
 UNDER_WAY = 2
-"""Slices that a device has, so that it is never idle. What ends in one comes to the host when the next has ended."""
+"""Slices in flight, so that the device is never idle. Worlds that end in one slice come to the host when the next slice
+has ended."""
 
 LOADING_NS = 10**9
-"""Time of the slices under way while the tables of the next group are made: the thread that makes them cannot begin
-others. They are at least two, and at most as many as a second of a GPU has."""
+"""Time of the slices in flight while the tables of the next group are made, ns. The thread that makes the tables cannot
+begin slices meanwhile. At least two slices are in flight, and at most as many as fill a second of a GPU."""
 
 GPU_SLICE_NS = 100_000_000
-"""Time of a call on a GPU: if it is longer the host waits for worlds, if shorter the device for calls."""
+"""Time slice of a call on a GPU, ns. If it is longer, the host waits for worlds; if shorter, the device waits for
+calls."""
 
 MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
 
 
 def _half_pool(fleet: BlockPool) -> BlockPool:
-    """The same with half as many blocks, but never fewer than the useful minimum."""
+    """The same pool with half as many blocks, but with at least ``MIN_BLOCKS``, or all if it has fewer."""
     return replace(fleet, blocks=min(fleet.blocks, max(fleet.blocks // 2, MIN_BLOCKS)))
 
 
 class MjxWarpEngine(Engine):
-    """Worlds on Warp's kernels, each at its own pace, in a thread block of its own
+    """Simulates worlds on Warp's kernels, each at its own pace in a thread block
     (petmjx/engines/warp/kernel_launcher.py).
 
-    With Newton's method only: C MuJoCo simulates what needs another one (petmjx/engines/attempts.py).
+    It has Newton's method only. C MuJoCo simulates attempts that need another solver (petmjx/engines/attempts.py).
 
     Args:
-        lanes: most worlds in blocks of a kind; None: as many as the device has room for.
-        allow_cpu: run Warp's kernels on the CPU if there is no CUDA device: slow, for tests.
-        group_size: worlds whose states are on the device at the same time; it bounds memory for any number of jobs.
-        slice_ns: time between two looks at which worlds have ended, ns.
+        lanes: most worlds in blocks of one kind; None: as many as the device has room for.
+        allow_cpu: run Warp's kernels on the CPU if there is no CUDA device; slow, for tests.
+        group_size: worlds whose states are on the device at the same time. It bounds memory for any number of jobs.
+        slice_ns: time slice of a call, ns. After each slice the host looks which worlds have ended.
 
     Attributes:
-        granule: tables have room for a multiple of so many boxes.
-        least_rows: of a table when more jobs may follow, for runs that begin with few and go on for long.
+        granule: box columns of tables are a multiple of this.
+        least_rows: fewest rows of a table if more jobs may follow, for runs that begin with few jobs and last long.
 
     Raises:
         EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
@@ -109,20 +112,20 @@ class MjxWarpEngine(Engine):
         self.granule, self.least_rows = GRANULE, 0
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
-        """The last rollout for each kind of launches, and what it depends on."""
+        """The last rollout for each set of launches, with its key."""
         self._fleets = BlockPools(lanes, self._blocks)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
-        """As in the protocol."""
+        """See ``Engine.open``."""
         return WarpWorlds(scenes, sim, most_boxes)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """As in the protocol."""
+        """See ``Engine.paths``."""
         with self._running:
             return paths(bodies, sim, self._blocks, self.slice_ns, self.group_size)
 
     def _drop(self) -> None:
-        """Free the memory of the rollouts that are kept."""
+        """Free the memory of all kept rollouts."""
         while self._kept:
             _, (_, rollout) = self._kept.popitem()
             rollout.close()
@@ -146,7 +149,7 @@ class MjxWarpEngine(Engine):
         return GroupSequence(groups, sim, progress, most_left, alone)
 
     def _outcomes(self, course: GroupSequence) -> Iterator[Outcome]:
-        """Outcomes of all jobs of a course."""
+        """Outcomes of all jobs of a ``GroupSequence``."""
         with closing(course):
             while course.groups:
                 waits = course.waits_for_host
@@ -161,11 +164,11 @@ class MjxWarpEngine(Engine):
                 else:
                     continue
                 self._drop()
-                yield from self._again(course)  # not before the error is gone: its traceback holds the tables
+                yield from self._again(course)  # after the ``except`` block: the error's traceback holds the tables
 
     def _again(self, course: GroupSequence) -> Iterator[Outcome]:
-        """Memory ran out, and the states of all worlds are lost with it: those without an outcome once more, one size
-        or half of them at a time. A world that has been alone is given up."""
+        """After memory ran out, and with it the states of all worlds were lost: simulate the jobs without an outcome
+        again, one size or half of them at a time. A world that was alone is given up."""
         lost, sim, progress = course.lose(), course.sim, course.progress
         if course.alone and lost:
             begun = GroupStart(course.next_run(), [*lost.values()], [*lost])
@@ -184,11 +187,11 @@ class MjxWarpEngine(Engine):
 
     @property
     def _while_loading(self) -> int:
-        """Slices under way while the tables of the next group are made."""
+        """Slices in flight while the tables of the next group are made."""
         return max(LOADING_NS // max(self.slice_ns, GPU_SLICE_NS), UNDER_WAY)
 
     def _rounds(self, course: GroupSequence) -> Generator[SliceResult]:
-        """Of one group after the other, up to one that waits for the host while these do not, or the reverse."""
+        """Slice results of one group after another, as long as the groups agree in whether slices wait for the host."""
         waits = course.waits_for_host
         while course.groups and course.waits_for_host == waits:
             yield from self._march(course.begin(), course, waits=waits)
@@ -197,8 +200,8 @@ class MjxWarpEngine(Engine):
         """The tables of a group.
 
         Args:
-            most: rows for as many jobs, if there are fewer now.
-            ahead: may have begun them.
+            most: jobs for which there are rows, if there are fewer jobs now.
+            ahead: may have prefetched the rows.
         """
         rows, width = 1 << (max(len(jobs), most) - 1).bit_length(), run.needs.most_boxes
         ready = ahead.take(jobs, width) if ahead is not None else None
@@ -207,18 +210,18 @@ class MjxWarpEngine(Engine):
     def _march(
         self, begun: GroupStart, course: GroupSequence, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
-        """Slices of time until all worlds of a group have ended. While the device works on one, the host makes outcomes
-        of the worlds that have ended, and from these more jobs may follow. Where none can, and no world is recorded,
-        the next slice is under way already.
+        """Run time slices until all worlds of a group have ended, or are left to the next group. While the device runs
+        a slice, the host makes outcomes of ended worlds, from which more jobs may follow. If none can follow and no
+        world is recorded, the next slice is already in flight.
 
         Args:
-            course: from which jobs may join, or to whose next group the last worlds are left.
+            course: its waiting jobs may join the group; its next group takes over the last worlds.
             waits: the next slice waits for the host.
-            simulate: off if memory has run out: all worlds are given up.
+            simulate: False if memory has run out; all worlds are given up then.
         """
         jobs, numbers, sim = begun.jobs, begun.numbers, begun.run.sim
         group, queues, emitted = self._begin(begun, course)
-        begun = begun._replace(left=None)  # its table is not needed any more
+        begun = begun._replace(left=None)  # its table is no longer needed
         rollout = self._rollout(group) if simulate else None
         at_once = 1 if waits else UNDER_WAY
         leaving: GroupHandover | None = None
@@ -247,7 +250,7 @@ class MjxWarpEngine(Engine):
                     if not emitted[: len(jobs)].all():
                         rollout.keep_under_way(at_once, group, queues.order)
                     else:
-                        rollout.finish(group)  # no world runs in what is under way
+                        rollout.finish(group)  # no world runs in the slices in flight
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield SliceResult(picked, group.recorder, jobs, numbers)
@@ -266,12 +269,11 @@ class MjxWarpEngine(Engine):
                     course.left = leaving
                     return
         except BaseException:
-            self._drop()  # the memory of a call that did not come back is gone
+            self._drop()  # the memory of a call that did not return is lost
             raise
 
     def _begin(self, begun: GroupStart, course: GroupSequence) -> tuple[Group, Queues, NDArray[np.bool_]]:
-        """The tables of a group, its queues, and which of its rows have given their outcomes, where the group before
-        had them."""
+        """The tables of a group, its queues, and the mask of rows whose outcomes the group before has given already."""
         run, jobs, _, left = begun
         if left is not None and left.ready is not None:
             group, queues = left.ready
@@ -286,8 +288,8 @@ class MjxWarpEngine(Engine):
         return group, queues, emitted
 
     def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: GroupSequence) -> tuple[Group, Queues]:
-        """The tables of a group, with so many rows at least, and its queues. The last ``n_left`` jobs come first: they
-        may go on for long."""
+        """The tables of a group, with at least ``rows`` rows, and its queues. The last ``n_left`` jobs come first in
+        the queues, since they may go on for long."""
         run = replace(run, needs=run.needs.of_sizes(jobs))
         group = self._load_group(run, jobs, rows, course.ahead)
         queues, n_own = Queues(run.needs.sizes, size_of, len(group.table.status)), len(jobs) - n_left
@@ -297,11 +299,12 @@ class MjxWarpEngine(Engine):
         return group, queues
 
     def _leaving(self, course: GroupSequence, begun: GroupStart, rest: NDArray[np.int64], rows: int) -> GroupHandover:
-        """What a group will leave to the one that follows, with the tables of that.
+        """The handover of a group's remaining worlds to the next group, with the tables of that group.
 
         Args:
             rest: rows of the worlds that have not ended.
-            rows: of the group's tables. Those of the next one have as many, for which programs are compiled.
+            rows: rows of the group's tables. The next group's tables have the same number, for which programs are
+                compiled already.
         """
         left = GroupHandover(
             [begun.jobs[row] for row in rest.tolist()], [begun.numbers[row] for row in rest.tolist()], rest
@@ -315,7 +318,8 @@ class MjxWarpEngine(Engine):
         return left
 
     def _take(self, group: Group, numbers: list[int], queues: Queues, course: GroupSequence) -> bool:
-        """Put waiting jobs into free rows of a group, in their order, until one does not fit; whether any did."""
+        """Put waiting jobs into free rows of a group, in order, until one does not fit. Returns whether any was
+        added."""
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
         fitting = list(takewhile(group.fits, course.groups.waiting(free)))
         if not fitting:
@@ -330,7 +334,8 @@ class MjxWarpEngine(Engine):
         return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
-        """Larger buffers for worlds that are stopped since they need them; at ``most_room`` they are given up."""
+        """Enlarge the buffers of worlds that overflowed them and were stopped. Worlds that overflow at ``most_room``
+        are given up."""
         sizes = np.array([size_of(group.jobs[row]) for row in rows.tolist()])
         for size in np.unique(sizes).tolist():
             some = rows[sizes == size]
@@ -347,8 +352,8 @@ class MjxWarpEngine(Engine):
         return rollout
 
     def _rollout(self, group: Group) -> Rollout | None:
-        """The programs for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. What
-        says that memory is short is raised if these are blocks of two sizes."""
+        """The rollout for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. With
+        blocks of two sizes the error of memory is raised instead."""
         run = group.run
         fleets = self._fleets.of(group)
         launches = tuple(fleet.launch for fleet in fleets)
@@ -369,9 +374,9 @@ class MjxWarpEngine(Engine):
                     more, fleets = fleets, tuple(_half_pool(fleet) for fleet in fleets)
                     if fleets == more:
                         if len(fleets) > 1:
-                            raise  # each size alone may have room
+                            raise  # each size may fit alone
                         return None
-                self._drop()  # programs of other sizes may be what takes the memory: once more without them
+                self._drop()  # kept rollouts of other sizes may take the memory: try again without them
                 lanes = sum(fleet.blocks for fleet in fleets)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
@@ -379,5 +384,5 @@ class MjxWarpEngine(Engine):
                 return rollout
 
     def _blocks(self, launch: Launch) -> int:
-        """Blocks of a launch."""
+        """The number of blocks of a launch, at most ``lanes``."""
         return min(self.lanes or launch.blocks, launch.blocks)

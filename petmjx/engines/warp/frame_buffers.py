@@ -1,4 +1,4 @@
-"""Room on the device for the frames of a time slice, and how they come to the host."""
+"""Device buffers for the frames of a time slice, and their readback."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from petmjx.engines.warp.world_arrays import FrameBuffer
 from petmjx.engines.warp.world_groups import Group
 
 MOST_BYTES: Final = 64 << 20
-"""Most room for frames: 40,000 of them if the run's largest plan has 45 boxes. In a slice of 250 ms the 264 blocks that
-an H200 has for worlds of that size take some 10,000 if all are recorded. Blocks that find no room wait for the next
-slice."""
+"""Largest frame buffer, in bytes: 40,000 frames if the run's largest plan has 45 boxes. For worlds of that size an H200
+has 264 blocks, which take some 10,000 frames in a slice of 250 ms if all worlds are recorded. Blocks that find no room
+wait for the next slice."""
 
 FRAMES_PER_WORLD: Final = 512
-"""Room for each recorded world: more than the quickest ones take in a slice."""
+"""Room for each recorded world, in frames: more than the fastest worlds take in a slice."""
 
 FRAMES_PER_BLOCK: Final = 4
-"""Least room: each block may be about to write a frame when it is looked whether there is room."""
+"""Least room for each block, in frames: each block may be about to write a frame when room is checked."""
 
 FEWEST: Final = 1024
-"""Frames that come to the host together, at least; else eight times as many, …: each number is compiled once."""
+"""Fewest frames that are read back together; else eight times as many, and so on. Each number is compiled once."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
 
 def room_for(group: Group, blocks: int) -> dict[str, jax.Array]:
-    """Empty room for frames; next to none where no world of the group is recorded."""
+    """Empty frame buffers; nearly none if no world of the group is recorded."""
     n_worlds, n_boxes = group.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(group.recorder.every))
@@ -46,8 +46,8 @@ def room_for(group: Group, blocks: int) -> dict[str, jax.Array]:
 
 
 def pick_frames(frames: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], int]:
-    """The frames of a slice that has ended, and how many they are, still on the device. It must be done before the next
-    slice begins, which the device would finish first."""
+    """The frames of an ended slice and their number, still on the device. Call it before the next slice begins; else
+    the device would finish that slice first."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:
@@ -56,7 +56,7 @@ def pick_frames(frames: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], int
 
 
 def hand_over(picked: tuple[dict[str, jax.Array], int], recorder: Recorder) -> None:
-    """Give the frames of a slice to a recorder, world by world, in the order of their steps."""
+    """Give the frames of a slice to a recorder, world by world, in the order of steps."""
     firsts, used = picked
     if used == 0:
         return

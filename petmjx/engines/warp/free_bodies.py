@@ -1,4 +1,5 @@
-"""Boxes that are let go, on the kernels of mjx-warp: its steps, with rules that never end a world or act on it."""
+"""Free motion of released boxes on the kernels of mjx-warp: its steps, with rules that never end a world or act on
+it."""
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ _NO_RULES: Final[dict[str, Any]] = {
     "early_stop": 0,
     "sample_every": NEVER,
 }
-"""Constants of the kernels with which a driven world goes on to its last step whatever its boxes do."""
+"""Constants of the kernels with which a driven world goes on to its last step, whatever its boxes do."""
 
 
 def paths(
@@ -48,7 +49,7 @@ def paths(
     """As ``petmjx.engines.protocol.Engine.paths``.
 
     Args:
-        blocks: thread blocks of a launch.
+        blocks: gives the number of thread blocks of a launch.
         slice_ns: time of a call, ns.
         group_size: worlds whose states are on the device at the same time.
     """
@@ -97,7 +98,7 @@ class _Program:
 
     def __init__(self, sim: Simulation, fleet: BlockPool, slice_ns: int) -> None:
         timetable = build_timetable(sim, fleet.n_boxes)
-        # as many iterations as the solver needs, also of boxes that slide
+        # as many iterations as the solver needs, also for sliding boxes
         known = constants(sim, timetable)
         known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
         self.march = KernelLauncher(known, [fleet], slice_ns)
@@ -125,16 +126,16 @@ def _program(sim: Simulation, fleet: BlockPool, slice_ns: int) -> _Program:
 def _block_pool(
     sim: Simulation, blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int
 ) -> BlockPool:
-    """Thread blocks for worlds of k boxes: of many worlds a warp each if there are enough of them."""
+    """The block pool for worlds of k boxes. If there are enough worlds, a block has many of them, a warp each."""
     launch = replace(Launch.here(width), lands=sim.physics.has_landings)
     shapes = growth * (width + MORE_BOXES) + boards - 1
     fleet = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = small_world_pool(fleet, worlds) if k <= FEW_BOXES.most_boxes else None
-    return fleet if few is None else replace(few, least=0)  # to the end, however few are left
+    return fleet if few is None else replace(few, least=0)  # until the end, however few worlds are left
 
 
 def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:
-    """Empty room for frames."""
+    """Empty frame buffers."""
     of_one = world_arrays.array_shapes(FrameBuffer, {"frame": 1, "box": width, "world": 0})
     words = sum(math.prod(shape) for shape in of_one.values())
     count = max(MOST_BYTES // (4 * words), FRAMES_PER_BLOCK * lanes)
@@ -147,7 +148,7 @@ def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Arr
 
 
 def _collect(frames: dict[str, jax.Array], steps: NDArray[np.int32], poses: FloatArray) -> None:
-    """Write the frames of a slice that were asked for into (n, s, k, 7) poses."""
+    """Copy the requested frames of a slice into (n, s, k, 7) poses."""
     firsts, used = pick_frames(frames)
     world, step, pose = (np.asarray(firsts[name])[:used] for name in ("of", "step", "pose"))
     pose = pose[:, : poses.shape[2]]

@@ -1,4 +1,4 @@
-"""The jobs of a run by the group: those whose worlds the device has at the same time."""
+"""Splits the jobs of a run into groups, whose worlds are on the device at the same time."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from petmjx.world.job import Job
 
 
 class Groups:
-    """Deals jobs in their order, in groups of equal size. It is true as long as a next group is known; whoever asks for
-    that takes the next part, if it is made, and meets the ``InputError`` of one that is refused.
+    """Splits jobs into equal groups, in order.
+
+    ``bool(groups)`` is False when no group follows. It fetches the next part of the jobs if that is needed and made,
+    and raises the ``InputError`` of a refused part.
 
     Args:
         size: most worlds of a group.
-        left: so many of them may have been left by the group before (``handover.Left``).
-        granule: as of ``KernelFeatures``.
+        left: worlds of a group that the group before may have left to it (``GroupHandover``).
+        granule: as for ``KernelFeatures.of``.
 
     Attributes:
-        needs: of all jobs that are known, so that groups have the same kernels.
-        first: the number of the first job of the group that was dealt last.
+        needs: features of all known jobs, so that all groups have the same kernels.
+        first: the number of the first job of the latest group.
     """
 
     grows = False
@@ -34,7 +36,7 @@ class Groups:
         self._size, self._left, self._granule = size, left, granule
         self._more = jobs.next_part if isinstance(jobs, JobsInParts) else None
         self._part: Sequence[Job] = ()
-        """The next part, until it is known that there is room for its jobs."""
+        """The next part, until its jobs have been checked for room."""
         self._dealt: list[Job] = []
         self._known: Sequence[Job] = ()
         self._next: Sequence[Job] = ()
@@ -43,7 +45,7 @@ class Groups:
 
     @staticmethod
     def of(jobs: Sequence[Job], size: int, left: int, granule: int) -> Groups:
-        """For these jobs. Those that come in parts are taken out of their list."""
+        """The groups of these jobs. Jobs that come in parts are removed from their list."""
         groups = (GrowingGroups if isinstance(jobs, GrowingJobs) else Groups)(jobs, size, left, granule)
         if isinstance(jobs, JobsInParts):
             jobs.clear()
@@ -54,27 +56,28 @@ class Groups:
 
     @property
     def recorded(self) -> bool:
-        """Whether a world of the next group is."""
+        """Whether a world of the next group is recorded."""
         return any(job.record is not None for job in self._find_next())
 
     def take(self) -> list[Job]:
-        """The next group. Jobs that are ``waiting`` may be appended to it, to this very list, before another one is
-        dealt."""
+        """The jobs of the next group. Until the group after it is taken, the caller may append ``waiting`` jobs to this
+        very list."""
         group = list(self._find_next())
         self.first += len(self._dealt)
         self._dealt, self._next = group, ()
         return group
 
     def following(self) -> Sequence[Job]:
-        """The jobs of the next group; none at the end, as long as they are being made, and where jobs may be appended.
-        Nor if they are refused: that is raised where they are taken, when the group before has given its outcomes."""
+        """The jobs of the next group, without taking them. None at the end, while the next part is being made, if jobs
+        may be appended, or if the part is refused. The error of a refused part is raised when it is taken, after the
+        outcomes of the group before."""
         try:
             return self._find_next()
         except InputError:
             return ()
 
     def waiting(self, most: int) -> list[Job]:
-        """Jobs that may join the group that was dealt last, at most so many. They follow its own."""
+        """At most ``most`` jobs that may join the latest group. They follow the group's own jobs."""
         return []
 
     def _find_next(self) -> Sequence[Job]:
@@ -87,8 +90,8 @@ class Groups:
         return self._next
 
     def _meet(self, jobs: Sequence[Job], needs: KernelFeatures) -> None:
-        """Jobs that are known from now on; all others have been dealt. ``needs``: of those that count beside them.
-        After an error all is as before."""
+        """Add jobs, after all earlier jobs have been taken. ``needs``: features of other jobs that also count. After an
+        error nothing has changed."""
         if jobs:
             needs |= KernelFeatures.of(jobs, self._granule)
             most = self._size - (self._left if len(jobs) > self._size or self._more is not None else 0)
@@ -97,7 +100,8 @@ class Groups:
 
 
 class GrowingGroups(Groups):
-    """Jobs may be appended, and join a group whose kernels know what they have."""
+    """Groups to whose jobs more may be appended. An appended job joins the latest group if its kernels have the job's
+    features."""
 
     grows = True
 
@@ -105,7 +109,7 @@ class GrowingGroups(Groups):
         super().__init__(jobs, size, left, granule)
         self._jobs = jobs
         self._end = len(jobs)
-        """Jobs of all kinds that ``needs`` is of are before this one."""
+        """Number of jobs whose features ``needs`` includes."""
 
     def following(self) -> Sequence[Job]:
         return ()

@@ -1,8 +1,8 @@
-"""The last worlds of a group go on beside those of the next one: alone they would leave most of the device idle.
+"""The sequence of groups in a run: prefetch of the next group's rows, and handover of a group's last worlds.
 
-The tables of the next group of worlds, begun by a thread while the device has the one before: it would wait.
-
-A run on the device: which groups of worlds come one after another, and what goes on from each to the next.
+The last worlds of a group go on beside those of the next group. Alone they would leave most of the device idle. A
+thread begins the rows of the next group while the device simulates the group before. Else the device would wait for
+them.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class GroupHandover:
     """Worlds of a group that go on in the next one.
 
     Attributes:
-        jobs: of these worlds.
-        numbers: of the jobs in their run.
-        rows: of the worlds in the group.
-        ready: the group in which they are the last, and its queues, made while this one goes on; None: there was no
-            room for the tables of both.
-        emitted: those whose outcomes are known.
-        table: their states, a row each; rows beyond them are of no world.
+        jobs: the jobs of these worlds.
+        numbers: the numbers of the jobs in their run.
+        rows: rows of the worlds in their group.
+        ready: the next group, in which these worlds have the last rows, and its queues, made while the current group
+            goes on; None: there was no room for the tables of both.
+        emitted: mask of worlds whose outcomes are known.
+        table: the states, a row a world; spare rows belong to no world.
     """
 
     jobs: list[Job]
@@ -51,31 +51,32 @@ class GroupHandover:
     table: State = field(init=False)
 
     def leave(self, table: State, emitted: NDArray[np.bool_], most: int) -> None:
-        """Take their states from the table of their group.
+        """Copy the states of these worlds from the table of their group.
 
         Args:
-            emitted: (row,) of all worlds of the group.
-            most: rows of the new table, at least as many; the same in all groups, so that it is compiled once.
+            emitted: (row,) mask for all worlds of the group.
+            most: rows of the new table, at least one a world. The same in all groups, so that the program is compiled
+                once.
         """
         self.emitted = emitted[self.rows]
         self.table = _take(table, device_array(np.resize(self.rows, most).astype(np.int32)))
 
     def put_into(self, table: State, first_row: int) -> State:
-        """A table in which these worlds have the rows from this one on, with their states. It may have other columns,
-        for more boxes or fewer, but no fewer than they need."""
+        """The table with the states of these worlds, in rows from ``first_row`` on. The table may have more or fewer
+        box columns than the states, but at least as many as the worlds need."""
         return put_from(table, first_row, len(self.jobs), self.table, _put)
 
 
 @dataclass(eq=False)
 class RowPrefetcher:
-    """Rows of some jobs' scenes, made before these are loaded. They are on the host: on the device they are loaded when
+    """Prefetches the rows of jobs' scenes in a thread. The rows stay on the host, and are loaded onto the device when
     the group before is down to its last worlds."""
 
     _thread: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-tables"))
     _begun: tuple[Sequence[Job], int, Future[Rows]] | None = None
 
     def prepare(self, groups: Groups, sim: Simulation) -> None:
-        """Begin the rows of the next group's jobs once these are known, with its box columns."""
+        """Begin the rows of the next group's jobs as soon as these are known, with the box columns of that group."""
         jobs = groups.following()
         if jobs and (self._begun is None or self._begun[0] is not jobs):
             width = groups.needs.of_sizes(jobs).most_boxes
@@ -83,12 +84,12 @@ class RowPrefetcher:
 
     @property
     def made(self) -> bool:
-        """Whether rows have been begun and are there, or could not be made."""
+        """Whether rows have been begun, and are made or have failed."""
         return self._begun is not None and self._begun[2].done()
 
     def take(self, jobs: Sequence[Job], width: int) -> Rows | None:
-        """The rows of the first of some jobs, once; None if they have not been begun, or could not be made: whoever
-        makes them then meets the error."""
+        """The rows of the first of these jobs; they can be taken once. None if they have not been begun or have failed;
+        then the caller makes them and gets the error."""
         if self._begun is None:
             return None
         begun, columns, rows = self._begun
@@ -99,13 +100,14 @@ class RowPrefetcher:
         return None if rows.exception() is not None else rows.result()
 
     def close(self) -> None:
-        """Nothing more is needed; rows that are being made are waited for."""
+        """Drop the rows, and wait for the thread if it is making some."""
         self._begun = None
         self._thread.shutdown(cancel_futures=True)
 
 
 class GroupStart(NamedTuple):
-    """A group that begins: its own jobs, and those that the one before has left, with their numbers in the run."""
+    """The jobs of a group that begins, with their numbers in the run: its own jobs, then those left by the group
+    before."""
 
     run: Run
     jobs: list[Job]
@@ -120,9 +122,9 @@ class GroupSequence:
     Attributes:
         most_left: worlds that a group may leave to the next one. 0: it leaves none.
         alone: whether there is one job in all.
-        left: what the last group has left.
-        ahead: tables of the next one.
-        asked: number → job of those that have begun and have no outcome.
+        left: worlds that the last group has left.
+        ahead: prefetches the rows of the next group.
+        asked: number → job, for jobs that have begun and have no outcome yet.
     """
 
     groups: Groups
@@ -136,21 +138,23 @@ class GroupSequence:
 
     @property
     def waits_for_host(self) -> bool:
-        """Whether each slice of the next group waits until the host has made outcomes of the one before: more jobs may
-        follow from these, or the host takes frames of recorded worlds away."""
+        """Whether each slice of the next group waits until the host has made the outcomes of the slice before. It does
+        if more jobs may follow from outcomes, or if the host must fetch frames of recorded worlds."""
         return self.groups.grows or self.groups.recorded
 
     def next_run(self) -> Run:
-        """Of the next group."""
+        """The run options of the next group."""
         return Run.of(self.groups.needs, self.sim, self.progress)
 
     def next_is_due(self, rest: int, most: int, blocks: int) -> bool:
-        """Whether the tables of the next group are to be made. Their rows are begun on the host as soon as it is known.
+        """Whether to make the tables of the next group now. Also begins the prefetch of its rows as soon as its jobs
+        are known.
 
         Args:
             rest: worlds of this group that have not ended.
-            most: of them then.
-            blocks: of the device. While more worlds are left, rows that are not there yet are made beside it.
+            most: number of these worlds up to which tables are made.
+            blocks: blocks of the device. While more worlds than this are left, tables are not due before their rows are
+                prefetched.
         """
         self.ahead.prepare(self.groups, self.sim)
         return 0 < rest <= most and bool(self.groups.following()) and (rest <= blocks or self.ahead.made)
@@ -160,22 +164,22 @@ class GroupSequence:
         jobs = self.groups.take()
         numbers = list(range(self.groups.first, self.groups.first + len(jobs)))
         self.asked.update(zip(numbers, jobs, strict=True))
-        run = self.next_run()  # after that: where memory runs out for it, these are lost, and not begun again for ever
+        run = self.next_run()  # after ``asked``: if memory runs out here, these jobs are lost, not begun for ever
         left, self.left = self.left, None
         if left is not None:
             jobs, numbers = jobs + left.jobs, numbers + left.numbers
         return GroupStart(run, jobs, numbers, left)
 
     def join(self, jobs: list[Job], numbers: list[int]) -> None:
-        """Jobs that were waiting are in a group now."""
+        """Record that waiting jobs have joined the current group."""
         numbers += range(self.groups.first + len(numbers), self.groups.first + len(numbers) + len(jobs))
         self.asked.update(zip(numbers[-len(jobs) :], jobs, strict=True))
 
     def lose(self) -> dict[int, Job]:
-        """The jobs without an outcome, whose states are lost. They are not of this course any more."""
+        """Remove and return the jobs without an outcome, whose states are lost."""
         lost, self.asked, self.left = self.asked, {}, None
         return lost
 
     def close(self) -> None:
-        """Nothing more is prepared."""
+        """Stop the prefetch."""
         self.ahead.close()

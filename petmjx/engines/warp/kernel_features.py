@@ -1,4 +1,4 @@
-"""What the kernels of a run must know and have room for, by what its jobs are like."""
+"""Features and sizes that the kernels of a run need, found from its jobs."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ def wants_hands(job: Job) -> bool:
 
 
 def has_compliance(job: Job) -> bool:
-    """Whether a job has boxes that give."""
+    """Whether a job has compliant boxes."""
     return job.scene.stiffness is not None
 
 
 def is_wrapped(job: Job) -> bool:
-    """Whether a job's boxes are shaken with film around them."""
+    """Whether a job has a drive with film around its boxes."""
     return job.drive is not None and job.scene.wrap.holds
 
 
@@ -34,12 +34,12 @@ def size_of(job: Job) -> int:
 
 @dataclass(frozen=True)
 class KernelFeatures:
-    """What jobs need.
+    """Features and sizes that jobs need.
 
     Attributes:
-        widths: most boxes of a size (``launch.Size``) → boxes for which blocks of that size have room.
-        hands: that kernels let a hand carry boxes, or drop them.
-        gives, wraps: that they know boxes that give, and film that holds them.
+        widths: most boxes of a size (``block_launch.Size``) → boxes for which blocks of that size have room.
+        hands: whether kernels need hands that carry or drop boxes.
+        gives, wraps: whether kernels need compliant boxes, and film that holds boxes.
     """
 
     widths: Mapping[int, int]
@@ -49,13 +49,13 @@ class KernelFeatures:
 
     @classmethod
     def of(cls, jobs: Sequence[Job], granule: int) -> KernelFeatures:
-        """Those of some jobs.
+        """The features of some jobs.
 
         Args:
-            granule: widths are multiples of it.
+            granule: widths are multiples of this.
 
         Raises:
-            InputError: there is no room for one of them.
+            InputError: a job has more boxes than any block has room for.
         """
         return cls(
             _widths_of(jobs, granule), *(any(map(trait, jobs)) for trait in (wants_hands, has_compliance, is_wrapped))
@@ -68,11 +68,11 @@ class KernelFeatures:
 
     @property
     def most_boxes(self) -> int:
-        """For which there is room in a world."""
+        """Most boxes for which a world has room."""
         return max(self.widths.values())
 
     def __or__(self, other: KernelFeatures) -> KernelFeatures:
-        """Those of both."""
+        """The features and sizes of both."""
         widest = {
             size: max(needs.widths.get(size, 0) for needs in (self, other)) for size in {*self.widths, *other.widths}
         }
@@ -80,18 +80,18 @@ class KernelFeatures:
         return KernelFeatures(widest, *kinds)
 
     def of_sizes(self, jobs: Sequence[Job]) -> KernelFeatures:
-        """The same for the sizes of some of the jobs."""
+        """The same features with only the sizes of these jobs."""
         sizes = {size_for(count).most_boxes for count in _box_counts(jobs)}
         return replace(self, widths={size: self.widths[size] for size in sizes})
 
     def know(self, job: Job) -> bool:
-        """Whether kernels that meet them know what a job has, if there is room for it."""
+        """Whether kernels with these features know those of a job. Room for its boxes is not checked."""
         traits = ((self.hands, wants_hands), (self.gives, has_compliance), (self.wraps, is_wrapped))
         return all(known or not has(job) for known, has in traits)
 
 
 def _box_counts(jobs: Sequence[Job]) -> set[int]:
-    """How many boxes their scenes have. Drives from a placement share one, which is looked at once."""
+    """The box counts of the jobs' scenes. Drives from one placement share a scene, which is counted once."""
     return {scene.n_boxes for scene in {job.scene for job in jobs}}
 
 

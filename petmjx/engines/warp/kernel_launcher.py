@@ -1,11 +1,11 @@
 """The JAX call that launches the kernels of mjx-warp, in which every world goes at its own pace.
 
-Thread blocks for worlds of one size are a fleet, with a kernel of its own (petmjx/engines/warp/block_launch.py); all
-fleets work at the same time, on the same tables. A block takes a world from its fleet's queue, steps it to its end (or
-until its drive begins, or until its time slice is over), and takes the next one. Nothing is done in lockstep: a world
-costs what its own boxes cost, and a step takes as long as its own solver needs. States lie in the tables of
-petmjx/engines/mjx/world_state.py, and a world that was cut off goes on in the next call. So results depend neither on
-blocks, nor on the order of worlds, nor on time.
+Thread blocks for worlds of one size form a block pool, with a kernel of its own (petmjx/engines/warp/block_launch.py).
+All pools work at the same time on the same tables. A block takes a world from its pool's queue and steps it until the
+world ends, its drive begins, or the time slice is over. Then it takes the next world. Nothing is done in lockstep: a
+world costs only its own boxes, and a step takes as long as its own solver needs. States are in the tables of
+petmjx/engines/mjx/world_state.py, and a world that was interrupted goes on in the next call. So results do not depend
+on blocks, on the order of worlds, or on time.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from petmjx.engines.warp.world_arrays import (
 )
 
 SLICE_NS = 250_000_000
-"""Time of a call: short enough for a progress bar, and to stop."""
+"""Time slice of a call, ns: short enough for a progress bar and for an interruption."""
 
 PAIRS_PER_BOX = 10
 """Pairs of near geoms reserved per box, and per board of a carrier."""
 
 CONTACTS_PER_BOX = 8
-"""Contacts reserved per box. Full real pallets have 4.5; the most that any of 2,000 sample plans needed was 6.4, in a
+"""Contacts reserved per box. Full real pallets have 4.5. The largest number in 2,000 sample plans was 6.4, in a
 collapse."""
 
 MORE_BOXES = 2
-"""The carrier, and one that small plans need more."""
+"""Additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,12 @@ class BlockPool:
     """Thread blocks for worlds of one size.
 
     Attributes:
-        launch: how the device runs them.
-        blocks: how many.
+        launch: how the device runs the blocks.
+        blocks: number of blocks.
         n_boxes, boards: most placed boxes of a world, and most shapes of a carrier.
         npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
-        least: with fewer worlds it is not worth while; 0: it always is (few.py).
-        last: it is for the last worlds of a run (last.py).
+        least: with fewer worlds the pool is not worthwhile; 0: it always is (small_world_blocks.py).
+        last: whether the pool is for the last worlds of a run (tail_blocks.py).
     """
 
     launch: Launch
@@ -74,12 +74,12 @@ class BlockPool:
 
     @property
     def is_extra(self) -> bool:
-        """Whether its worlds have another fleet, too."""
+        """Whether its worlds also have another pool."""
         return self.last or self.least > 0
 
     @property
     def most_idle(self) -> int:
-        """Lanes without a world with which it is still worth while."""
+        """Most lanes without a world with which the pool is still worthwhile."""
         return self.lanes - self.least if self.least else NEVER
 
     @property
@@ -89,7 +89,7 @@ class BlockPool:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Sizes of the axes of its workspace."""
+        """Sizes of the axes of the pool's workspace."""
         return world_arrays.axes(self.lanes, self.n_boxes, self.boards, self.npairmax, self.nconmax)
 
 
@@ -97,9 +97,10 @@ class KernelLauncher:
     """Launches kernels with the constants of a run.
 
     Args:
-        constants: fields of ``records.Model`` except those of a fleet.
-        fleets: by number of the queue from which they take worlds; those that come first have the device's room first.
-        slice_ns: time of a call, ns; with 0 each block takes one step.
+        constants: fields of ``world_arrays.Model`` except those of a block pool.
+        fleets: block pools, in the order of the queues from which they take worlds. The first pools get the device's
+            room first.
+        slice_ns: time slice of a call, ns; with 0 each block takes one step.
     """
 
     def __init__(self, constants: Mapping[str, Any], fleets: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
@@ -118,7 +119,7 @@ class KernelLauncher:
             )
             for queue, fleet in enumerate(fleets)
         ]
-        # those of extra fleets have worlds that others have room for, too
+        # extra pools do not count: other pools have room for their worlds, too
         self.blocks = sum(fleet.blocks for fleet in fleets if not fleet.is_extra)
         self.lanes = sum(fleet.lanes for fleet in fleets)
         self.slice_ns = slice_ns
@@ -126,7 +127,7 @@ class KernelLauncher:
         _MARCHES[self.id] = self
 
     def workspace(self) -> jax.Array:
-        """The workspace of all blocks. It has to be given to each call."""
+        """The workspace of all blocks, an argument of each call."""
         rows = sum(world_arrays.buffer_rows(fleet.sizes) for fleet in self.fleets)
         return jnp.zeros((rows, world_arrays.BUFFER_WORDS), jnp.float32)
 
@@ -143,8 +144,8 @@ class KernelLauncher:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """States after a time slice, the workspace, frames, and what was counted. What the kernels do not know of a
-        state stays as it is."""
+        """States after a time slice, the workspace, frames, and ``Counts``. Fields of a state that the kernels do not
+        have stay as they are."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.fleets)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         given = {**worlds, **state, **counts, "workspace": workspace}
@@ -181,7 +182,8 @@ def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: in
 
 
 def _of_frames(name: str) -> str:
-    """The name of an array of ``FrameBuffer`` among all arrays that JAX sees; some are called as those of ``State``."""
+    """The name of an array of ``FrameBuffer`` among all arrays that JAX sees. A prefix is needed, since some names are
+    also in ``State``."""
     return f"frame_{name}"
 
 
@@ -196,11 +198,11 @@ _CHANGED = (
 
 _IDS = itertools.count()
 _MARCHES: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""By number. JAX never frees a function that it calls, so the function must not hold a run's memory."""
+"""Launchers by number. JAX never frees a function that it calls, so this function must not hold a run's memory."""
 
 
 def _launch(march: int, *arrays: Any) -> None:
-    """Launch the kernel. JAX calls this with the arrays of ``_INPUTS`` and ``_CHANGED``."""
+    """Launch the kernels of a launcher. JAX calls this with the arrays of ``_INPUTS`` and ``_CHANGED``."""
     _MARCHES[march].launch(dict(zip(_INPUTS | _CHANGED, arrays, strict=True)))
 
 

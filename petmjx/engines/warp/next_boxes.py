@@ -1,4 +1,4 @@
-"""The next box of each of many open worlds, in arrays. No scene is built for a candidate."""
+"""The next boxes of many open worlds, in arrays, and their readings. No scene is built for a candidate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from petmjx.world.scene import IDENTITY_QUAT
 
 
 class NewBox(NamedTuple):
-    """The constants of one box for each world, as in ``Worlds``, without their axis of boxes."""
+    """The constants of one box for each world: fields of ``Worlds`` without the axis of boxes."""
 
     half: Float[Array, "world 3"]
     target: Float[Array, "world 3"]
@@ -35,10 +35,10 @@ class NewBox(NamedTuple):
 
 
 def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulation, rows: int) -> NewBox:
-    """Boxes that appear at their places, for worlds with these stacks.
+    """The constants of boxes that appear at their places, one for each of these stacks.
 
     Args:
-        rows: at least one a box; those beyond have the first one, and are not used.
+        rows: rows of the arrays, at least one a box; spare rows repeat the first box, and are not used.
     """
     release = release_of_next(before, boxes, sim)
     start = np.hstack([release.pos, np.tile(IDENTITY_QUAT, (len(boxes), 1))])
@@ -59,9 +59,9 @@ def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulati
 
 
 def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
-    """The constants of worlds with one box more each, that is as ``upload_worlds`` has them, to the last bit.
+    """The constants of worlds with one more box each, to the last bit as ``upload_worlds`` makes them.
 
-    Worlds that have no column left for it stay as they are.
+    Worlds without a free column stay as they are.
     """
     k, row = worlds.n_boxes, jnp.arange(len(worlds.n_boxes))
     shape = worlds.first_shape[row, jnp.minimum(k + 1, worlds.first_shape.shape[1] - 1)]
@@ -83,7 +83,7 @@ def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
 
 
 class ReadingInputs(NamedTuple):
-    """What ``Readings`` want to know of the state of worlds, as in ``State`` and ``Metrics``."""
+    """The fields of ``State`` and ``Metrics`` from which ``Readings`` are made."""
 
     placed: Int[Array, " world"]
     step: Int[Array, " world"]
@@ -99,12 +99,12 @@ class ReadingInputs(NamedTuple):
 
     @classmethod
     def of(cls, state: State) -> ReadingInputs:
-        """Of all worlds."""
+        """The fields of all worlds."""
         return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
 
     def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
-        """(m,) bits of ``Flag``, on the host. A world that has paused since its time was up, and not since it rests,
-        moves."""
+        """(m,) bits of ``Flag``, on the host. A world that has paused because its time was up, and not because it
+        rests, gets ``MOVING``."""
         tilted = np.asarray(self.max_tilt) > sim.thresholds.tilt_deg
         failed = (np.asarray(self.culprit) >= 0) & (tilted | (np.asarray(self.drop_step) >= 0)).any(axis=1)
         moves = (np.asarray(self.status) == Status.PAUSED) & (np.asarray(self.quiet_steps) < sim.quiet.steps) & ~failed
@@ -113,15 +113,15 @@ class ReadingInputs(NamedTuple):
 
 @jax.jit
 def reading_inputs(state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """Of some worlds. Rows that there are not give those of any world."""
+    """The fields of some worlds. A row beyond the table gives those of any world."""
     return take_rows(ReadingInputs.of(state), rows)
 
 
 def readings_of(report: ReadingInputs, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
-    """Of the first worlds of what is told.
+    """The readings of the first m worlds of a report.
 
     Args:
-        half_size, target: (m, k, 3) of their boxes, m.
+        half_size, target: (m, k, 3) half extents and planned centres of the boxes, m.
     """
     state: ReadingInputs = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(report))
     width = half_size.shape[1]

@@ -1,4 +1,4 @@
-"""Open worlds as a pytree, and the pure functions that change them: jitted programs can call these."""
+"""Open worlds as a pytree, and the pure functions that change them. Jitted programs can call these functions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from petmjx.world.scene import Scene
 
 
 class Traits(NamedTuple):
-    """What worlds have that only some kernels know, as of ``Launch``."""
+    """Features of worlds that a kernel must be compiled for, as in ``Launch``."""
 
     hands: bool
     gives: bool
@@ -40,11 +40,11 @@ class Traits(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Traits:
-        """Of a world with this scene, perhaps shaken."""
+        """The features of a world with this scene, with a drive or without."""
         return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
 
     def __or__(self, other: tuple[object, ...]) -> Traits:
-        """What either has."""
+        """The features of both."""
         return Traits(*(bool(mine or its) for mine, its in zip(self, other, strict=True)))
 
 
@@ -52,7 +52,7 @@ ALL_TRAITS: Final = Traits(True, True, True)
 
 
 class OpenState(NamedTuple):
-    """Open worlds: what is constant about them until boxes are put in, and their states."""
+    """Open worlds: their constants, which change only when boxes are put in, and their states."""
 
     worlds: Worlds
     state: State
@@ -62,11 +62,11 @@ class Simulator:
     """The pure functions of open worlds.
 
     Args:
-        most_boxes: of a world.
+        most_boxes: most boxes of a world.
         boards: most shapes of a carrier.
-        room: how much larger than usual buffers are.
-        threads: of a CPU; None: one.
-        traits: which code the kernel has; without the others it spills fewer registers.
+        room: factor by which buffers are larger than usual.
+        threads: threads of a CPU; None: one.
+        traits: features that the kernel has; without the other ones it spills fewer registers.
     """
 
     def __init__(
@@ -100,16 +100,16 @@ class Simulator:
         return fresh
 
     def reset(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Begin worlds anew, with these constants; rows beyond the last world are left out."""
+        """Begin worlds anew with these constants. Rows beyond the last world are ignored."""
         fresh = self.begin(worlds)
         return OpenState(put_rows(open_.worlds, rows, worlds), put_rows(open_.state, rows, fresh))
 
     def put(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Give worlds more boxes. In those that are paused the first of them is placed.
+        """Give worlds more boxes. In paused worlds the first new box is placed.
 
         Args:
-            rows: which; rows beyond the last world are left out.
-            worlds: their constants, with the boxes that they had and more.
+            rows: rows of these worlds; rows beyond the last world are ignored.
+            worlds: the constants of these worlds, with their earlier boxes and the new ones.
         """
         after = put_rows(open_.worlds, rows, worlds)
         state = open_.state
@@ -118,12 +118,12 @@ class Simulator:
         return OpenState(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
 
     def put_next(self, open_: OpenState, rows: Int[Array, " row"], box: NewBox) -> OpenState:
-        """As ``put``, one box each, which appears at its place."""
+        """As ``put``, for one box a world, which appears at its place."""
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: OpenState) -> State:
-        """Paused worlds begin their rest window, or their drive, as their constants say. Those that have paused early,
-        since a wait was in vain, and still move wait on: their last wait is a long one."""
+        """Let paused worlds begin their rest window or their drive, as their constants say. Worlds that paused early
+        because a wait was in vain, and that still move, wait on: their last wait is a long one."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
         goes = paused & ~(self._moves(state) & self._lasts_longer(state))
@@ -139,7 +139,7 @@ class Simulator:
         )
 
     def go_on(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds go on until each has paused or ended, or has no room in its buffers."""
+        """Let worlds go on until each has paused, ended, or overflowed its buffers."""
 
         def going(open_: OpenState) -> Bool[Array, ""]:
             return self.going(open_)
@@ -165,7 +165,7 @@ class Simulator:
         return OpenState(worlds, of_flat(after))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
-        """The flag of worlds that go on although they are not at rest."""
+        """The states with the flag ``MOVING`` for worlds that go on although they are not at rest."""
         moves = goes & self._moves(state)
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
 
@@ -174,13 +174,13 @@ class Simulator:
         return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
-        """Whether the wait of worlds that have paused goes on if it is the last one."""
+        """Which paused worlds wait longer if this is their last wait."""
         patient = self._sim.waits_for_rest and self._sim.check is Check.ONE_BY_ONE
         return patient & (state.step < jnp.asarray(self._timetable.longest)[state.last_placed_at])
 
 
 def _no_frames(n_worlds: int, n_boxes: int) -> dict[str, jax.Array]:
-    """Room for frames where no world is recorded."""
+    """Frame buffers for worlds that are not recorded."""
     shapes = world_arrays.array_shapes(world_arrays.FrameBuffer, {"frame": 1, "box": n_boxes, "world": n_worlds})
     kinds = world_arrays.array_types(world_arrays.FrameBuffer)
     return {name: jnp.zeros(shape, wp.dtype_to_numpy(kinds[name].dtype)) for name, shape in shapes.items()}

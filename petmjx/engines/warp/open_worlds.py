@@ -1,6 +1,7 @@
-"""Worlds that stay open on the engine mjx-warp. Their states lie on the device, and stay there from call to call.
+"""Open worlds on the engine mjx-warp, whose states stay on the device from call to call.
 
-The pure functions that change them: petmjx/engines/warp/open_simulator.py. ``WarpWorlds`` has the same for the host.
+The pure functions that change them are in petmjx/engines/warp/open_simulator.py. ``WarpWorlds`` offers the same to the
+host.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
 MOST_TRIED: Final = 16_384
-"""Candidates that are simulated side by side. With 80 boxes each takes 27 kB."""
+"""Most candidates that are simulated side by side. With 80 boxes each takes 27 kB."""
 
 
 def fork(open_: OpenState, sources: Int[Array, " row"], into: Int[Array, " row"]) -> OpenState:
-    """Give worlds the constants and states of others."""
+    """Copy the constants and states of the worlds ``sources`` into the worlds ``into``."""
     worlds, state = open_
     return OpenState(
         put_rows(worlds, into, take_rows(worlds, sources)),
@@ -48,14 +49,14 @@ class WarpWorlds(OpenWorlds):
     """Open worlds on the engines mjx-warp and mjx-warp-cpu.
 
     Args:
-        scenes: of the worlds.
-        most_boxes: of a world, ever.
-        threads: of a CPU on which they run.
+        scenes: the scenes of the worlds.
+            most_boxes: most boxes that a world will ever have.
+            threads: CPU threads on which the worlds run.
 
-    Attributes:
-        open: the worlds.
-        simulator: its pure functions go on with them in a jitted program.
-        width: boxes for which a world has room; ``boards``: shapes for which its carrier has.
+        Attributes:
+            open: the worlds.
+            simulator: the pure functions on these worlds, also for jitted programs.
+            width: boxes for which a world has room; ``boards``: shapes for which its carrier has room.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int, threads: int | None = None) -> None:
@@ -73,7 +74,7 @@ class WarpWorlds(OpenWorlds):
         self.open = OpenState(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
 
     def go_on(self) -> None:
-        """As for all engines."""
+        """See ``OpenWorlds.go_on``."""
         self.open = self._to_the_end(self.open, jnp.zeros((1, 1, 3)))
 
     def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
@@ -132,7 +133,7 @@ class WarpWorlds(OpenWorlds):
         padded = _padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
-        more = self._constants(scenes, padded)  # without drives, which begin when the boxes rest
+        more = self._constants(scenes, padded)  # without drives: they begin when the boxes rest
         rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
@@ -181,14 +182,14 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(state, jobs, batch)
 
     def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
-        """Outcomes of worlds that have paused, when nothing more is put in."""
+        """Outcomes of paused worlds into which nothing more is put."""
         begun = OpenState(batch.worlds, self._jitted_finish(OpenState(batch.worlds, state)))
         ended = self._to_the_end(begun, batch.profiles)
         picked = read_back(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
         return list(outcomes(picked, jobs, self._sim, batch.recorder))
 
     def _to_the_end(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds go on; those whose buffers are too small again in larger ones."""
+        """Let worlds go on. Worlds that overflow their buffers go on with larger ones."""
         while bool(self.simulator.going(open_)):
             open_ = self._jitted_slice(open_, profiles)
             full = open_.state.status == Status.OVERFLOWED
@@ -221,11 +222,12 @@ class WarpWorlds(OpenWorlds):
         )
 
     def roomier(self, times: int) -> Simulator:
-        """The pure functions with buffers that are so many times as large: programs of others cannot enlarge them."""
+        """The pure functions with buffers that are ``times`` as large, for jitted programs, which cannot enlarge
+        them."""
         return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
 
     def _know(self, scenes: Sequence[Scene]) -> None:
-        """Take kernels that know all that these scenes have."""
+        """Change to kernels with all features of these scenes."""
         traits = self._traits
         for scene in scenes:
             traits |= Traits.of(scene)
@@ -234,7 +236,7 @@ class WarpWorlds(OpenWorlds):
             self._make_simulator()
 
     def _constants(self, scenes: Sequence[Scene], rows: int) -> Worlds:
-        """Constants of open worlds, with so many rows."""
+        """Constants of open worlds, in ``rows`` rows."""
         self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
@@ -247,11 +249,11 @@ class WarpWorlds(OpenWorlds):
         return worlds._replace(pauses=device_array(np.ones(rows, np.bool_)))
 
     def _rows(self, worlds: Sequence[int], length: int | None = None) -> Int[Array, " row"]:
-        """Rows of the tables, padded with rows that there are not.
+        """Rows of these worlds, padded with rows beyond the tables.
 
         Args:
-            length: None: a power of two, and as many as the largest call had, so that those that follow compile
-                nothing: pallets end and begin anew, and each step has another number of them.
+            length: None: a power of two, and at least the length of the largest call so far. Later calls then compile
+                nothing, although pallets end and begin anew, and their number changes with every step.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, _padded_rows(len(worlds)))
@@ -265,7 +267,7 @@ _jitted_fork = jax.jit(fork)
 
 @jax.jit
 def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
-    """Forks of these worlds as worlds of their own. Worlds behind the first ones do not go on."""
+    """Copies of these worlds as separate worlds. Worlds after the first ``count`` do not go on."""
     state = take_rows(open_.state, rows)
     padding = jnp.arange(len(rows)) >= count
     return OpenState(
@@ -275,16 +277,16 @@ def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> 
 
 
 def _padded_rows(count: int) -> int:
-    """Rows for so many worlds: a power of two, so that few programs are compiled."""
+    """Rows for ``count`` worlds: a power of two, so that few programs are compiled."""
     return 1 << (count - 1).bit_length()
 
 
 def _coarsely_padded(count: int) -> int:
-    """Rows for so many candidates: a power of four, so that fewer programs still are compiled."""
+    """Rows for ``count`` candidates: a power of four, so that even fewer programs are compiled."""
     return int(4 ** ((count - 1).bit_length() + 1 >> 1)) if count > 1 else 1
 
 
 def _without_padding(state: State, count: int) -> State:
-    """The states of so many worlds; what is behind them does not go on."""
+    """The states of the first ``count`` worlds; the worlds after them do not go on."""
     padding = jnp.arange(len(state.status)) >= count
     return state._replace(status=jnp.where(padding, Status.FINISHED, state.status))

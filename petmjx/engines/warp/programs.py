@@ -1,4 +1,4 @@
-"""The compiled programs of mjx-warp, kept for the process: a call with the same options compiles nothing."""
+"""The compiled programs of mjx-warp, cached for the process: a call with the same options compiles nothing."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps
 from petmjx.world.film import spring_rate_1_s
 
 TOLERANCE = 1e-8
-"""MuJoCo's default. It can be reached, since forces and residuals are double precision."""
+"""MuJoCo's default solver tolerance. It can be reached, since forces and residuals are double precision."""
 
 LOOKED_AT = ("steps", "iterations", "contacts")
-"""The counts that a host looks at after each time slice. They follow the statuses of all worlds, in one array: after
-each array that it fetches a thread waits for the interpreter's lock."""
+"""The counts that the host reads after each time slice. They follow the statuses of all worlds in one array, since a
+thread waits for the interpreter's lock after each array that it fetches."""
 
 DRIVEN_ITERATIONS = 7
-"""Most iterations of the solver in a drive. Where a whole pallet slides and collapses it takes 20 and more for the last
-digits of accelerations. Of 1,600 worlds of EUMOS's grid 1,598 have the verdict of ``mujoco``, which takes as many as it
-needs. What the limit costs and gains: benchmarks/notebook/performance.md, "Sliding contacts"."""
+"""Most iterations of the solver in a drive. While a whole pallet slides and collapses, the last digits of accelerations
+take 20 iterations and more. Of 1,600 worlds of EUMOS's grid 1,598 have the same verdict as on ``mujoco``, which has no
+such limit. Costs and gains of the limit: benchmarks/notebook/performance.md, "Sliding contacts"."""
 
 
 def friction_damping(physics: Physics) -> float:
-    """Damping of friction, 1/s, as MuJoCo has it (its documentation, "Modeling", "Solver parameters"); 0 if it is that
-    of contacts."""
+    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"); 0 if it is the same
+    as that of contacts."""
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction
@@ -51,7 +51,7 @@ def friction_damping(physics: Physics) -> float:
 
 
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
-    """What the kernels need to know about a run: the fields of ``records.Model`` except those of a fleet."""
+    """The kernels' constants of a run: the fields of ``world_arrays.Model`` except those of a block pool."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
     return {
         "timestep": physics.timestep_s,
@@ -66,7 +66,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world that needs many holds up no other
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world with many iterations holds up no other
         "driven_iterations": sim.solver_iterations or DRIVEN_ITERATIONS,
         "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
@@ -110,12 +110,12 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 
 class Programs:
-    """A time slice as XLA programs, one for each size of its tables. They hold the constants of a run on the device,
-    but no states, so any number of runs and threads can call them at the same time.
+    """The XLA programs of a time slice, one for each size of tables. They hold the constants of a run on the device,
+    but no states. So any number of runs and threads can call them at the same time.
 
     Args:
-        fleets: as ``BlockPools.of`` gives them.
-        slice_ns: time of a call of the kernels, ns.
+        fleets: block pools, as from ``BlockPools.of``.
+        slice_ns: time slice of a call of the kernels, ns.
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[BlockPool, ...], slice_ns: int) -> None:
@@ -127,8 +127,7 @@ class Programs:
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
 
     def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
-        """The program for arguments of these sizes: those of ``_advance``. ``progress`` learns how long compiling
-        took."""
+        """The program ``_advance`` for arguments of these sizes. The time of compiling is added to ``progress``."""
         table, _, _, profiles, order, frames = arguments
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:
@@ -150,7 +149,7 @@ class Programs:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " word"], dict[str, jax.Array], dict[str, jax.Array]]:
-        """A time slice. Returns states, workspace, what the host looks at, frames, and counts."""
+        """A time slice. Returns states, workspace, the array for the host (``LOOKED_AT``), frames, and counts."""
         table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = small_world_queues(self._few, order, table.placed, table.running)
@@ -159,19 +158,19 @@ class Programs:
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
-        # a copy: the next slice takes the table's own memory
+        # a copy, since the next slice reuses the table's memory
         looked_at = jnp.concatenate([table.status, *(counts[name] for name in LOOKED_AT)])
         return table, workspace, looked_at, frames, counts
 
 
 _COMPILING = Lock()
-"""Of all programs: Warp does not say that two threads may load the same kernel at once."""
+"""Held while any program is compiled. Warp does not promise that two threads may load the same kernel at once."""
 
 MOST_KEPT = 16
-"""Sets of programs that are kept: a score with further attempts has up to four. The largest have 16 MB each."""
+"""Number of ``Programs`` that are kept. A score with further attempts has up to four. The largest take 16 MB each."""
 
 
 @functools.lru_cache(MOST_KEPT)
 def programs(sim: Simulation, timetable: Timetable, fleets: tuple[BlockPool, ...], slice_ns: int) -> Programs:
-    """The programs of a run. Timetables are distinguished by identity, and kept as long."""
+    """The programs of a run. Timetables are compared by identity, and kept as long as the programs."""
     return Programs(sim, timetable, fleets, slice_ns)

@@ -1,4 +1,4 @@
-"""What a group of worlds gives after each time slice, and the outcomes that the host makes of it."""
+"""The worlds that end in a time slice, and the outcomes that the host makes of them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 MOST_AHEAD: Final = 40
-"""Slices whose worlds may wait for the host: 4 s of a GPU. They are copies of a group's rows, those of a slice filled
-up to hundreds: 200 MB for plans of up to 76 boxes, 700 MB for 250; more where so many end in a slice that it has
-several batches."""
+"""Most slices whose worlds may wait for the host: 4 s of a GPU. Each slice holds copies of rows, padded to hundreds.
+All take 200 MB for plans of up to 76 boxes and 700 MB for 250, or more if slices have several batches of ended
+worlds."""
 
 
 class SliceResult(NamedTuple):
     """The worlds that have ended in a time slice.
 
     Attributes:
-        picked: their rows of a group, states and metrics, on the device.
-        recorder: has their histories.
-        jobs, numbers: of all worlds of the group, and their numbers in the run.
+        picked: states and metrics of these worlds, on the device.
+        recorder: holds the histories of recorded worlds.
+        jobs, numbers: the jobs of all worlds of the group, and their numbers in the run.
     """
 
     picked: Sequence[Readback]
@@ -40,11 +40,11 @@ class SliceResult(NamedTuple):
 def outcomes_of(
     rounds: Generator[SliceResult], sim: Simulation, progress: Progress, *, waits: bool
 ) -> Iterator[Outcome]:
-    """The outcomes of worlds, with their numbers in the run.
+    """The outcomes of slices' worlds, with the numbers of their jobs in the run.
 
     Args:
-        waits: each slice waits for them. Else a thread runs the slices: the host may take longer for small worlds than
-            the device.
+        waits: whether each slice waits for the outcomes of the slice before. Else a thread runs the slices, since for
+            small worlds the host may be slower than the device.
     """
     counting, at_hand = Lock(), 0
     progress.at_hand = 0
@@ -58,7 +58,7 @@ def outcomes_of(
     def counted() -> Generator[SliceResult]:
         with closing(rounds):
             for next_round in rounds:
-                count(sum(len(batch.rows) for batch in next_round.picked))  # a slice that waits may have none
+                count(sum(len(batch.rows) for batch in next_round.picked))  # maybe 0 if slices wait
                 yield next_round
 
     try:
@@ -71,4 +71,4 @@ def outcomes_of(
                     count(-1)
                     yield outcome
     finally:
-        progress.at_hand = None  # after an error none follows
+        progress.at_hand = None  # no outcome follows after an error

@@ -1,8 +1,8 @@
-"""Worlds with few boxes so far: when they have thread blocks of their own, and which they are.
+"""Thread blocks for small worlds: worlds with few boxes so far.
 
-A block for them has several worlds, a warp each (``launch.FEW_BOXES``). Such a world takes the same steps to the last
-bit as in a block of its own, where it goes on when it has more boxes, or when too few such worlds are left: so which
-blocks have it is a matter of speed alone.
+A block for small worlds has several of them, a warp each (``block_launch.FEW_BOXES``). A small world takes the same
+steps as in a block of its own, to the last bit. It moves to a block of its own when it has more boxes, or when too few
+small worlds are left. So the choice of blocks only affects speed.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from petmjx.engines.warp.block_launch import FEW_BOXES, Launch, size_for
 from petmjx.engines.warp.kernel_launcher import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
-"""Worlds with which these blocks begin, and with fewer of which they end, as shares of their lanes: with few worlds
-blocks of one world are faster."""
+"""Number of small worlds from which these blocks are used, and below which they are no longer used, as shares of their
+lanes. For few worlds blocks of one world are faster."""
 
 
 def small_world_pool(fleet: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
-    """Blocks for worlds with few boxes; None: not on this device, or not for so few worlds.
+    """The block pool for small worlds; None if this device has none, or if there are too few worlds.
 
     Args:
-        fleet: those that have them else.
-        worlds: which begin with few boxes, and may have other blocks.
-        lanes: most worlds in blocks of a kind; None: as many as the device has room for.
+        fleet: the pool that has these worlds otherwise.
+        worlds: number of worlds that begin with few boxes.
+        lanes: most worlds in blocks of one kind; None: as many as the device has room for.
     """
     one = fleet.launch
     launch = replace(Launch.of(FEW_BOXES, one.hands, one.gives, one.wraps), lands=one.lands)
@@ -41,9 +41,10 @@ def small_world_pool(fleet: BlockPool, worlds: int, lanes: int | None = None) ->
 def small_world_queues(
     few: BlockPool, order: Int[Array, "queue world"], placed: Int[Array, " world"], running: Bool[Array, " world"]
 ) -> Int[Array, "queue+1 world"]:
-    """Queues with one more, the first: of the worlds of the last queue that have few boxes now, while they are enough.
+    """The queues with a new first one. It gets the worlds of the last queue that have few boxes now, if these are
+    enough.
 
-    All keep their order. For jitted programs.
+    Worlds keep their order. For jitted programs.
 
     Args:
         placed: boxes of each world.
@@ -56,6 +57,6 @@ def small_world_queues(
 
 
 def compacted_queue(queue: Int[Array, " world"], chosen: Bool[Array, " world"]) -> Int[Array, " world"]:
-    """The chosen ones of a queue, one behind the other, and negative numbers behind them."""
+    """The chosen worlds of a queue without gaps, followed by negative numbers."""
     place = jnp.where(chosen, jnp.cumsum(chosen) - 1, len(queue))
     return jnp.full_like(queue, -1).at[place].set(queue, mode="drop")

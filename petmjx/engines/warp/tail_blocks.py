@@ -1,9 +1,9 @@
-"""A run's last worlds: each has a multiprocessor of the GPU to itself, and more threads than others.
+"""Thread blocks for a run's last worlds: each has a multiprocessor of the GPU to itself, and more threads.
 
-A run ends with its longest worlds. Where two blocks share a multiprocessor each is slower than alone, so the last world
-has lost the time that it spent beside another block. Worlds that are expected to be among the last ones have blocks
-that fill a multiprocessor (``launch.LAST``). When there are no more worlds than multiprocessors, all have whose blocks
-would share one. Such a world takes the same steps to the last bit as in other blocks: it is a matter of speed alone.
+A run ends with its longest worlds. Two blocks that share a multiprocessor are each slower than alone. So the last world
+of a run loses the time that it spends beside another block. Worlds that are expected to be among the last ones get
+blocks that fill a multiprocessor (``block_launch.LAST``). So do all worlds of the smaller size once there are no more
+worlds than multiprocessors. A world takes the same steps as in other blocks, to the last bit. Only speed is affected.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
-"""Most worlds that are expected to be the last ones while others wait: those that have taken the most steps. Each takes
-the room of two."""
+"""Most worlds that are expected to be the last ones while other worlds still wait. They are the ones with the most
+steps so far. Each takes the room of two."""
 
 LONG: Final = 2.0
-"""A world is long that has taken so many times as many steps as those that have ended, in the mean."""
+"""A world is long if it has taken LONG times the mean number of steps of finished worlds."""
 
 GOES_ON: Final = 8.0
-"""A long world is expected to go on for so many times as many steps as it has taken, at most."""
+"""A long world is expected to go on for at most GOES_ON times the steps that it has taken."""
 
 
 def tail_pool(fleet: BlockPool, lanes: int | None = None) -> BlockPool | None:
-    """Blocks for the last worlds; None where they would be like the others, as on a CPU.
+    """The block pool for the last worlds; None if it would be the same as the usual pool, as on a CPU.
 
     Args:
-        fleet: those that have them else.
-        lanes: most worlds in blocks of a kind; None: as many as the device has room for.
+        fleet: the pool that has these worlds otherwise.
+        lanes: most worlds in blocks of one kind; None: as many as the device has room for.
     """
     one = fleet.launch
     if one.per_sm == 1:
@@ -51,14 +51,14 @@ def tail_queues(
     running: Bool[Array, " world"],
     lanes: int,
 ) -> Int[Array, "queue+1 world"]:
-    """Queues with one more, the first: of the last worlds, as far as they are in the last queue. All keep their order.
-    For jitted programs.
+    """The queues with a new first one, which gets the last worlds of the run out of the last queue. Worlds keep their
+    order. For jitted programs.
 
     Args:
-        order: the queues; behind their worlds negative numbers.
+        order: the queues: worlds, then negative numbers.
         steps, running, lanes: as for ``expected_tail``.
     """
-    few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows that no queue has may be in any state
+    few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows outside the queues may be in any state
     chosen = (running & few) | expected_tail(order, steps, running, lanes)
     queue = order[-1]
     mine = (queue >= 0) & chosen[queue]
@@ -69,19 +69,19 @@ def tail_queues(
 def expected_tail(
     order: Int[Array, "queue world"], steps: Int[Array, " world"], running: Bool[Array, " world"], lanes: int
 ) -> Bool[Array, " world"]:
-    """Which worlds are expected to be the last ones, while others may wait. For jitted programs.
+    """Which worlds are expected to be the last ones, while other worlds may still wait. For jitted programs.
 
     Args:
-        order: the queues; behind their worlds negative numbers.
-        steps: of each world, so far; 0 before it is taken from a queue.
+        order: the queues: worlds, then negative numbers.
+        steps: steps of each world so far; 0 before it is taken from a queue.
         running: worlds that go on.
         lanes: worlds at the same time.
     """
     begun = steps > 0
     ended = begun & ~running
-    # thousands of worlds may have taken more steps than an int32 holds
+    # the steps of thousands of worlds may exceed an int32
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
-    rest = ((order >= 0).sum() - begun.sum()) * mean / lanes  # steps of a lane, until none waits
+    rest = ((order >= 0).sum() - begun.sum()) * mean / lanes  # steps of a lane until no world waits
     long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
     most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
     return jnp.zeros_like(long).at[rows].set(most > 0)

@@ -1,4 +1,4 @@
-"""Runs of mjx-warp: time slices in which every world of a group goes on."""
+"""Rollouts of mjx-warp: time slices in which every world of a group goes on."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from petmjx.engines.warp.world_groups import Group, Run
 
 
 class Slice(NamedTuple):
-    """What a time slice gives beside states, when it has ended.
+    """The results of a time slice other than states.
 
     Attributes:
-        began: when the host began it, s.
+        began: time at which the host began it, s.
         looked_at: statuses of all rows, then the counts ``LOOKED_AT``.
     """
 
@@ -34,11 +34,11 @@ class Slice(NamedTuple):
 
 
 class Rollout:
-    """The buffers of a run, and its time slices that are under way, in their order.
+    """The buffers of a run and its time slices in flight, in order.
 
     Args:
-        fleets: as ``BlockPools.of`` gives them.
-        slice_ns: time of a call of the kernels, ns.
+        fleets: block pools, as from ``BlockPools.of``.
+        slice_ns: time slice of a call of the kernels, ns.
     """
 
     def __init__(self, run: Run, fleets: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
@@ -50,11 +50,11 @@ class Rollout:
 
     @property
     def under_way(self) -> int:
-        """Slices that have begun and were not waited for."""
+        """Number of slices in flight: begun, and not waited for yet."""
         return len(self._slices)
 
     def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
-        """Begin a time slice for all worlds of a group that run: behind those that are under way."""
+        """Begin a time slice for all running worlds of a group, after the slices in flight."""
         lanes = self.march.lanes
         if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
             group.frames = room_for(group, lanes)
@@ -65,19 +65,19 @@ class Rollout:
         self._slices.append(Slice(began, looked_at, frames, counts))
 
     def keep_under_way(self, count: int, group: Group, order: Int[Array, "queue world"]) -> None:
-        """Begin slices until so many are under way."""
+        """Begin slices until ``count`` are in flight."""
         while self.under_way < count:
             self.start(group, order)
 
     def finish(self, group: Group) -> None:
-        """Wait for all slices that are under way."""
+        """Wait for all slices in flight."""
         while self.under_way:
             self.wait(group)
 
     def close(self) -> None:
-        """Wait for slices that are under way, and free the workspace."""
+        """Wait for slices in flight, and free the workspace."""
         while self._slices:
-            with suppress(jax.errors.JaxRuntimeError):  # it may be because of this error that it is closed
+            with suppress(jax.errors.JaxRuntimeError):  # the rollout may be closed because of this error
                 self._slices.popleft().looked_at.block_until_ready()
         if not self.workspace.is_deleted():
             with suppress(jax.errors.JaxRuntimeError):
@@ -85,7 +85,7 @@ class Rollout:
             self.workspace.delete()
 
     def wait(self, group: Group) -> tuple[NDArray[np.int32], Slice]:
-        """Statuses of a group's worlds after the first slice under way, and that slice, which has ended."""
+        """Wait for the first slice in flight. Returns the statuses of the group's worlds after it, and the slice."""
         ended = self._slices.popleft()
         looked_at = np.array(ended.looked_at)
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)

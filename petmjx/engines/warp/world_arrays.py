@@ -1,14 +1,14 @@
-"""The data that the GPU engine's kernel works on, as records: constants, worlds, their state, workspace, and results.
+"""The data of mjx-warp's kernels as records: constants, worlds, states, workspace, and results.
 
-The kernel and its C++ take whole records. Each array is declared once, with its element type and its axes: ``Worlds``
-and ``State`` are the tables of petmjx/engines/mjx/world_constants.py, state.py and running.py, field by field; JAX
-passes their arrays, and the kernel changes ``State`` in place. All others are declared here. The workspace is one
-buffer, divided by the shapes given here.
+The kernels and their C++ take whole records. Each array is declared once, with its element type and axes. ``Worlds``
+and ``State`` have the fields of the tables in petmjx/engines/mjx/world_constants.py, world_state.py and
+running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in place. All other arrays are declared
+here. The workspace is one buffer, divided by the shapes given here.
 
-Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: of worlds
-of one size. ``body``: the carrier, then the boxes in packing order; ``free_body``: one that moves; ``dof``: one
-of its six rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another;
-``contact``: a point in which a pair touches. Units are SI.
+Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: worlds of one
+size. ``body``: the carrier, then the boxes in packing order; ``free_body``: a body that moves; ``dof``: one of its six
+rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another; ``contact``: a
+point in which a pair touches. Units are SI.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PANEL = 16
 """Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
 
 MAX_BOXES = 512
-"""Boxes of the largest world. Shared memory limits it: it holds the solver's right-hand side."""
+"""Boxes of the largest world. Shared memory, which holds the solver's right-hand side, limits it."""
 
 EFC_WORDS = 32
 """Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref, 3), stiffness of
@@ -38,14 +38,14 @@ BUFFER_WORDS = 1024
 """Numbers in a row of the buffer that holds workspaces."""
 
 TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
-"""Element types of tables on the device, by those of JAX."""
+"""Element type in JAX's annotations → element type on the device."""
 
 
 def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) -> Any:
     """A Warp struct whose arrays name their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
 
     Args:
-        tables: records of JAX arrays, whose fields it also has, except those in ``without``.
+        tables: records of JAX arrays. The struct also has their fields, except those in ``without``.
     """
     annotations, axes = inspect.get_annotations(cls, eval_str=True), {}
     for name, kind in annotations.items():
@@ -72,11 +72,11 @@ class Model:
     gravity: float
     solref: wp.vec2
     solimp: wp.vec3  # d₀, d_width, width
-    skin: float  # by how much boxes are larger for the collider, m
+    skin: float  # added to boxes for the collider, m
     carrier_skin: float  # the same of the carrier
     pyramidal: int  # 1 with pyramidal friction cones
-    friction_damping: float  # of a contact's tangents, 1/s; 0: as much as of its normal
-    slip_slack: float  # reference acceleration of a slip that is not corrected, m/s²; inf: none is
+    friction_damping: float  # of a contact's tangents, 1/s; 0: the same as of its normal
+    slip_slack: float  # reference acceleration of an uncorrected slip, m/s²; inf: no slip is corrected
     kinetic_share: float  # friction of contacts that slide fast, as a share of that at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # of the solver, as MuJoCo's
@@ -84,15 +84,15 @@ class Model:
     driven_iterations: int  # the same in a drive
     ls_iterations: int  # the same of its line search
 
-    queue: int  # from which these blocks take worlds
-    most_idle: int  # lanes without a world; if there are more the others give their worlds up, too, for this call
-    most_placed: int  # boxes of a world in these blocks; with more placed it goes on in others, in the next call
+    queue: int  # the queue from which these blocks take worlds
+    most_idle: int  # most lanes without a world; with more, the other lanes drop theirs, too, for this call
+    most_placed: int  # most boxes of a world here; with more it goes on in other blocks in the next call
     npairmax: int  # most pairs of near geoms of a world
     nconmax: int  # most contacts of a world
 
     fixed: int  # 1 with the fixed schedule
     waits_for_rest: int
-    extends: int  # 1 if a world that moves at its end is waited for
+    extends: int  # 1 if the rules wait for a world that moves at its end
     early_stop: int
     soft_start: int  # steps
     sample_every: int
@@ -132,10 +132,10 @@ class Model:
 
 @partial(record, tables=(world_constants.Worlds,), without=("driven",))
 class Worlds:
-    """Constants of worlds: the table ``batch.worlds.Worlds``. And ``profiles``, whose rows are excitations."""
+    """Constants of worlds: the table ``world_constants.Worlds``. And ``profiles``, with a row for each excitation."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # in which worlds take blocks; behind them negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # worlds in the order of their turns, then negative numbers
 
     if TYPE_CHECKING:
 
@@ -144,7 +144,7 @@ class Worlds:
 
 @partial(record, tables=(world_state.State, running_metrics.Metrics), without=("metrics",))
 class State:
-    """The state of worlds: the table ``batch.state.State`` with its metrics."""
+    """The state of worlds: the table ``world_state.State`` with its metrics."""
 
     if TYPE_CHECKING:
 
@@ -162,14 +162,14 @@ class Workspace:
     jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
     contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # in its frame
     worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
-    hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if shared memory has no room for it
-    strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if shared memory has no room for them
+    hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if it does not fit in shared memory
+    strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if they do not fit in shared memory
     efc: Annotated[wp.array3d[float], "block contact efc_word"]  # make_constraint; where they lie: efc.cuh
     curvature: Annotated[wp.array3d[float], "block contact 6"]
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
     drag: Annotated[wp.array3d[float], "block contact 2"]  # contact.cuh
-    excess: Annotated[wp.array2d[float], "block contact"]  # of contacts that slide; negative: does not (world/slip.py)
+    excess: Annotated[wp.array2d[float], "block contact"]  # of sliding contacts (contact_laws.py); negative: sticks
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
@@ -193,19 +193,19 @@ class Workspace:
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
     body_level: Annotated[wp.array2d[int], "block body"]  # when bodies are put in order
     position: Annotated[wp.array2d[int], "block free_body"]  # of a body in the solver's system
-    lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: the lowest that its body touches, or its own
+    lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: lowest one that its body touches, or its own
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, in no order
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # free bodies
     solver_niter: Annotated[wp.array[int], "block"]
     solver_paused: Annotated[wp.array[int], "block"]  # iterations after which the solver has paused; 0: it has ended
-    world: Annotated[wp.array[int], "block"]  # which a block has; negative: none
-    frame: Annotated[wp.array[int], "block"]  # which a block writes
+    world: Annotated[wp.array[int], "block"]  # the world of a block; negative: none
+    frame: Annotated[wp.array[int], "block"]  # the frame that a block writes
 
 
 @record
 class FrameBuffer:
-    """Frames of recorded worlds, in the order in which blocks write them; all worlds of a call share the room."""
+    """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
     every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: it is not recorded
     used: Annotated[wp.array[int], "1"]
@@ -219,19 +219,19 @@ class FrameBuffer:
 
 @record
 class Counts:
-    """What a call counts."""
+    """Counters of a call."""
 
-    taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken, so far
+    taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken so far
     idle: Annotated[wp.array[int], "queue"]  # lanes that have found no more worlds
-    clock: Annotated[wp.array[int], "1"]  # when it began: block.cuh
+    clock: Annotated[wp.array[int], "1"]  # when the call began: block.cuh
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
-    contacts: Annotated[wp.array[int], "1"]  # most of a world
+    contacts: Annotated[wp.array[int], "1"]  # the most that a world had
 
 
 @record
 class Thread:
-    """A thread of a block, and the world that its block has."""
+    """A thread of a block, and the world of this block."""
 
     block: int
     thread: int
@@ -239,16 +239,16 @@ class Thread:
     world: int
     placed: int  # boxes that stand
     geoms: int  # the floor and the shapes of the carrier and of these boxes
-    held: int  # 1 if the carrier is held fast: it is then no free body
-    hands: int  # 1 if a hand may carry boxes; 0 is known to the compiler, which then leaves hands out
-    gives: int  # the same where boxes may give
-    wraps: int  # the same where film may hold boxes
-    lands: int  # the same where boxes that land follow a law of their own
+    held: int  # 1 if the carrier is held fast, and so is no free body
+    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves hands out
+    gives: int  # the same for compliant boxes
+    wraps: int  # the same for film
+    lands: int  # the same for the law of landing boxes
     carried: int  # 1 if a hand has the last of these boxes
 
 
 def most_panels(n_boxes: int) -> int:
-    """Panels of the system of a world with so many boxes and a carrier that moves."""
+    """Panels of the system of a world with ``n_boxes`` boxes and a moving carrier."""
     return -(-6 * (n_boxes + 1) // PANEL)
 
 
@@ -295,7 +295,8 @@ def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ..
 
 
 def filled_record(kind: Any, values: Mapping[str, Any]) -> Any:
-    """A record with its fields from ``values``, which may have more entries. Arrays are rows (arrays.cuh)."""
+    """A record with its fields from ``values``, which may have further entries. Arrays must have contiguous rows
+    (arrays.cuh)."""
     instance = kind()
     for name in kind.vars:
         assert getattr(values[name], "is_contiguous", True), name
@@ -312,7 +313,7 @@ def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...]
 
 
 def buffer_rows(sizes: Mapping[str, int]) -> int:
-    """Rows of ``BUFFER_WORDS`` that hold the workspace of some blocks; within each array block lies after block.
+    """Rows of ``BUFFER_WORDS`` words that hold the workspace of some blocks. Each array holds one block after another.
 
     Args:
         sizes: axis → size.
@@ -321,7 +322,7 @@ def buffer_rows(sizes: Mapping[str, int]) -> int:
 
 
 def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict[str, Any]:
-    """The workspace's arrays, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``) from this row on."""
+    """The workspace's arrays, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``), from ``first_row`` on."""
     views: dict[str, Any] = {}
     pointer = buffer.ptr + 4 * BUFFER_WORDS * first_row
     for name, dtype, shape, words in _parts(sizes):

@@ -1,4 +1,4 @@
-"""A group of worlds that mjx-warp has on its device at the same time."""
+"""A group of worlds that are on mjx-warp's device at the same time."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 MAX_GROWTH = 8
-"""Largest factor for buffers that overflow; they are doubled each time. A world that needs more is invalid."""
+"""Largest growth of buffers. They double with each overflow. A world that needs more is invalid."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
@@ -32,24 +32,24 @@ _put = jax.jit(put_rows)
 
 
 def put_from(table: Table, first_row: int, count: int, values: Table, put: Callable[..., Table] = _put) -> Table:
-    """A table of a group in which the rows from this one on are the first ``count`` of ``values``.
+    """The table with the first ``count`` rows of ``values`` in its rows from ``first_row`` on.
 
     Args:
-        put: as ``put_rows``.
+        put: a function like ``put_rows``.
     """
     length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
-    rows = np.full(length, end, np.int32)  # beyond the end: they are dropped
+    rows = np.full(length, end, np.int32)  # rows beyond the end are dropped
     rows[:count] = first_row + np.arange(count)
     return put(table, device_array(rows), values)
 
 
 @dataclass
 class Run:
-    """What the worlds of a group have in common.
+    """Options that the worlds of a group have in common.
 
     Attributes:
-        needs: what its kernels know and have room for.
-        message: of the progress while its worlds are simulated.
+        needs: features and sizes of the group's kernels.
+        message: the progress message while its worlds are simulated.
     """
 
     sim: Simulation
@@ -60,13 +60,13 @@ class Run:
 
     @classmethod
     def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress) -> Run:
-        """For worlds with these needs."""
+        """The run options of worlds with these needs."""
         return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message)
 
 
 @dataclass
 class Group(Batch):
-    """Worlds of all sizes, and room for their frames on the device."""
+    """Worlds of all sizes on the device, and the buffers for their frames."""
 
     run: Run
     frames: dict[str, jax.Array] | None = None
@@ -76,17 +76,18 @@ class Group(Batch):
         return np.asarray(self.table.status)[: len(self.jobs)]
 
     def handed_on(self, status: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """Which jobs are at their end, by the statuses of their rows, and not on the way to a drive."""
+        """Which jobs have reached their end, by the statuses of their rows. A settled world that waits for its drive
+        has not."""
         ended: NDArray[np.bool_] = (status == Status.FINISHED) | ((status == Status.SETTLED) & ~self.driven)
         return ended
 
     @cached_property
     def driven(self) -> NDArray[np.bool_]:
-        """Jobs with a drive."""
+        """Mask of the jobs with a drive."""
         return np.array([job.drive is not None for job in self.jobs], bool)
 
     def fits(self, job: Job) -> bool:
-        """Whether the tables and the blocks of its size have room for a job."""
+        """Whether a job can join the group: the tables, and the blocks of its size, have room for it."""
         known = job.drive is None or id(job.drive.excitation) in self.profile_rows
         has_blocks = job.scene.n_boxes <= self.run.needs.widths.get(size_of(job), 0)
         has_blocks &= len(job.scene.carrier.half_size) <= self.boards
@@ -94,14 +95,15 @@ class Group(Batch):
         return known and has_blocks and has_times and job.record is None and self.recorder.idle
 
     def add(self, jobs: Sequence[Job], worlds: Worlds, table: State) -> None:
-        """Put more jobs into the rows behind those that are taken. Tables have a row for each of them at least."""
+        """Put more jobs into the rows after the used ones. ``worlds`` and ``table`` have at least a row for each of
+        them."""
         first, count = len(self.jobs), len(jobs)
         self.worlds = put_from(self.worlds, first, count, worlds)
         self.table = put_from(self.table, first, count, table)
         self.jobs += jobs
-        self.__dict__.pop("driven", None)  # is worked out anew
+        self.__dict__.pop("driven", None)  # is computed anew
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Clear the overflow bits and set the bit for a re-run: in larger buffers the result is valid."""
+        """Clear the overflow bits and set the bit for a re-run. In larger buffers the result is valid."""
         flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
         self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))

@@ -1,4 +1,5 @@
-"""Faces of boxes that give, pressed on one another. Twin of petmjx/engines/mujoco/bed.py."""
+"""Contacts of compliant boxes: where the faces of two boxes press on one another. Twin of
+petmjx/engines/mujoco/bed.py."""
 
 from __future__ import annotations
 
@@ -11,19 +12,19 @@ EDGE = wp.constant(EDGE_SHARE)
 SHARE = wp.constant(LEAST_SHARE)
 OUT = wp.constant(OUTWARD)
 LEVEL = wp.constant(1e-9)
-"""Second moments, m², below which an area is a line."""
+"""Second moment, m², below which an area counts as a line."""
 
 STEEP = wp.constant(1e-14)
-"""Square of the slope below which depth is the same everywhere."""
+"""Square of the slope below which the depth counts as the same everywhere."""
 
 MOST = wp.constant(10)
 Polygon = wp.types.matrix(shape=(10, 2), dtype=wp.float32)
-"""Corners of a parallelogram that five lines have cut off."""
+"""Corners of a parallelogram that is clipped by five lines."""
 
 
 @wp.func
 def _face_axis(turn: wp.mat33, toward: wp.vec3) -> int:
-    """Axis of the face that looks most this way."""
+    """Axis of the face that points most in this direction."""
     along = wp.transpose(turn) * toward
     axis = int(0)
     if wp.abs(along[1]) > wp.abs(along[axis]):
@@ -47,7 +48,7 @@ def _outward(turn: wp.mat33, axis: int, toward: wp.vec3) -> wp.vec3:
 
 @wp.func
 def _cut(corners: Polygon, count: int, x: float, y: float, one: float) -> tuple[Polygon, int]:
-    """What is left of a polygon where x·X + y·Y + one is positive: its corners, and how many there are."""
+    """The part of a polygon in which x·X + y·Y + one is positive: its corners, and their number."""
     left = Polygon()
     kept = int(0)
     for i in range(count):
@@ -89,14 +90,14 @@ def bed_of(
     half_b: wp.vec3,
     toward: wp.vec3,
 ) -> tuple[bool, wp.vec3, wp.mat44, float, float]:
-    """Where faces of two boxes press on one another.
+    """Where the faces of two boxes press on one another.
 
     Args:
-        toward: the collider's normal, from the first to the second.
+        toward: the collider's normal, from the first box to the second.
 
     Returns:
-        Whether they are faces; the normal; points and depths, row by row; the area that is pressed, m²; the area as
-        on which the faces are stiff at least, m².
+        Whether faces meet; the normal; points and depths, row by row; the pressed area, m²; the smallest area that
+        counts for the stiffness, m².
     """
     axis_a = _face_axis(turn_a, toward)
     axis_b = _face_axis(turn_b, toward)

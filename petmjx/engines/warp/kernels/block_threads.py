@@ -1,5 +1,7 @@
-"""What the threads that have a world do together, and products that are rounded alike in all kernels: Warp functions
-for the C++ of petmjx/engines/warp/solver/block.cuh."""
+"""Collective operations of a world's threads, and products that are rounded alike in all kernels.
+
+These are Warp functions for the C++ of petmjx/engines/warp/solver/block.cuh.
+"""
 
 from __future__ import annotations
 
@@ -70,8 +72,8 @@ def cross(a: wp.vec3, b: wp.vec3) -> wp.vec3:
 
 @wp.func
 def warp_by_warp(at: Thread) -> int:
-    """A thread's number when those of different warps alternate: threads 0, 32, 64, … come first, then 1, 33, …
+    """A thread's number if threads of different warps alternate: threads 0, 32, 64, … come first, then 1, 33, …
 
-    So warps share work evenly where there is too little for all threads. On a CPU, with one thread, it is 0.
+    So warps share work evenly if there is too little for all threads. On a CPU, with one thread, it is 0.
     """
     return at.thread % 32 * (at.threads // 32) + at.thread // 32

@@ -16,23 +16,23 @@ from petmjx.engines.warp.kernels.mujoco_warp import box_box, mat83f, plane_box, 
 from petmjx.engines.warp.world_arrays import Model, Thread, Workspace, Worlds
 
 NEAR = wp.constant(1e-5)
-"""Boxes around geoms are larger by this, m, so that rounding loses no contact."""
+"""Margin of the bounding boxes of geoms, m, so that rounding loses no contact."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
-"""How far boxes around geoms may be apart, m, for their pair to be listed. The list is good until one of them has left
-its room, so that it need not be made in each step."""
+"""Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a geom has
+left its room, so it need not be made in each step."""
 
 
 @wp.func
 def _first_partner(worlds: Worlds, at: Thread, geom: int) -> int:
-    """The first of the geoms behind this one that may touch it: of another body, and not held fast to the floor."""
+    """The first geom after this one that may touch it. It belongs to another body, and the two are not both fixed."""
     body = wp.max(body_of(worlds, at.world, geom), wp.where(at.held != 0, 0, -1))
     return first_geom(worlds, at.world, body + 1)
 
 
 @wp.func
 def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool:
-    """Whether the boxes around two geoms are no further apart than this along each axis, m."""
+    """Whether the bounding boxes of two geoms are at most ``apart`` from one another along each axis, m."""
     reach = work.geom_reach[at.block, two]
     place = work.geom_xpos[at.block, two]
     if one == 0:
@@ -52,10 +52,11 @@ def list_pairs(
     # Data out:
     work: Workspace,
 ) -> int:
-    """List pairs of geoms that are no further apart than this, m; returns their number, which may be more than fit.
+    """List pairs of geoms that are at most ``apart`` from one another, m. Returns their number, which may be more than
+    fit.
 
-    ``geom1_pairadr`` says where the pairs of each lower geom begin. ``geom2_pair`` has the pairs of each higher geom,
-    from ``geom2_pairadr`` on, in order.
+    The pairs of each lower geom begin at ``geom1_pairadr``. ``geom2_pair`` has the pairs of each higher geom in order,
+    from ``geom2_pairadr`` on.
     """
     block = at.block
     n = at.geoms
@@ -110,14 +111,14 @@ def collide(
     # Data out:
     work: Workspace,
 ) -> bool:
-    """Find where pairs touch; returns whether contacts have other numbers than a step ago.
+    """Find the contacts of the listed pairs. Returns whether the numbering of contacts has changed since the last step.
 
-    Boxes are larger by a skin for the collider, and contacts begin as deep as skins are thick (``_add_skin`` in
-    petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may be more than fit.
-    ``contact_pair`` is the pair of each contact that fits.
+    For the collider, boxes are enlarged by a skin, and contacts begin as deep as the skins are thick (``_add_shapes``
+    in petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may be more than
+    fit. ``contact_pair`` is the pair of each contact that fits.
 
     Args:
-        anew: pairs were listed for this step.
+        anew: whether pairs were listed anew for this step.
     """
     block = at.block
     changed = bool(anew)

@@ -1,4 +1,4 @@
-"""Contacts of boxes that give: springs, as stiff as the boxes between which they are. Twin of
+"""Contact laws of compliant boxes: contacts are springs with the stiffness of both boxes. Twin of
 petmjx/world/compliance.py."""
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ CONTACTS = wp.constant(float(CONTACTS_PER_FACE))
 
 @wp.func
 def _planned_middle(worlds: Worlds, world: int, geom: int) -> wp.vec3:
-    """Middle of a geom that is not the floor, as planned, m."""
+    """Planned centre of a geom other than the floor, m."""
     body = body_of(worlds, world, geom)
     place = wp.vec3(0.0, 0.0, 0.0)
     for i in range(3):
@@ -33,7 +33,7 @@ def _planned_middle(worlds: Worlds, world: int, geom: int) -> wp.vec3:
 
 @wp.func
 def _shared_area(worlds: Worlds, world: int, first: int, second: int) -> float:
-    """Area in which two geoms press on one another, as planned, m²."""
+    """Planned area in which two geoms press on one another, m²."""
     one = geom_half(worlds, world, first)
     two = geom_half(worlds, world, second)
     a = _planned_middle(worlds, world, first)
@@ -48,7 +48,7 @@ def _shared_area(worlds: Worlds, world: int, first: int, second: int) -> float:
 
 @wp.func
 def compliance_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
-    """Area for each stiffness of the beds of two geoms in series, m³/N; 0: both are rigid."""
+    """Area divided by stiffness, for the beds of two geoms in series, m³/N; 0: both are rigid."""
     give = worlds.shape_give[world, second - 1]
     if first != 0:
         give += worlds.shape_give[world, first - 1]
@@ -57,13 +57,13 @@ def compliance_of_pair(worlds: Worlds, world: int, first: int, second: int) -> f
 
 @wp.func
 def spring_of_bed(area: float, give: float) -> float:
-    """Stiffness of a contact of faces that press on one another with this area, m², N/m."""
+    """Stiffness of a contact of two faces, N/m, that press on one another with this area, m²."""
     return area / give / CONTACTS
 
 
 @wp.func
 def spring_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
-    """Stiffness of a contact of two geoms that is none of faces, N/m; 0: both are rigid."""
+    """Stiffness of a contact of two geoms without meeting faces, N/m; 0: both are rigid."""
     give = compliance_of_pair(worlds, world, first, second)
     half = geom_half(worlds, world, second)
     area = 4.0 * half[0] * half[1]

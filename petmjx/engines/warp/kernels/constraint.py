@@ -1,8 +1,7 @@
 """Constraints of a world: the rows of its contacts, and the contacts of each body.
 
-Contacts have the parameters that MuJoCo gives them (its documentation, "Modeling", "Solver parameters"). A contact is
-described by its frame and three moment arms per body (27 numbers), since each of its two bodies is free or does not
-move.
+Contacts have MuJoCo's parameters (its documentation, "Modeling", "Solver parameters"). Each of a contact's two bodies
+is free or does not move. So its frame and three moment arms per body (27 numbers) describe it.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ STICKS = wp.constant(STICKS_M_S)
 
 @wp.func
 def _frame_of(direction: wp.vec3) -> wp.mat33:
-    """The frame of a contact, axis after axis, as MuJoCo has it (mujoco_warp's make_frame)."""
+    """The frame of a contact, one axis a row, as in MuJoCo (mujoco_warp's make_frame)."""
     normal = wp.normalize(direction)
     other = wp.where((-0.5 < normal[1]) and (normal[1] < 0.5), wp.vec3(0.0, 1.0, 0.0), wp.vec3(0.0, 0.0, 1.0))
     one = wp.normalize(other - normal * wp.dot(normal, other))
@@ -80,7 +79,7 @@ def _friction(worlds: Worlds, world: int, geom: int) -> float:
 
 @wp.func
 def surface_of(worlds: Worlds, world: int, geom: int) -> int:
-    """Surface of a geom; the floor has 0, the surface without entries."""
+    """Surface of a geom. The floor has surface 0, which is in no pair of surfaces."""
     if geom == 0:
         return 0
     return worlds.shape_surface[world, geom - 1]
@@ -88,7 +87,7 @@ def surface_of(worlds: Worlds, world: int, geom: int) -> int:
 
 @wp.func
 def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
-    """Sliding friction between two geoms: that of their surfaces, else the larger one."""
+    """Sliding friction between two geoms: that of their pair of surfaces, else the larger one of the two."""
     pair_friction = worlds.pair_friction[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     if pair_friction >= 0.0:
         return pair_friction
@@ -97,7 +96,8 @@ def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> fl
 
 @wp.func
 def friction_share(kinetic: float, slip: float) -> float:
-    """What a contact that slides so fast has of its friction at rest. Twin of petmjx/world/contact_laws.py."""
+    """Share of the friction at rest that a contact has while it slides at this speed. Twin of
+    petmjx/world/contact_laws.py."""
     return 1.0 - times(1.0 - kinetic, wp.clamp(slip / STICKS - 1.0, 0.0, 1.0))
 
 
@@ -114,12 +114,12 @@ def make_constraint(
     # Data out:
     work: Workspace,
 ) -> None:
-    """Constraints of all contacts, as ``efc`` has them (``records.EFC_WORDS``).
+    """Write the constraints of all contacts into ``efc`` (``world_arrays.EFC_WORDS``).
 
     Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
-    the frames of the bodies. Contacts that slide have the law of petmjx/world/contact_laws.py. With pyramidal cones the
-    rows of the four edges are normal ± friction × tangent; they are not stored. ``excess`` is the largest with which
-    the solver begins.
+    the frames of the bodies. Sliding contacts have the law of petmjx/world/contact_laws.py. With pyramidal cones the
+    rows of the four edges are normal ± friction × tangent; they are not stored. ``excess`` is the largest one with
+    which the solver may begin.
     """
     block = at.block
     world = at.world
@@ -186,11 +186,11 @@ def link_contacts(
     # Data out:
     work: Workspace,
 ) -> None:
-    """The contacts of each free body, as links: 2 × contact + side.
+    """List the contacts of each free body, as links: 2 × contact + side.
 
-    ``body_contact[block, body_conadr[block, b]:body_conadr[block, b + 1]]`` belong to free body b, in the order of the
-    contacts: first those in which b is the second body. ``lowest`` says, by a body's position in the system, what is
-    the lowest position of the free bodies that it touches and of itself.
+    ``body_contact[block, body_conadr[block, b]:body_conadr[block, b + 1]]`` are the links of free body b, in the order
+    of contacts. Contacts in which b is the second body come first. ``lowest``, by a body's position in the system, is
+    the lowest position among the body and the free bodies that it touches.
     """
     block = at.block
     nfree = work.nfree[block]

@@ -1,5 +1,7 @@
-"""The numbers of contacts, which lie otherwise on a GPU than on a CPU: Warp functions for the C++ of
-petmjx/engines/warp/solver/efc.cuh."""
+"""Access to the numbers of contacts, whose memory layout differs between GPU and CPU.
+
+These are Warp functions for the C++ of petmjx/engines/warp/solver/efc.cuh.
+"""
 
 from __future__ import annotations
 

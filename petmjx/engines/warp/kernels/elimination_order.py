@@ -1,10 +1,10 @@
-"""In which order the bodies of a world stand in the solver's system: by their distance, in contacts, from the body that
-is farthest from the carrier.
+"""The elimination order: the order of a world's bodies in the solver's system.
 
-Bodies that touch should stand near one another there, so that the Hessian's envelope is narrow (Cuthill and McKee,
-"Reducing the bandwidth of sparse symmetric matrices", 1969). In packing order the factor takes twice the operations
-(benchmarks/notebook/performance.md). An order is part of a world's state, and is renewed at certain steps. So it does
-not depend on which thread block had the world when.
+Bodies are ordered by their distance, counted in contacts, from the body that is farthest from the carrier. Bodies that
+touch should be near one another in this order, so that the Hessian's envelope is narrow (Cuthill and McKee, "Reducing
+the bandwidth of sparse symmetric matrices", 1969). In packing order the factor takes twice the operations
+(benchmarks/notebook/performance.md). The order is part of a world's state, and is renewed at fixed steps. So it does
+not depend on the thread blocks that a world has had.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from petmjx.engines.warp.kernels.motion import body_of
 from petmjx.engines.warp.world_arrays import State, Thread, Workspace, Worlds
 
 RENEWED_EVERY = wp.constant(25)
-"""Steps: contacts change when a box is placed, about every 60 steps, and while boxes fall."""
+"""Steps between two renewals. Contacts change when a box is placed, about every 60 steps, and while boxes fall."""
 
 UNREACHED = wp.constant(1 << 30)
 
 
 @wp.func
 def body_position(state: State, world: int, body: int) -> int:
-    """Where a body stands among all that are placed. Body 0 is the carrier, then come the boxes."""
+    """Position of a body among all placed bodies. Body 0 is the carrier, then come the boxes."""
     if body == 0:
         return state.carrier_position[world]
     return state.position[world, body - 1]
@@ -31,7 +31,7 @@ def body_position(state: State, world: int, body: int) -> int:
 
 @wp.func
 def free_position(state: State, at: Thread, free_body: int) -> int:
-    """Where a free body stands among all of them: a carrier that is held is none."""
+    """Position of a free body among all free bodies. A held carrier is no free body."""
     position = body_position(state, at.world, free_body + at.held)
     if at.held != 0 and position > state.carrier_position[at.world]:
         position -= 1
@@ -49,7 +49,7 @@ def _find_levels(
     # Data out:
     work: Workspace,
 ) -> None:
-    """How many contacts lie between each body and the root."""
+    """Find the number of contacts between each body and the root."""
     block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):
         work.body_level[block, body] = wp.where(body == root, 0, UNREACHED)
@@ -83,7 +83,7 @@ def renew_order(
     state: State,
     work: Workspace,
 ) -> None:
-    """Put the bodies in order by the contacts of this step; bodies of one level stay in packing order."""
+    """Renew the order of bodies from the contacts of this step. Bodies of one level stay in packing order."""
     block = at.block
     n = at.placed + 1
     _find_levels(worlds, at, npair, 0, work)

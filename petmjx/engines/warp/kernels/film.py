@@ -1,4 +1,4 @@
-"""Film around a pallet that is shaken (petmjx/world/film.py). Twin of petmjx/engines/mujoco/film.py."""
+"""Forces of film around a shaken pallet (petmjx/world/film.py). Twin of petmjx/engines/mujoco/film.py."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TINY = wp.constant(1.0e-30)
 
 @wp.func
 def _limited(vector: wp.vec3, most: float) -> wp.vec3:
-    """A vector, or one of the same direction that is not longer than this."""
+    """A vector, shortened to this length if it is longer."""
     length = wp.length(vector)
     if length <= most:
         return vector
@@ -24,7 +24,7 @@ def _limited(vector: wp.vec3, most: float) -> wp.vec3:
 
 @wp.func
 def _spring(model: Model, worlds: Worlds, state: State, world: int, box: int, begins: bool) -> wp.vec3:
-    """What pulls a box back to where film holds it, N."""
+    """Force of the spring that pulls a box back to its anchor on the film, N."""
     place = center(state, world, box + 1) - center(state, world, 0)
     anchor = place
     if not begins:
@@ -63,8 +63,8 @@ def hold(
     state: State,
     work: Workspace,
 ) -> None:
-    """Let film act during the step to come of a world with a drive, once ``begin_step`` is done; the other way round on
-    a carrier that moves."""
+    """Let film act during the coming step of a world with a drive, after ``begin_step``. The opposite force acts on a
+    moving carrier."""
     world = at.world
     begins = state.step[world] == state.driven_from[world]
     if at.held == 0 and at.thread == 0:

@@ -11,9 +11,10 @@ from petmjx.engines.warp.world_arrays import FrameBuffer, State, Thread, Workspa
 
 @wp.func
 def no_room(frames: FrameBuffer, blocks: int) -> bool:
-    """Whether a block must not step a recorded world, since each block may be about to write a frame. By one thread.
+    """Whether a block must not step a recorded world, since the buffer might overflow if every block wrote a frame. By
+    one thread.
 
-    An atomic addition reads what all blocks have written; a plain load may read a multiprocessor's own cache.
+    An atomic addition reads the writes of all blocks; a plain load might read a multiprocessor's own cache.
     """
     return add_to(frames.used, 0, 0) + blocks > frames.of.shape[0]
 
@@ -29,7 +30,7 @@ def keep_frame(
     work: Workspace,
     frames: FrameBuffer,
 ) -> None:
-    """Keep a frame after a step of a recorded world and all that followed from it, if one is due.
+    """Write a frame of a recorded world, after a step and its rules, if one is due.
 
     Args:
         every: steps between two frames.
@@ -46,7 +47,7 @@ def keep_frame(
         for box in range(at.thread, placed, at.threads):
             for i in range(7):
                 frames.pose[frame, box, i] = state.qpos[world, box, i]
-            # nothing has acted yet on a box that was just placed
+            # a box that was just placed has no force on its top yet
             frames.top_force[frame, box] = wp.where(box < at.placed, work.top_force[at.block, box], 0.0)
         if at.thread == 0:
             frames.of[frame] = world

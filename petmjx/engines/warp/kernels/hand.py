@@ -1,7 +1,7 @@
 """The hand that carries a box to its place (docs/rules.md, section 4). Twin of petmjx/engines/mujoco/hand.py.
 
-The carried box is the last one that was placed. One thread takes boxes up and lets them go, between two steps; what the
-hand does in a step is worked out by the thread that has the box.
+The carried box is always the last placed one. Between two steps, one thread takes boxes up and lets them go. The hand's
+forces in a step are computed by the thread that has the box.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ LOWERING_STEPS = wp.constant(approach_paths.LOWERING_STEPS)
 
 @wp.func
 def reach_of(q: wp.vec4, half: wp.vec3) -> wp.vec3:
-    """Half extents along x, y and z of the box around a turned box, m."""
+    """Half extents of the axis-aligned bounding box of a turned box, m."""
     turn = rotation(q)
     return wp.vec3(wp.dot(wp.abs(turn[0]), half), wp.dot(wp.abs(turn[1]), half), wp.dot(wp.abs(turn[2]), half))
 
@@ -52,7 +52,7 @@ def _bounding_extents(
     world: int,
     box: int,
 ) -> tuple[wp.vec3, wp.vec3]:
-    """Middle and half extents along x, y and z of the box around a box that stands, m."""
+    """Centre and half extents of the axis-aligned bounding box of a standing box, m."""
     q = orientation(state, world, box + 1)
     middle = middle_of(worlds, world, box, center(state, world, box + 1), q)
     return middle, reach_of(q, box_half(worlds, world, box))
@@ -70,8 +70,7 @@ def _first_obstacle(
     place: wp.vec3,
     reach: wp.vec3,
 ) -> tuple[int, float]:
-    """The first of the boxes that stand which overlaps something at this place, or -1, and the highest top of those
-    that do, m."""
+    """The first standing box that overlaps a box at this place, or -1, and the highest top of all that do, m."""
     first = int(-1)
     top = float(-1.0e30)
     for other in range(count):
@@ -95,11 +94,12 @@ def free_begin(
     begin: wp.vec3,
     reach: wp.vec3,
 ) -> wp.vec3:
-    """Where a box begins so that it is in none that stands, m: there, or as little aside as it must, or above.
+    """The place where a box may begin without overlapping a standing box, m: the given place, else a place moved aside
+    by as little as needed, else one above.
 
     Args:
-        begin: where it would begin.
-        reach: its half extents along x, y and z, m.
+        begin: the given place.
+        reach: half extents of the box's axis-aligned bounding box, m.
     """
     place = begin
     first, top = _first_obstacle(worlds, state, world, box, place, reach)
@@ -135,7 +135,8 @@ def take_up(
     # Data out:
     state: State,
 ) -> None:
-    """Move a box from where it will be released to where its way begins. A hand may then hold it. By one thread."""
+    """Move a box from its release pose to the place where its way begins. If its way takes steps, a hand carries it. By
+    one thread."""
     end = center(state, world, box + 1)
     q = orientation(state, world, box + 1)
     offset = wp.vec3(
@@ -173,8 +174,8 @@ def lets_go(
     # Data out:
     state: State,
 ) -> bool:
-    """Whether the hand lets go after a step in which it has carried the box: when that has arrived and rests. Unless it
-    is to fall from there, the box is set down first. By one thread."""
+    """Whether the hand lets go after a step in which it has carried the box. It does when the box has arrived and
+    rests. Unless the box is meant to fall, it is set down first. By one thread."""
     elapsed = step - state.carried_from[world]
     slow = speed_of(worlds, state, world, box) < model.quiet_speed
     lowered_from = state.lowered_from[world]
@@ -198,7 +199,7 @@ def has_missed(
     world: int,
     box: int,
 ) -> bool:
-    """Whether a box that the hand lets go is so far from its place that it could not be placed."""
+    """Whether a released box is too far from its place, so that it could not be placed."""
     return wp.length(_world_vector(state.way_end, world) - center(state, world, box + 1)) > MISSED
 
 
@@ -210,21 +211,21 @@ def _world_vector(values: wp.array2d[float], world: int) -> wp.vec3:
 
 @wp.func
 def _progress(step: int, steps: int) -> float:
-    """Share of the way after some of its steps."""
+    """Share of the way that is covered after ``step`` of its ``steps``."""
     share = wp.clamp(float(step) / float(steps), 0.0, 1.0)
     return times(share * share, 3.0 - 2.0 * share)
 
 
 @wp.func
 def _limited(vector: wp.vec3, most: float) -> wp.vec3:
-    """A vector, or one of the same direction that is not longer than this."""
+    """A vector, shortened to this length if it is longer."""
     length = wp.length(vector)
     return wp.where(length <= most, vector, vector * (most / wp.max(length, 1.0e-30)))
 
 
 @wp.func
 def _rotation_vector(q: wp.vec4, target_quat: wp.vec4) -> wp.vec3:
-    """Rotation from one orientation to another, in the axes of the first, rad; for small angles."""
+    """Rotation vector from one orientation to another, in the axes of the first, rad; for small angles."""
     w = q[0]
     u = wp.vec3(q[1], q[2], q[3])
     v = wp.vec3(target_quat[1], target_quat[2], target_quat[3])
@@ -245,7 +246,7 @@ def _hand_qacc(
     box: int,
     inertia: wp.vec3,
 ) -> vec6:
-    """Accelerations that the hand gives a box during the step to come: m/s² in world axes, rad/s² in the box's."""
+    """Accelerations that the hand gives a box during the coming step: m/s² in world axes, rad/s² in the box's."""
     mass = worlds.mass[world, box + 1]
     half = box_half(worlds, world, box)
     most = worlds.hand_force[world]
@@ -300,7 +301,7 @@ def carry(
     # Data out:
     work: Workspace,
 ) -> None:
-    """Let the hand act during the step to come, once ``begin_step`` is done. A carried box has a free carrier."""
+    """Let the hand act during the coming step, after ``begin_step``. While a box is carried, the carrier is free."""
     if at.carried != 0 and at.thread == 0:
         body = at.placed
         equal = worlds.inertia_box[at.world, body]

@@ -1,4 +1,4 @@
-"""Which boxes of a world tremble: those that go to and fro and get nowhere (docs/rules.md, section 5).
+"""Detection of boxes that tremble: they go to and fro and get nowhere (docs/rules.md, section 5).
 
 Twin of petmjx/engines/mjx/jitter.py.
 """
@@ -14,7 +14,7 @@ from petmjx.engines.warp.world_arrays import Model, State, Thread, Worlds
 
 @wp.func
 def distance_since(worlds: Worlds, state: State, home: wp.array3d[float], world: int, box: int) -> float:
-    """How far a point of a box has moved at most since it was at ``home``, m."""
+    """Upper bound of how far a point of a box has moved since ``home``, m."""
     shifted = float(0.0)
     turned = float(0.0)
     for i in range(3):
@@ -37,10 +37,10 @@ def find_jitter(
     # Data out:
     state: State,
 ) -> None:
-    """At a look for which boxes tremble; the first period after a placement is not measured.
+    """Update, at a look, which boxes tremble. The first period after a placement is not measured.
 
     Args:
-        look: number since the last placement, from 0.
+        look: number of the look since the last placement, from 0.
     """
     world = at.world
     period = model.tremble_looks
@@ -66,10 +66,10 @@ def find_jitter(
 
 @wp.func
 def has_jitter(model: Model, state: State, looks: int, world: int, box: int) -> bool:
-    """Whether a box trembles. Once another one has been placed, that is not known.
+    """Whether a box trembles. This is not known right after another box has been placed.
 
     Args:
-        looks: since the last placement.
+        looks: looks since the last placement.
     """
     return looks > 2 * model.tremble_looks and state.trembles[world, box] != 0
 

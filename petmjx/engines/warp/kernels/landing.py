@@ -1,5 +1,7 @@
-"""Landings: what stops boxes that arrive fast, and how they bounce. Twin of petmjx/world/contact_laws.py and
-petmjx/engines/mujoco/landing.py, which explain the law."""
+"""Contact law of landing boxes, which stops boxes that arrive fast or lets them bounce.
+
+Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, which explain the law.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,12 @@ from petmjx.world import contact_laws
 FAST = wp.constant(contact_laws.FAST_M_S)
 AT_REST = wp.constant(contact_laws.AT_REST)
 BEGINS = wp.constant(-1)
-"""In place of the steps that are left: one of the box's contacts closes fast."""
+"""Stands for the remaining steps of a landing that begins now: one of the box's contacts closes fast."""
 
 
 @wp.func
 def _speed(state: State, work: Workspace, at: Thread, contact: int, side: int, before: bool) -> float:
-    """Speed of a contact's body along the normal, m/s. ``before``: before its landing, if it lands."""
+    """Speed of a contact's body along the normal, m/s. ``before``: that before its landing, if it lands."""
     free_body = work.contact_bodies[at.block, contact, side]
     if free_body < 0:
         return 0.0
@@ -49,7 +51,7 @@ def _closing_speed(state: State, work: Workspace, at: Thread, contact: int, befo
 
 @wp.func
 def _box_of(work: Workspace, at: Thread, contact: int, side: int) -> int:
-    """A contact's box; negative: it is the carrier, or does not move."""
+    """The box on this side of a contact; negative: the body is the carrier, or does not move."""
     free_body = work.contact_bodies[at.block, contact, side]
     return wp.where(free_body < 0, -1, free_body + at.held - 1)
 
@@ -64,7 +66,7 @@ def _begin(
     state: State,
     work: Workspace,
 ) -> bool:
-    """Find boxes that begin to land; whether any lands."""
+    """Find boxes that begin to land. Returns whether any box lands."""
     world = at.world
     for box in range(at.thread, at.placed, at.threads):
         state.landing_left[world, box] = wp.max(state.landing_left[world, box] - 1, 0)
@@ -99,7 +101,7 @@ def land(
     state: State,
     work: Workspace,
 ) -> None:
-    """Change the contacts of a world in which a box lands; after ``make_constraint``."""
+    """Change the contacts of landing boxes, after ``make_constraint``."""
     block = at.block
     world = at.world
     fast = bool(False)

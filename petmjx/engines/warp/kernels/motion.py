@@ -1,9 +1,9 @@
 """Motion of a world's bodies: from poses to accelerations without contacts, and from accelerations to the next poses.
 
 Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body_shapes.py). Body 0 is the carrier, which is
-free or held fast, and box k is body k + 1. A free body moves and has six rows in the equations. All bodies are free, or
-only the boxes if the carrier is held: a free body's number is that of the body, less one if the carrier is held. A
-negative one does not move. Geom 0 is the floor, and shape k is geom k + 1.
+free or held fast, and box k is body k + 1. A free body moves, and has six rows in the equations. All bodies are free,
+except a held carrier. A free body's number is that of the body, less one if the carrier is held. A negative number
+stands for a body that does not move. Geom 0 is the floor, and shape k is geom k + 1.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
 MOST = wp.constant(UNBELIEVABLE)
 
 ROOM = wp.constant(2e-3)
-"""How far a body may go from where pairs were listed, m: half of what pairs may be apart (contacts.APART)."""
+"""How far a body may move after pairs were listed, m: about half of the distance at which pairs are listed
+(collision.APART)."""
 
 vec6 = wp.types.vector(length=6, dtype=float)
 
 
 @wp.func
 def body_of(worlds: Worlds, world: int, geom: int) -> int:
-    """The body of a geom; -1 of the floor."""
+    """The body of a geom; -1 for the floor."""
     if geom == 0:
         return -1
     return worlds.shape_body[world, geom - 1]
@@ -35,7 +36,7 @@ def body_of(worlds: Worlds, world: int, geom: int) -> int:
 
 @wp.func
 def first_geom(worlds: Worlds, world: int, body: int) -> int:
-    """The first geom of a body, and the end of those of the body before it."""
+    """The first geom of a body, which is also the end of the geoms of the body before it."""
     return worlds.first_shape[world, body] + 1
 
 
@@ -47,21 +48,21 @@ def box_half(worlds: Worlds, world: int, box: int) -> wp.vec3:
 
 @wp.func
 def geom_half(worlds: Worlds, world: int, geom: int) -> wp.vec3:
-    """Half extents of a geom that is not the floor, m."""
+    """Half extents of a geom other than the floor, m."""
     half = worlds.shape_half[world, geom - 1]
     return wp.vec3(half[0], half[1], half[2])
 
 
 @wp.func
 def middle_of(worlds: Worlds, world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
-    """The middle of a box whose frame is at this pose, m."""
+    """The centre of a box whose frame has this pose, m."""
     middle = wp.vec3(worlds.middle[world, box, 0], worlds.middle[world, box, 1], worlds.middle[world, box, 2])
     return place + rotation(q) * middle
 
 
 @wp.func
 def skin_of(model: Model, worlds: Worlds, world: int, geom: int) -> float:
-    """By how much a geom is larger for the collider, m (as in petmjx/world/mujoco_model.py): the floor not at all."""
+    """Skin by which a geom is enlarged for the collider, m (as in petmjx/world/mujoco_model.py). The floor has none."""
     body = body_of(worlds, world, geom)
     return wp.where(body < 0, 0.0, wp.where(body == 0, model.carrier_skin, model.skin))
 
@@ -154,14 +155,15 @@ def begin_step(
     # Data out:
     work: Workspace,
 ) -> bool:
-    """Poses of geoms, diagonal of the inertia matrix, accelerations without contacts, the solver's start.
+    """Compute poses of geoms, the diagonal of the inertia matrix, accelerations without contacts, and the solver's
+    start.
 
-    A free body's angular velocity is in its own frame, so Euler's equation gives the torque −ω × I·ω. All loads come
-    before the first store, so that they run at the same time.
+    A free body's angular velocity is in its own frame, so Euler's equation gives the torque −ω × I·ω. All memory loads
+    come before the first store, so that they run at the same time.
 
     Args:
         push: force on the carrier, N.
-        sample: keep the poses.
+        sample: whether to keep the poses.
 
     Returns:
         Whether a thread's bodies have left the room for which pairs were listed.
@@ -195,7 +197,7 @@ def begin_step(
                 start[i] = state.qacc_warmstart[world, body - 1, i]
         turn = rotation(q)
         place = frame + turn * wp.vec3(offset[0], offset[1], offset[2])
-        # as far as the box with its skin reaches, less the depth at which its contacts begin
+        # extent of the box with its skin, less the depth at which its contacts begin
         skin = wp.where(body == 0, model.carrier_skin, model.skin)
         skinned = half + wp.vec3(skin, skin, skin)
         reach = wp.vec3(
@@ -235,7 +237,7 @@ def begin_step(
 
 @wp.func
 def _is_number(x: float) -> bool:
-    """Whether MuJoCo would call a position or velocity good."""
+    """Whether MuJoCo would accept a position or velocity."""
     return wp.abs(x) < MOST
 
 
@@ -250,13 +252,13 @@ def end_step(
     state: State,
     work: Workspace,
 ) -> bool:
-    """Semi-implicit Euler; returns whether a thread's bodies have gone astray.
+    """Semi-implicit Euler. Returns whether a thread's bodies have bad positions or velocities.
 
-    The solver's next start continues the line through the accelerations of the last step and this one. From there it
-    takes a quarter fewer iterations than from those of this step (benchmarks/notebook/performance.md).
+    The solver's next start continues the line through the accelerations of the last step and this one. From this start
+    it takes a quarter fewer iterations than from the accelerations of this step (benchmarks/notebook/performance.md).
 
     Args:
-        measured: find the force on each box's top, too.
+        measured: whether to find the force on each box's top, too.
     """
     block = at.block
     world = at.world
@@ -321,7 +323,8 @@ def end_step(
 
 @wp.func
 def _top_force(work: Workspace, block: int, free_body: int) -> float:
-    """Force that presses on a box from above, N: of contacts within 45° of level with geoms whose centre is higher."""
+    """Force that presses on a box from above, N: that of contacts within 45° of level, with geoms whose centre is
+    higher."""
     total = wp.float64(0.0)
     for entry in range(work.body_conadr[block, free_body], work.body_conadr[block, free_body + 1]):
         link = work.body_contact[block, entry]

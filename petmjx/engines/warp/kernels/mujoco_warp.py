@@ -1,7 +1,8 @@
 """Functions of mujoco_warp, in the copy inside MJX, loaded without the packages around them.
 
-``import mujoco.mjx`` takes 2 to 3 s, and the kernel needs three of its files. So these are executed under names of
-their own, and import each other; what Warp keeps of them stays apart from what ``import mujoco.mjx`` makes later.
+``import mujoco.mjx`` takes 2 to 3 s, and the kernel needs only three of its files. So these files are executed under
+names of their own, and import each other. Warp keeps them apart from the modules that a later ``import mujoco.mjx``
+makes.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ def _import(
     fromlist: Sequence[str] | None = (),
     level: int = 0,
 ) -> ModuleType:
-    """As ``builtins.__import__``; mujoco_warp's files are found here."""
+    """As ``builtins.__import__``, but imports of mujoco_warp's files are resolved here."""
     if name == _PACKAGE:
         package = ModuleType(name)
         for member in fromlist or ():

@@ -1,4 +1,4 @@
-"""A kernel that does nothing for a while."""
+"""A kernel that only waits."""
 
 from __future__ import annotations
 
@@ -17,5 +17,5 @@ def let_pass(time_ns: wp.int64) -> None: ...
 
 @wp.kernel(enable_backward=False, module="unique", module_options={"block_dim": 1})
 def pause(time_ns: wp.int64) -> None:
-    """Let a time pass, ns; none on a CPU."""
+    """Wait for ``time_ns``; on a CPU do not wait."""
     let_pass(time_ns)

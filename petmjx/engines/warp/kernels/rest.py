@@ -1,4 +1,5 @@
-"""The rule for quiet (docs/rules.md, section 5), for one world. Twin of ``Rules.count_quiet``."""
+"""The rule that decides whether a pallet is quiet (docs/rules.md, section 5), for one world. Twin of
+``Rules.count_quiet``."""
 
 from __future__ import annotations
 
@@ -19,8 +20,9 @@ def has_failed(
     # Data in:
     state: State,
 ) -> bool:
-    """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
-    judged at rest, and may go back until then. ``culprit`` is that of the world: without one no box is looked at."""
+    """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift does not count here.
+    It is judged at rest, and may go back until then. ``culprit`` is that of the world; without one no box is
+    checked."""
     if culprit < 0:
         return False
     world = at.world
@@ -43,8 +45,9 @@ def count_quiet(
     # Data out:
     state: State,
 ) -> tuple[int, bool]:
-    """Steps for which all boxes have been quiet, at a poll, and whether the pallet is quiet. If a box creeps it is not,
-    and the count starts again. Boxes that tremble do not count; with such ones the count of a quiet pallet is 0."""
+    """At a poll: the steps for which all boxes have been quiet, and whether the pallet is quiet. If a box creeps, the
+    pallet is not quiet, and the count starts again. Trembling boxes do not count; if there are any, the count of a
+    quiet pallet is 0."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):

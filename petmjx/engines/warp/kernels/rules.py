@@ -1,7 +1,8 @@
 """The rules of a run for one world, after each of its steps: sampling, placing, resting, ending (docs/rules.md).
 
 Twin of petmjx/engines/mjx/rules.py, which does the same for all worlds of a batch at a time. Threads share the boxes.
-All read the world's counters before the first barrier, and the first thread changes them after the last one.
+All threads read the world's counters before the first barrier. The first thread changes the counters after the last
+barrier.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ NOTHING = wp.constant(release_places.NOTHING)
 
 @wp.func
 def _longest_wait(model: Model, worlds: Worlds, state: State, world: int, driven: bool) -> int:
-    """The step up to which a world that moves is waited for, after its last placement or the end of its drive."""
+    """The step until which the rules wait for a moving world, after its last placement or the end of its drive."""
     if driven:
         return state.driven_from[world] + worlds.drive_steps[world] + model.longest_steps
     return model.longest[state.last_placed_at[world]]
@@ -56,8 +57,8 @@ def _deadline(
     failed: bool,
     sign_step: int,
 ) -> int:
-    """The latest step for the event that is waited for. A box that has failed ends patience, counted from the first
-    sign; so does a wait before a box that was in vain."""
+    """The latest step for the next event. The long wait ends early once a box has failed, counted from the first sign.
+    It also ends early before a further box if an earlier wait was in vain."""
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
@@ -91,9 +92,13 @@ def _look_at_the_end(
     # Data in:
     state: State,
 ) -> tuple[bool, bool, bool]:
-    """At the end: whether a point of a box has moved too fast since ``still_qpos``, which was so many seconds ago, or
-    does now, whether one has that must be waited for, and whether a box is lost: it has dropped, or is tilted too far
-    now and, in a drive, away by what it allows."""
+    """Checks at the end of a world.
+
+    Returns:
+        Whether a point of a box has moved too fast since ``still_qpos``, which is ``seconds`` old, or does so now.
+        Whether a box did so for which the rules must wait. And whether a box is lost: it has dropped, or is tilted too
+        far now; in a drive, a tilted box counts only if it has also swayed as far as its drive allows.
+    """
     world = at.world
     moves = bool(False)
     waits = bool(False)
@@ -195,7 +200,7 @@ def after_step(
     state: State,
     work: Workspace,
 ) -> None:
-    """Everything that happens between two steps.
+    """Apply all rules between two steps.
 
     Args:
         presses: forces on tops count, also if the step has no sample.
@@ -247,8 +252,9 @@ def after_step(
         signs = culprit < 0 and wp.cast(wp.int32(worst >> HALF), float) > 1.0
         if signs:
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
-        # Light boxes land, and tipping ones hit, with up to 240 rad/s² for a few steps. So samples right after a
-        # placement do not count, and a violent one is an explosion only if those that follow say the same.
+        # Light boxes that land, and tipping boxes that hit, reach up to 240 rad/s² for a few steps. So samples right
+        # after a placement do not count. A violent sample is an explosion only if the following samples are violent,
+        # too.
         if sample and step - landed >= model.landing_steps and at.carried == 0:
             since = NEVER
             if violent and culprit < 0:
@@ -262,7 +268,7 @@ def after_step(
     more = at.placed < n_boxes and not driven
     adapts = model.fixed == 0 or state.waits_since[world] > landed
     rests_first = model.fixed == 0 and model.waits_for_rest != 0
-    # quiet brings the end of a drive forward: if a rest window from here on is over when the last one begins
+    # quiet brings the end of a drive forward if a rest window that begins now is over when the last one begins
     in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
     failed = bool(False)
@@ -280,7 +286,7 @@ def after_step(
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
-    # with a drive to come, and no look whether the pallet rests
+    # a drive follows, without a check whether the pallet rests
     settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:

@@ -1,6 +1,6 @@
-"""What a sample measures of a box: tilt, speed, how far it is over its thresholds, and whether it has dropped.
+"""Samples of a box: its tilt, speed, excess over thresholds, and whether it has dropped.
 
-The twin of petmjx/engines/mjx/box_motion.py, and of what petmjx/engines/mjx/running_metrics.py keeps of it.
+Twin of petmjx/engines/mjx/box_motion.py and petmjx/engines/mjx/running_metrics.py.
 """
 
 from __future__ import annotations
@@ -75,11 +75,11 @@ def measure(
     state: State,
     work: Workspace,
 ) -> bool:
-    """Place of a box in a sample, in a look during a drive, or at the end; returns whether it is lost: with early stop
-    its world ends.
+    """Measure a box in a sample, in a look during a drive, or at the end. Returns whether it is lost; with early stop
+    its world then ends.
 
     Args:
-        culprit: as found at an earlier look.
+        culprit: the culprit of an earlier look.
     """
     world = at.world
     place = wp.vec3(0.0, 0.0, 0.0)
@@ -95,7 +95,7 @@ def measure(
     if dropped and state.drop_step[world, box] < 0:
         state.drop_step[world, box] = step
     excess = excess_of(model, worlds, world, box, place, tilt, dropped)
-    # positive numbers are in the order of their bits; of equal ones the first box counts
+    # positive floats have the same order as their bits; among equal ones the first box counts
     key = (wp.int64(wp.cast(excess, wp.int32)) << HALF) | (LAST_BOX - wp.int64(box))
     wp.atomic_max(work.worst, at.block, key)
     if sample or look:
@@ -122,7 +122,7 @@ def press(
     state: State,
     work: Workspace,
 ) -> None:
-    """The force on a box's top, in a step in which it counts."""
+    """Record the force on a box's top, in a step in which it counts."""
     state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[block, box])
 
 

@@ -1,4 +1,4 @@
-"""The solver as a Warp function. The method: petmjx/engines/warp/solver/newton.py."""
+"""The constraint solver as a Warp function. For the method see petmjx/engines/warp/solver/newton.py."""
 
 from __future__ import annotations
 
@@ -30,18 +30,19 @@ def newton(
     # Data out:
     work: Workspace,
 ) -> None:
-    """Accelerations and contact forces of a lane's world, by at most ``limit`` iterations.
+    """Find accelerations and contact forces of a lane's world, in at most ``limit`` iterations.
 
-    ``changed``: contacts, or the order of bodies, are others than at the last call. ``forces``: those of contacts are
-    wanted, too; else ``contact_force`` may be of the accelerations before the last iteration.
+    ``changed``: contacts, or the order of bodies, have changed since the last call. ``forces``: contact forces are
+    wanted, too; else ``contact_force`` may belong to the accelerations before the last iteration.
 
     Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
-    ``contact_force``, ``solver_niter`` and ``solver_paused``: if that is not zero the solver has paused, and the next
-    call goes on. Uses other arrays of the workspace as scratch, and ``shared``, a tile in shared memory with
-    ``shared_words`` numbers for each world of a block, for rows of the factor and the Hessian if they fit.
+    ``contact_force``, ``solver_niter`` and ``solver_paused``. If ``solver_paused`` is not zero, the solver has paused,
+    and the next call goes on. Other arrays of the workspace are scratch. ``shared`` is a tile in shared memory with
+    ``shared_words`` numbers for each world of a block. It holds rows of the factor and the Hessian if they fit.
     """
 
 
 @wp.func_native("return PETMJX_PAUSE_AFTER > 0 && paused.data[lane] != 0;")
 def in_pause(paused: wp.array[int], lane: int) -> bool:
-    """Whether a lane's solver has paused. ``paused``: ``solver_paused``. The compiler knows if none ever does."""
+    """Whether a lane's solver has paused. ``paused``: ``solver_paused``. In kernels without pauses the compiler knows
+    the answer."""

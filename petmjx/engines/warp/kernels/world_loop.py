@@ -1,8 +1,9 @@
-"""What the threads of a lane do: they take worlds from the queue, one after the other, and step each one to its end.
+"""The loop of a lane's threads: they take one world after another from the queue and step each to its end.
 
-A lane is a thread block, or a warp of one. Warps of a block go through the parts of a step together, also those that
-have no world any more. Where the solver of one takes longer than those of the others it pauses, they take their next
-step, and it goes on when they are at their solver again (benchmarks/notebook/performance.md, "Small worlds").
+A lane is a thread block, or a warp of a block. The warps of a block go through the parts of a step together, even warps
+that have no more worlds. If the solver of one warp takes longer than the solvers of the others, it pauses. The others
+take their next step, and the paused solver goes on when they reach their solver again
+(benchmarks/notebook/performance.md, "Small worlds").
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 
 @wp.func
 def excitation(model: Model, worlds: Worlds, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
-    """Gravity (m/s²) and the force on the carrier (N) for the step to come."""
+    """Gravity (m/s²) and the force on the carrier (N) for the coming step."""
     step = state.step[world]
     ramp = wp.clamp(float(step + model.soft_start) / float(model.soft_start), 0.0, 1.0)
     gravity = wp.vec3(0.0, 0.0, -ramp * model.gravity)
@@ -73,7 +74,7 @@ def overflow(
     # Data out:
     state: State,
 ) -> None:
-    """Stop a world, as it was before the step, since a buffer is too small for it."""
+    """Stop a world in its state before the step, since a buffer is too small for it."""
     if at.thread == 0:
         state.status[at.world] = OVERFLOWED
         state.flags[at.world] = state.flags[at.world] | CONTACT_OVERFLOW
@@ -97,16 +98,16 @@ def advance(
     frames: FrameBuffer,
     counts: Counts,
 ) -> int:
-    """One step of a lane's world and all that follows from it, or a part of one: up to where the solver pauses, or from
-    there on.
+    """One step of a lane's world and the rules after it; or the part of a step before a pause of the solver, or after
+    it.
 
     Args:
-        goes: the lane has a world that goes on. Else its threads wait for the others of their block.
-        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, and more behind them.
-        listed: near pairs that are listed; negative: none are.
+        goes: whether the lane has a world that goes on. Else its threads only wait for the other threads of the block.
+        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
+        listed: number of listed near pairs; negative: no list.
 
     Returns:
-        Near pairs that are listed for the next step; negative: none are.
+        Number of listed near pairs for the next step; negative: no list.
     """
     on = bool(goes)
     begins = bool(False)
@@ -146,7 +147,7 @@ def advance(
             npair = list_pairs(model, worlds, at, APART, work)
             listed = npair
             if npair > model.npairmax:
-                # without the pairs that only may touch soon, so that it does not depend on when they were listed
+                # without pairs that cannot touch yet, so that an overflow does not depend on when pairs were listed
                 npair = list_pairs(model, worlds, at, NEAR, work)
                 listed = -1
             if npair > model.npairmax:
@@ -194,7 +195,7 @@ def advance(
 
 @wp.func
 def _goes_on(model: Model, state: State, world: int) -> bool:
-    """Whether a world runs, and has no more boxes than its blocks are for."""
+    """Whether a world runs, and has no more boxes than these blocks have room for."""
     return state.status[world] == RUNNING and state.placed[world] <= model.most_placed
 
 
@@ -224,16 +225,16 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        block: the lane's number: that of its rows in the workspace.
-        thread: of the threads that share a world.
-        threads: how many these are.
+        block: the lane's number, which is that of its rows in the workspace.
+        thread: the thread's number among the threads that share a world.
+        threads: the number of these threads.
         n_blocks: lanes of the call, of all sizes.
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may give.
         wraps: 1 if film may hold boxes.
         lands: 1 if boxes that land follow a law of their own.
-        slice_ns: time slice, from the call's first step on, ns. If it is over a lane takes one step more.
-        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, and more behind them.
+        slice_ns: time slice, ns, from the call's first step on. After it is over a lane takes one more step.
+        shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
     """
     at = Thread()
     at.block = block
@@ -246,11 +247,11 @@ def run_worlds(
     at.lands = lands
     steps = int(0)
     iterations = int(0)
-    paired_boxes = int(-1)  # boxes for which pairs are listed
+    paired_boxes = int(-1)  # placed boxes when pairs were listed
     listed = int(-1)
     recorded = bool(False)
     late = bool(False)
-    others = bool(True)  # a world of the block goes on
+    others = bool(True)  # whether a world of the block goes on
     while others:
         goes = bool(False)
         if at.world >= 0 and not late:

@@ -1,8 +1,9 @@
-// How kernels find a number of an array. In all arrays here the numbers of a row are side by side, and no index counts from
-// the end. Warp's own functions allow for both, and without them a kernel has 13 to 15 % fewer instructions
-// (benchmarks/notebook/performance.md). What Warp checks in its debug mode is not checked here.
+// Access to array elements in kernels. In all arrays here the numbers of a row are contiguous, and no index counts from
+// the end. Warp's own functions also allow for strides and negative indices. Without them a kernel has 13 to 15 % fewer
+// instructions (benchmarks/notebook/performance.md). The checks of Warp's debug mode are missing here.
 //
-// Warp's functions of the same names are for all kinds of arrays, so C++ prefers these, which are for one kind.
+// Warp's functions of the same names are templates for all kinds of arrays. C++ prefers the functions here, which are
+// for one kind.
 
 #ifndef PETMJX_ARRAYS_CUH
 #define PETMJX_ARRAYS_CUH

@@ -1,7 +1,8 @@
-// Differences between GPU and CPU. On a GPU the threads of a block share one world, or each of its warps has one. On a CPU
-// one thread has a world, so barriers and sums over threads do nothing. "All threads" are those that share a world.
+// Differences between GPU and CPU. On a GPU the threads of a block share one world, or each warp of a block has one. On
+// a CPU one thread has a world, so barriers and sums over threads do nothing. "All threads" are the threads that share
+// a world.
 //
-// PETMJX_ONCE: a function that is called at several places, and stands in a GPU's program once.
+// PETMJX_ONCE: a function that is called at several places, but is in a GPU's program only once.
 // PETMJX_WORLDS: worlds of a block.
 // PETMJX_THREADS: threads of a world.
 //
@@ -43,11 +44,11 @@ inline CUDA_CALLABLE void wait_for_all() {
 #endif
 }
 
-// Which of a block's worlds a lane has.
+// Index of a lane's world within its block.
 inline CUDA_CALLABLE int place_in_block(int lane) { return lane % PETMJX_WORLDS; }
 
-// The warps of a block wait for one another where each has a world: they then pass through the same instructions, which
-// the multiprocessor has to fetch once.
+// Lets the warps of a block wait for one another if each has a world. Then they execute the same instructions together,
+// and the multiprocessor fetches these once.
 inline CUDA_CALLABLE void go_together() {
 #if defined(PETMJX_WORLD_OF_A_WARP)
     __syncwarp();
@@ -55,7 +56,7 @@ inline CUDA_CALLABLE void go_together() {
 #endif
 }
 
-// Whether any world of a block goes on. Its warps wait for one another.
+// Whether any world of a block goes on. The block's warps wait for one another.
 inline CUDA_CALLABLE bool any_of_block(bool mine) {
 #if defined(PETMJX_WORLD_OF_A_WARP)
     __syncwarp();
@@ -65,15 +66,15 @@ inline CUDA_CALLABLE bool any_of_block(bool mine) {
 #endif
 }
 
-// Threads of a warp wait for one another, and see what they have written.
+// The threads of a warp wait for one another, and see each other's writes.
 inline CUDA_CALLABLE void wait_for_warp() {
 #if defined(__CUDA_ARCH__)
     __syncwarp();
 #endif
 }
 
-// Threads that go on while others wait for them, and those others: `threads` of both together, at barrier 1 or 2. What the
-// ones have written the others see.
+// A barrier (1 or 2) between threads that arrive and go on, and threads that wait for these. `threads` counts both. The
+// waiting threads see the writes of the arriving threads.
 inline CUDA_CALLABLE void arrive(int barrier, int threads) {
 #if defined(__CUDA_ARCH__)
     __syncwarp();
@@ -88,7 +89,7 @@ inline CUDA_CALLABLE void wait_for_arrival(int barrier, int threads) {
 #endif
 }
 
-// Whether any thread says so. All threads wait for one another.
+// Whether `mine` is true in any thread. All threads wait for one another.
 inline CUDA_CALLABLE bool any_of_all(bool mine) {
 #if defined(PETMJX_WORLD_OF_A_WARP)
     __syncwarp();
@@ -108,8 +109,8 @@ inline CUDA_CALLABLE float* begin_of(const Tile& tile) {
 
 inline CUDA_CALLABLE float* begin_of(const wp::array_t<float>& array) { return array.data; }
 
-// Products, and products that are added to, for which a GPU's compiler may not choose where to round: of a·b − c·d it would
-// round one or the other product, in each kernel another one, and a world would depend on the kernel that has it.
+// Products and sums of products with fixed rounding. Of a·b − c·d a GPU's compiler would round one product or the
+// other, differently in each kernel. Then a world's result would depend on its kernel.
 #if defined(__CUDA_ARCH__)
 inline __device__ float times(float a, float b) { return __fmul_rn(a, b); }
 inline __device__ double times(double a, double b) { return __dmul_rn(a, b); }
@@ -126,7 +127,7 @@ inline Number fused(Number a, Number b, Number c) {
 }
 #endif
 
-// Adds to a number that all blocks share; returns its value before. Blocks come in no fixed order.
+// Adds to a number that all blocks share, and returns its earlier value. The order of blocks is not fixed.
 inline CUDA_CALLABLE int add_to(int* number, int amount) {
 #if defined(__CUDA_ARCH__)
     return atomicAdd(number, amount);
@@ -135,7 +136,7 @@ inline CUDA_CALLABLE int add_to(int* number, int amount) {
 #endif
 }
 
-// Replaces a number that all blocks share by a larger one.
+// Raises a number that all blocks share to `value` if that is larger.
 inline CUDA_CALLABLE void raise_to(int* number, int value) {
 #if defined(__CUDA_ARCH__)
     atomicMax(number, value);
@@ -146,9 +147,10 @@ inline CUDA_CALLABLE void raise_to(int* number, int value) {
 #endif
 }
 
-// Time since the first look of all lanes at a call's clock, ns; `clock` is 0 before. On a GPU it keeps when that was,
-// in units of 1,024 ns, modulo half an hour; another lane's first look may be a little earlier. On a CPU, where there is no
-// clock without a library, the host sets `clock` when the slice is over. To be called by one thread of a lane.
+// Time since a lane first read a call's clock, ns; before that `clock` is 0. On a GPU `clock` stores the time of the
+// first reading, in units of 1,024 ns, modulo half an hour. Another lane's first reading may be a little earlier. On a
+// CPU there is no clock without a library, and the host sets `clock` when the slice is over. One thread of a lane calls
+// this.
 inline CUDA_CALLABLE long long elapsed(int* clock) {
 #if defined(__CUDA_ARCH__)
     long long now;
@@ -161,8 +163,8 @@ inline CUDA_CALLABLE long long elapsed(int* clock) {
 #endif
 }
 
-// Replaces each value by the sum of those before it; values[count] becomes the sum of all. On a GPU the first warp
-// does it; the caller lets all threads wait before and after.
+// Replaces each value by the sum of the values before it; values[count] becomes the sum of all. On a GPU the first warp
+// does this. The caller must let all threads wait before and after.
 PETMJX_ONCE CUDA_CALLABLE void prefix_sums(int* values, int count, int thread) {
 #if defined(__CUDA_ARCH__)
     if (thread >= 32) return;
@@ -236,7 +238,7 @@ inline CUDA_CALLABLE void store_two(float* to, float one, float two) {
 #endif
 }
 
-// Increases a counter by one and returns its value before. Threads come in no fixed order.
+// Increases a counter by one and returns its earlier value. The order of threads is not fixed.
 inline CUDA_CALLABLE int take_number(int& counter) {
 #if defined(__CUDA_ARCH__)
     return atomicAdd(&counter, 1);
@@ -253,10 +255,10 @@ inline CUDA_CALLABLE void take_larger(int& value, int other) {
 #endif
 }
 
-// Threads in whose order a world's are summed: at most so many share a world, and their number divides it.
+// Sums have the order of this many threads. At most this many threads share a world, and their number divides it.
 const int ORDER = 256;
 
-// Warps that share a world: at most so many.
+// Most warps that share a world.
 #if defined(PETMJX_WORLD_OF_A_WARP)
 const int MOST_WARPS = 1;
 #else
@@ -264,7 +266,7 @@ const int MOST_WARPS = ORDER / 32;
 #endif
 
 #if defined(__CUDA_ARCH__)
-// Sums of some numbers over the threads of a warp.
+// Sums of COUNT numbers over the threads of a warp.
 template <int COUNT>
 inline __device__ void sum_over_warp(double (&x)[COUNT]) {
     #pragma unroll
@@ -275,13 +277,14 @@ inline __device__ void sum_over_warp(double (&x)[COUNT]) {
 }
 #endif
 
-// Sums x of what `add(i, x)` adds to them for each i from 0 to before `count`, the same to the last bit in every thread and
-// in every run. It is called beyond `count`, too, and must add nothing there: so neighbouring threads may work together.
-// `partial` is shared memory for COUNT numbers of each of MOST_WARPS.
+// Sums over i from 0 to `count` − 1: `add(i, x)` adds the terms of i to the COUNT numbers x. The sums are the same to
+// the last bit in every thread and in every run. `add` is also called for i ≥ `count`, and must add nothing then; so
+// neighbouring threads may work together. `partial` is shared memory for COUNT numbers of each of MOST_WARPS warps.
 //
-// The order is that of ORDER threads: thread i has i, i + ORDER, …; the threads of a warp are summed, then the warps in
-// their order. Where fewer threads share a world each has several of those places: a warp one after the other, a block at
-// the same time. So they find the same, and a world may be that of a warp today and of a block of any size tomorrow.
+// The order is that of ORDER threads. Thread i has the terms i, i + ORDER, …. The threads of a warp are summed, then
+// the warps in their order. If fewer threads share a world, each thread has several of these places: one after another
+// in a warp, at the same time in a block. So the result is the same, and a world may change between warps and blocks of
+// any size.
 template <int COUNT, class Add>
 inline CUDA_CALLABLE void sum_over_all(int count, int thread, double* partial, double (&x)[COUNT], const Add& add) {
     #pragma unroll
@@ -315,7 +318,7 @@ inline CUDA_CALLABLE void sum_over_all(int count, int thread, double* partial, d
     }
     #pragma unroll
     for (int p = 0; p < PLACES; ++p) sum_over_warp(part[p]);
-    wait_for_all();  // until then some may read what the last sum has left
+    wait_for_all();  // until then some threads may still read the last sum
     if ((thread & 31) == 0) {
         #pragma unroll
         for (int p = 0; p < PLACES; ++p) {

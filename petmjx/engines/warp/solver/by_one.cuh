@@ -1,8 +1,8 @@
-// H = UᵀU and y = U⁻ᵀ·g, a panel at a time: for worlds of few panels, whose steps wait for instructions more than for
-// results. So each code stands there once.
+// H = UᵀU and y = U⁻ᵀ·g, one panel at a time, for worlds of few panels. Their steps wait for instructions more than for
+// results, so no code is repeated.
 //
-// For each panel all warps find its row of U. Then the first warp finds the next panel's diagonal tile, on which everything
-// waits, while the others subtract the row's products from the rows below.
+// For each panel all warps find its row of U. Then the first warp finds the next panel's diagonal tile, for which
+// everything waits. Meanwhile the other warps subtract the row's products from the rows below.
 
 #ifndef PETMJX_BY_ONE_CUH
 #define PETMJX_BY_ONE_CUH
@@ -23,15 +23,15 @@ const int ONE_SPREAD = 2;
 template <int MOST>
 struct ByOne {
     static const int AT_ONCE = 1;  // panels
-    static const int SPREAD = ONE_SPREAD;  // how often code of substitution back stands there
+    static const int SPREAD = ONE_SPREAD;  // copies of the code of back substitution
     Diagonal diagonal;
     alignas(16) float W[B * PITCH];  // inverse of the diagonal tile's factor
     alignas(16) float solved[B];  // the panel's part of y
     alignas(16) float solutions[MOST_WARPS * 3 * B];
-    unsigned char reached[MOST][MOST];  // of each panel, those behind it whose columns reach up to it
+    unsigned char reached[MOST][MOST];  // of each panel: the later panels whose columns reach up to it
     unsigned char reached_count[MOST];
 
-    // To be called once for an envelope (`top`, as in System) by all threads, which wait for one another after it.
+    // All threads call this once for an envelope (`top`, as in System), and wait for one another afterwards.
     inline CUDA_CALLABLE void know(const int* top, int panels, int thread, int threads) {
         const int lane = thread % WARP;
         #pragma unroll 1
@@ -42,7 +42,7 @@ struct ByOne {
     }
 };
 
-// Subtracts the product of panel K's row from rows below, for a warp's share of the pairs of the panels that it reaches.
+// Subtracts the products of panel K's row from the rows below, for a warp's share of the pairs of reached panels.
 inline CUDA_CALLABLE void update_below(const System& system, const unsigned char* reached, Share share, int lane) {
     if (share.first >= share.end) return;
     Pair pair(share.first);
@@ -61,7 +61,7 @@ inline CUDA_CALLABLE void update_below(const System& system, const unsigned char
     }
 }
 
-// Subtracts panel K's part of y, times its row, from the right-hand sides of the panels that it reaches.
+// Subtracts panel K's part of y, times its row, from the right-hand sides of the reached panels.
 template <int MOST>
 inline CUDA_CALLABLE void update_rhs(
     const System& system, const ByOne<MOST>& shared, int K, int first, int stride
@@ -101,7 +101,7 @@ inline CUDA_CALLABLE void forward(const System& system, ByOne<MOST>& shared, int
             factor_diagonal<Elimination>(shared.diagonal, shared.W, system.tile(next, next), lane);
         }
         if (K >= 0 && (warp > 0 || warps == 1)) update_rhs(system, shared, K, other * WARP + lane, others * WARP);
-        // the first of the products was for the diagonal tile
+        // the first product was for the diagonal tile
         update_below(system, reached, Share(across, reaches_next, warp, warps), lane);
         wait_for_all();
     }

@@ -1,7 +1,7 @@
-// H·x = g by Cholesky within H's envelope, by one thread: for CPUs, whose vector units have a row of a tile.
+// H·x = g by Cholesky within H's envelope, by one thread, for CPUs. Their vector units hold a row of a tile.
 //
-// Left-looking: a tile is read once, has all products of the tiles above it subtracted, and is written once. What it needs
-// lies in its own panel and in one other, next to one another.
+// Left-looking: a tile is read once, all products of the tiles above it are subtracted, and it is written once. These
+// tiles are contiguous, in its own panel and in one other panel.
 
 #ifndef PETMJX_BY_THREAD_CUH
 #define PETMJX_BY_THREAD_CUH
@@ -11,7 +11,7 @@
 #if !defined(__CUDA_ARCH__)
 namespace petmjx {
 
-// A row of a tile. Warp compiles for CPUs with Clang, which has such types.
+// A row of a tile. Warp compiles for CPUs with Clang, which has vector types.
 typedef float Row __attribute__((ext_vector_type(B)));
 
 inline Row load_row(const float* from) {
@@ -29,7 +29,7 @@ inline float sum(const Row& row) {
     return two.x + two.y;
 }
 
-// Rows of a tile that are summed at a time: as many as there are registers for.
+// Rows of a tile that are summed at a time, limited by the registers.
 #if defined(__AVX512F__)
 const int ROWS = 8;
 #else
@@ -52,7 +52,7 @@ inline Row times_rows(const float* tile, const Row& x) {
     return out;
 }
 
-// A tile, less the products XᵀY of `count` tiles X and Y that follow one another.
+// A tile minus the products XᵀY of `count` contiguous tiles X and Y.
 inline void subtract_products(const float* tile, const float* X, const float* Y, int count, float* out) {
     for (int first = 0; first < B; first += ROWS) {
         Row rows[ROWS];
@@ -68,7 +68,7 @@ inline void subtract_products(const float* tile, const float* X, const float* Y,
     }
 }
 
-// L·tile, of which L is a lower triangle.
+// L·tile, where L is a lower triangle.
 inline void times_lower(const float* L, const float* tile, float* out) {
     #pragma unroll
     for (int first = 0; first < B; first += ROWS) {
@@ -83,7 +83,8 @@ inline void times_lower(const float* L, const float* tile, float* out) {
     }
 }
 
-// L with L·D·Lᵀ = I, a lower triangle: the inverse of D's factor. D is lost; what is below its diagonal is not used.
+// The lower triangle L with L·D·Lᵀ = I: the inverse of D's factor. D is overwritten; its part below the diagonal is not
+// used.
 inline void invert_factor(float* D, float* L) {
     for (int p = 0; p < B; ++p) {
         Row row = 0.0f;
@@ -103,10 +104,10 @@ inline void invert_factor(float* D, float* L) {
     for (int p = 0; p < B; ++p) store_row(L + p * B, load_row(L + p * B) * (1.0f / sqrtf(D[p * B + p])));
 }
 
-// What is needed beside the system. Its diagonal tiles become those that `invert_factor` finds.
+// Scratch memory beside the system. The system's diagonal tiles are replaced by the results of `invert_factor`.
 struct ByThread {
     static const int AT_ONCE = 1;  // panels
-    alignas(64) float rest[TILE];  // of a tile, after products were subtracted
+    alignas(64) float rest[TILE];  // a tile after products were subtracted
 
     inline void know(const int*, int, int, int) {}
 };

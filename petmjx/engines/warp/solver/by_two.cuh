@@ -1,8 +1,8 @@
-// H = UᵀU and y = U⁻ᵀ·g, two panels at a time: for worlds of many panels, whose Hessian has no room in shared memory. What
-// is below the two panels is read and written half as often as with one at a time.
+// H = UᵀU and y = U⁻ᵀ·g, two panels at a time, for worlds of many panels, whose Hessian does not fit in shared memory.
+// The rows below are read and written half as often as with one panel at a time.
 //
-// All waits for diagonal tiles, one after the other, so the first warp does little but find the next one. The other warps
-// find the rows of U and subtract their products from the rows below.
+// Everything waits for the diagonal tiles, one after another. So the first warp does little else than find the next
+// one. The other warps find the rows of U and subtract their products from the rows below.
 
 #ifndef PETMJX_BY_TWO_CUH
 #define PETMJX_BY_TWO_CUH
@@ -15,33 +15,33 @@ namespace petmjx {
 template <int MOST>
 struct ByTwo {
     static const int AT_ONCE = 2;  // panels
-    static const int SPREAD = 2;  // how often code of substitution back stands there
+    static const int SPREAD = 2;  // copies of the code of back substitution
     Diagonal diagonal;
     alignas(16) float W[2][B * PITCH];  // inverses of the two panels' diagonal tiles' factors
-    alignas(16) float between[MOST_WARPS][TILE];  // the tile of both panels, which each warp finds for itself
+    alignas(16) float between[MOST_WARPS][TILE];  // the tile that links both panels; each warp finds it for itself
     alignas(16) float solved[2][B];  // their parts of y
     alignas(16) float solutions[MOST_WARPS * 3 * B];
-    int reached[2][MOST];  // panels whose columns reach up to two panels: of these two, and of the next two
+    int reached[2][MOST];  // panels whose columns reach up to the current two panels, and up to the next two
     int reached_count[2];
 
-    // As of ByOne. Nothing is kept: lists for all panels of a large system would take much of the shared memory.
+    // As in ByOne, but nothing is kept: lists for all panels of a large system would take much of the shared memory.
     inline CUDA_CALLABLE void know(const int*, int, int, int) {}
 };
 
-// Panels K and K + 1, and what the functions below need of them.
+// Panels K and K + 1, as the functions below need them.
 struct Two {
     int K;
-    const int* reached;  // panels behind them whose columns reach up to one of them
-    int across;          // how many
-    bool linked;         // the second one's columns reach up to the first one
+    const int* reached;  // later panels whose columns reach up to one of them
+    int across;          // number of these panels
+    bool linked;         // whether the second panel's columns reach up to the first
 
-    // The strip has for each panel that is reached its tile of the first row of U, zero if it does not reach it, and that
-    // of the second row.
+    // For each reached panel, the strip has its tile of the first row of U (zero if it does not reach that row), and
+    // its tile of the second row.
     inline CUDA_CALLABLE static int place(int i, int half) { return (2 * i + half) * TILE; }
 };
 
-// W of a diagonal tile, after the products of a row's tiles in the strip have been subtracted: `count` of them, TILE
-// numbers apart. By one warp.
+// W of a diagonal tile, after the products of `count` tiles in the strip, TILE numbers apart, have been subtracted. By
+// one warp.
 PETMJX_ONCE CUDA_CALLABLE void find_diagonal(
     Diagonal& tile, float* W, float* own, const float* strip, int count, int lane
 ) {
@@ -56,8 +56,8 @@ PETMJX_ONCE CUDA_CALLABLE void find_diagonal(
     factor_diagonal<ByFours>(tile, W, own, lane);
 }
 
-// The first panel's row of U, in its place and in the strip, and its products with `between`, the tile of both panels,
-// subtracted from the second panel's row. A warp for each tile.
+// Finds the first panel's row of U, in its place and in the strip. Subtracts its products with `between`, the tile that
+// links both panels, from the second panel's row. A warp for each tile.
 inline CUDA_CALLABLE void factor_first_row(
     const System& system, const float* inverse, const float* between, const Two& two, int first, int stride, int lane
 ) {
@@ -89,7 +89,8 @@ inline CUDA_CALLABLE void factor_first_row(
     }
 }
 
-// Subtracts products of N tiles of both rows, from place `left` on, with Y of both from a panel's tiles.
+// Subtracts the products of N tiles of both rows, from place `left` on, with the tiles Y of both rows, from a panel's
+// tiles.
 template <int N>
 inline CUDA_CALLABLE void update_tiles(
     const System& system, float* panel, const Two& two, int left, const Operand (&y)[2], int lane
@@ -114,8 +115,8 @@ inline CUDA_CALLABLE void update_tiles(
     for (int n = 0; n < N; ++n) store_piece(targets[n], B, entries[n], lane);
 }
 
-// Subtracts the products of both panels' rows from rows below, for a warp's share of the pairs of the panels that they
-// reach; three tiles at a time, which do not wait for one another.
+// Subtracts the products of both panels' rows from the rows below, for a warp's share of the pairs of reached panels.
+// Three tiles at a time, which do not wait for one another.
 inline CUDA_CALLABLE void update_below(const System& system, const Two& two, Share share, int lane) {
     if (share.first >= share.end) return;
     Pair pair(share.first);
@@ -134,7 +135,7 @@ inline CUDA_CALLABLE void update_below(const System& system, const Two& two, Sha
     }
 }
 
-// Subtracts both panels' parts of y, times their rows, from the right-hand sides of the panels that they reach.
+// Subtracts both panels' parts of y, times their rows, from the right-hand sides of the reached panels.
 inline CUDA_CALLABLE void update_rhs(
     const System& system, const float (&solved)[2][B], const Two& two, int first, int stride
 ) {
@@ -168,7 +169,8 @@ inline CUDA_CALLABLE void forward(const System& system, ByTwo<MOST>& shared, int
         const int second = K + 1, next = K + 2;
         const Two two{K, shared.reached[K / 2 & 1], shared.reached_count[K / 2 & 1], system.top[second] <= K};
 
-        // All warps need the tile of both panels at once. It goes to its place after the barrier: others read it there.
+        // All warps need the tile that links both panels. It is written to its place only after the barrier, since
+        // other warps read that place before.
         float* between = shared.between[warp];
         Piece its;
         if (two.linked) {
@@ -182,7 +184,7 @@ inline CUDA_CALLABLE void forward(const System& system, ByTwo<MOST>& shared, int
         if (is_last) solve_forward(system, shared.W[0], K, shared.solved[0], lane);
         wait_for_all();
 
-        // The first warp's tile of the second row is the one that the next diagonal tile waits for.
+        // The next diagonal tile waits for the first warp's tile of the second row.
         const int reaches_next = two.across > 0 && two.reached[0] == next ? 1 : 0;
         const int tile = is_first ? 0 : reaches_next + other, end = is_other ? two.across : reaches_next;
         float* strip = system.strip + Two::place(0, 1);
@@ -212,7 +214,7 @@ inline CUDA_CALLABLE void forward(const System& system, ByTwo<MOST>& shared, int
         } else {
             wait_for_arrival(2, threads);
         }
-        // the first of the products was for the diagonal tile
+        // the first product was for the diagonal tile
         update_below(system, two, Share(two.across, reaches_next, warp, warps), lane);
         wait_for_all();
     }

@@ -1,7 +1,7 @@
-// H·x = g by Cholesky within H's envelope: H = UᵀU, one world per block of threads; on a CPU by one thread.
+// H·x = g by Cholesky within H's envelope, H = UᵀU: one world per block of threads; on a CPU one thread.
 //
-// Right-looking by panels of 16 rows, one at a time in kernels for few, else two. Every number is found in the same way by
-// any warp, so results do not depend on how warps share.
+// Right-looking by panels of 16 rows: one panel at a time in kernels for few panels, else two. Any warp computes a
+// number in the same way, so results do not depend on how warps share the work.
 
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH

@@ -1,7 +1,7 @@
-// One contact's part in the solver: its rows of J, and the force and curvature of its cone's cost.
+// One contact in the solver: its rows of J, and the force and curvature of its cone's cost.
 //
-// `contact`: its numbers as make_constraint (kernel/constraint.py) writes them: frame (9), moment arms of both bodies (9 + 9),
-// reference accelerations (aref, 3), stiffness of the normal's row (D, 1), friction (1).
+// `contact`: the contact's numbers, as make_constraint (kernels/constraint.py) writes them: frame (9), moment arms of
+// both bodies (9 + 9), reference accelerations (aref, 3), stiffness of the normal's row (D, 1), friction (1).
 
 #ifndef PETMJX_CONTACT_CUH
 #define PETMJX_CONTACT_CUH
@@ -16,7 +16,7 @@ const double TINY = 1e-30;  // instead of zero as a divisor
 
 inline CUDA_CALLABLE double larger(double x, double y) { return x > y ? x : y; }
 
-// Frame of a contact: three axes, one after the other.
+// Frame of a contact: three axes, one after another.
 inline CUDA_CALLABLE void load_axes(const Numbers& contact, float (&axes)[9]) {
     contact.load(axes, 0);
     contact.load(axes + 4, 1);
@@ -32,7 +32,7 @@ inline CUDA_CALLABLE void load_arms(const Numbers& contact, int side, float (&ar
     for (int i = 0; i < 9; ++i) arms[i] = side ? near[2 + i] : near[1 + i];
 }
 
-// J·x of one contact, (3,). `body`: the numbers of its two bodies, negative if one does not move.
+// J·x of one contact, (3,). `body`: the numbers of its two bodies; negative: the body does not move.
 #if defined(__CUDA_ARCH__)
 inline CUDA_CALLABLE void relative(const Numbers& contact, const int* body, const double* x, double* out) {
     const int one = 6 * body[0], two = 6 * body[1];
@@ -73,9 +73,9 @@ inline void relative(const Numbers& contact, const int* body, const double* x, d
 // friction here. `impratio_invsqrt`: 1 / √impratio, which makes the rows of an elliptic cone's tangents impratio times as
 // stiff.
 //
-// `drag` (2,) is the share of the friction that there can be, against its direction: an unknown of its own for a
-// contact that slides, |drag| ≤ 1, and a result for others. newton.py says why. With `anew` it is what the residual
-// says. Pyramidal cones have none.
+// `drag` (2,) is the friction as a share of the largest possible friction, with opposite sign, |drag| ≤ 1. It is an
+// unknown of its own for a sliding contact, and a result for other contacts; newton.py explains this. With `anew` it is
+// computed from the residual. Pyramidal cones have no drag.
 inline CUDA_CALLABLE void respond(
     int pyramidal, double impratio_invsqrt, const double* j, const Numbers& contact, bool anew,
     float* drag, double* push, double* bend
@@ -134,9 +134,9 @@ inline CUDA_CALLABLE void respond(
     bend[5] = along * y * y + across * (1.0 - v * y);
 }
 
-// Takes the excess of a contact that slides to what the residual j says, and with it j's normal part: petmjx/world/slip.py.
-// `begins`: j is of the accelerations from which the solver starts. Else `push` is the force at j. Returns whether j has
-// changed.
+// Updates the excess of a sliding contact from the residual j, and with it j's normal part:
+// petmjx/world/contact_laws.py. `begins`: j belongs to the accelerations from which the solver starts. Else `push` is
+// the force at j. Returns whether j has changed.
 inline CUDA_CALLABLE bool correct(
     double impratio_invsqrt, double slack, bool begins, const double* push, const Numbers& contact, double* j, float* excess
 ) {
@@ -158,8 +158,8 @@ inline CUDA_CALLABLE bool correct(
     return true;
 }
 
-// What `drag` is after a whole step of Newton's method that changes the residual j by v. Where the contact does not
-// slide after it, `respond` replaces it.
+// Updates `drag` for a whole step of Newton's method that changes the residual j by v. If the contact does not slide
+// afterwards, `respond` replaces this value.
 inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) {
     const double tangent = larger(sqrt(j[1] * j[1] + j[2] * j[2]), TINY);
     const double x = j[1] / tangent, y = j[2] / tangent, change = x * v[1] + y * v[2];
@@ -169,8 +169,8 @@ inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) 
     drag[1] = (float)(two / most);
 }
 
-// Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v: what
-// `respond` gives there, times v once and twice, in fewer operations.
+// Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v. They are
+// the results of `respond` there, times v once and twice, in fewer operations.
 inline CUDA_CALLABLE void respond_along(
     int pyramidal, double impratio_invsqrt, const double* j, const double* v, double length, const Numbers& contact,
     double (&cost)[2]

@@ -1,5 +1,5 @@
-// A diagonal tile's factor, as the inverse of it: D = UᵀU, and W = U⁻¹, an upper triangle. Dividing by U is then a
-// product with W. By one warp.
+// The inverse of a diagonal tile's factor: D = UᵀU, and W = U⁻¹, an upper triangle. Dividing by U is then a product
+// with W. By one warp.
 
 #ifndef PETMJX_DIAGONAL_CUH
 #define PETMJX_DIAGONAL_CUH
@@ -8,14 +8,14 @@
 
 namespace petmjx {
 
-// What the warp shares.
+// Shared memory of the warp.
 struct Diagonal {
-    alignas(16) float D[B * PITCH];  // what is below its diagonal is not used
-    alignas(16) float rows[2][2 * B];  // two rows that are being eliminated, and the two before; not all is ever set
+    alignas(16) float D[B * PITCH];  // the part below its diagonal is not used
+    alignas(16) float rows[2][2 * B];  // the two rows being eliminated, and the two before; some entries are never set
 };
 
 #if defined(__CUDA_ARCH__)
-// Two numbers' reciprocal and reciprocal root without the care for numbers below 1e-38.
+// Reciprocal and reciprocal root, without special treatment of numbers below 1e-38.
 inline __device__ float reciprocal(float x) {
     float y;
     asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
@@ -28,8 +28,8 @@ inline __device__ float inverse_root(float x) {
     return y;
 }
 
-// Two rows that are eliminated at once, by the first and by the second less b/a of the first, so that no division waits for
-// another. Their pivots are a b; b c, and the second is (a·c − b²)/a then.
+// Two rows that are eliminated at once: by the first, and by the second minus b/a times the first. So no division waits
+// for another. Their pivots are a b; b c, and the second pivot then is (a·c − b²)/a.
 struct Pivots {
     float a, b, determinant, over_a, over_determinant, factor;
 
@@ -39,18 +39,19 @@ struct Pivots {
         factor = b * over_a;
     }
 
-    // What a column with these numbers in the two rows multiplies them with.
+    // Factors of the two rows for a column with these numbers in them.
     inline __device__ float first(float one) const { return one * over_a; }
     inline __device__ float second(float one, float two) const { return rest(one, two) * over_determinant; }
 
-    // Numbers of the two rows of W, in the column of the identity that has become these.
+    // Stores the numbers of the two rows of W, for a column of the identity that now has these numbers.
     inline __device__ void store(float one, float two, float* to, float* own) const {
         const float x = one * inverse_root(a), y = rest(one, two) * (over_a * inverse_root(determinant * over_a));
         store_two(to, x, y);
         store_two(own, x, y);
     }
 
-    // What is left of a number v of another row. `one`, `two`: the numbers of the rows in the column of that row's pivot.
+    // The rest of a number v of another row. `one`, `two`: the numbers of the two rows in the column of that row's
+    // pivot.
     inline __device__ float left(float v, float one, float two, float x, float y) const {
         return v - fused(one, x, times(fused(-factor, one, two), y));
     }
@@ -59,9 +60,9 @@ private:
     inline __device__ float rest(float one, float two) const { return fused(a, two, -times(b, one)); }
 };
 
-// Each lane eliminates a column: one of D, or one of the identity, which becomes a row of W. Two rows at a time, which lanes
-// read from shared memory. Rows move up by two each time, so that the code can stand there once: what moves in behind the
-// last one is not used.
+// Each lane eliminates a column of D, or a column of the identity, which becomes a row of W. Lanes read two rows at a
+// time from shared memory. Rows move up by two each time, so that no code is repeated. The rows that move in after the
+// last one are not used.
 struct ByPairs {
     static inline __device__ void eliminate(Diagonal& tile, float (&v)[B], float* W, float* own, int lane) {
         #pragma unroll 1
@@ -81,8 +82,8 @@ struct ByPairs {
     }
 };
 
-// The same to the last bit, in four times as much code and two thirds of the time: only what is left of rows is read and
-// subtracted, and every second two rows lanes take from one another, without shared memory.
+// The same to the last bit, in four times as much code and two thirds of the time. Only the rest of rows is read and
+// subtracted. Every second pair of rows is exchanged between lanes, without shared memory.
 struct ByFours {
     static inline __device__ void eliminate(Diagonal& tile, float (&v)[B], float* W, float* own, int lane) {
         W += (lane - B) * PITCH, own += (lane - B) * B;

@@ -1,5 +1,6 @@
-// Where the numbers of contacts lie. A contact has eight parts of four. On a GPU the parts of one kind lie together: neighbouring
-// threads, which have neighbouring contacts, then read neighbouring parts at once. On a CPU the parts of a contact do.
+// Memory layout of the numbers of contacts. A contact has eight parts of four numbers. On a GPU the same parts of all
+// contacts are contiguous: neighbouring threads, which have neighbouring contacts, read neighbouring parts at once. On
+// a CPU all parts of one contact are contiguous.
 
 #ifndef PETMJX_EFC_CUH
 #define PETMJX_EFC_CUH
@@ -14,10 +15,10 @@ const int EFC = 32;  // numbers of a contact
 struct Numbers {
     const float* first;  // part
 #if defined(__CUDA_ARCH__)
-    int apart;  // numbers from a part to the next one
-    static const int STRIDE = 4;  // from a contact to the next one
+    int apart;  // distance of one part from the next, in numbers
+    static const int STRIDE = 4;  // distance of one contact from the next
 
-    // `efc`: of a world that has room for `most` contacts.
+    // `efc`: the array of a world with room for `most` contacts.
     inline __device__ Numbers(const float* efc, int most, int contact)
         : first(efc + STRIDE * contact), apart(STRIDE * most) {}
 #else

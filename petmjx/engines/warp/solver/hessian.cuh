@@ -1,4 +1,4 @@
-// The Hessian of a world's constraint problem: code for the threads of a GPU's block, and for the vector units of a CPU.
+// The Hessian of a world's constraint problem, for the threads of a GPU's block and for the vector units of a CPU.
 
 #ifndef PETMJX_HESSIAN_CUH
 #define PETMJX_HESSIAN_CUH
@@ -56,7 +56,7 @@ inline CUDA_CALLABLE void own_entries(const World& world, const System& system, 
         if (b >= world.nfree) continue;
         const int place = world.position[b];
         const Columns columns = system.columns(place);
-        // each thread has every eighth entry; with all in turns they would wait for one another
+        // each thread has every eighth entry; if all did each entry in turn, they would wait for one another
         #pragma unroll
         for (int first = 0; first < 21; first += SHARE) {
             const int e = first + share_of;
@@ -81,7 +81,7 @@ inline CUDA_CALLABLE void pair_entries(const World& world, const System& system,
         float shared[6] = {0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
         bool goes_on;
         do {
-            // read before the contact's numbers, so that nothing waits for it afterwards
+            // loaded before the contact's numbers, so that nothing waits for it later
             const int next = k + 1 < world.ncon ? k + 1 : k;
             goes_on = next != k && body[2 * next] == one && body[2 * next + 1] == two;
             const Numbers contact = world.contact(k);
@@ -113,7 +113,7 @@ inline CUDA_CALLABLE void pair_entries(const World& world, const System& system,
 }
 
 #else
-// The same as rows of six numbers, for the vector units of a CPU: a body's own entries,
+// A body's own entries as rows of six numbers, for the vector units of a CPU.
 inline void own_entries(const World& world, const System& system, int, int) {
     for (int b = 0; b < world.nfree; ++b) {
         Six own[6] = {};
@@ -137,7 +137,7 @@ inline void own_entries(const World& world, const System& system, int, int) {
     }
 }
 
-// and those of two bodies that touch.
+// The entries of two bodies that touch, likewise.
 inline void pair_entries(const World& world, const System& system, int pairs, int, int) {
     const int* body = world.body;
     for (int pair = 0; pair < pairs; ++pair) {

@@ -1,7 +1,7 @@
-// The constraint solver of mjx-warp for the world of a thread block: Newton's method, as newton.py explains it.
+// The constraint solver of mjx-warp for the world of a thread block: Newton's method, explained in newton.py.
 //
-// Every sum has a fixed order. Only the list of pairs has none, and no sum runs over it. Loops are not unrolled where they
-// could be: a GPU waits for instructions more than for results (benchmarks/notebook/performance.md).
+// Every sum has a fixed order. Only the list of pairs has no fixed order, and no sum runs over it. Loops are not
+// unrolled, since a GPU waits for instructions more than for results (benchmarks/notebook/performance.md).
 
 #include "arrays.cuh"
 #include "block.cuh"
@@ -12,13 +12,13 @@
 
 namespace petmjx {
 
-// The line search ends where the cost's derivative is at most this share of what it was, or at Newton's step if the cost
-// still decreases there. Smaller shares save no iteration.
+// The line search ends where the cost's derivative is at most this share of its initial value, or at Newton's step if
+// the cost still decreases there. Smaller shares save no iteration.
 const double ENOUGH_SLOPE = 0.1;
 
-const double INFINITE = 1e300;  // what a singular Hessian may make of a step: no NaN
+const double INFINITE = 1e300;  // the step that a singular Hessian may give, instead of NaN
 
-// One of six numbers. On a GPU they keep their registers: an array with a place that varies would lie in memory.
+// One of six numbers. On a GPU they stay in registers; an array with a variable index would be in memory.
 template <class Six>
 inline CUDA_CALLABLE double of_six(const Six& six, int i) {
 #if defined(__CUDA_ARCH__)
@@ -67,7 +67,8 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* par
             }
         }
 #endif
-        // On a GPU each thread has one of the six numbers: with all in turns they would wait for one another.
+        // On a GPU each thread has one of the six numbers. If all did each number in turn, they would wait for one
+        // another.
         #pragma unroll
         for (int first = 0; first < 6; first += SHARE) {
             const int i = first + share_of;
@@ -82,18 +83,18 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* par
     return bound[0];
 }
 
-// What a block's system looks like, from call to call: found again when a world's contacts or the order of its bodies have
-// changed. They always have in a block's first step of a world.
+// Layout of a block's system, kept from call to call. It is found again when a world's contacts or the order of its
+// bodies have changed, as in a block's first step of a world.
 template <int PANELS>
 struct Layout {
     int top[PANELS], base[PANELS + 1];  // of the system
-    int widest;  // most panels that reach up to those of a row
-    int pairs;  // of free bodies that touch
+    int widest;  // most panels that reach up to the panels of a row
+    int pairs;  // pairs of free bodies that touch
     double trace;  // of M
 };
 
-// Finds the layout, and the first contact of each pair: the contacts of a pair follow one another. `low`: by position, the
-// lowest that a body touches, or its own.
+// Finds the layout, and the first contact of each pair; the contacts of a pair are contiguous. `low`: by position, the
+// lowest position that a body touches, or its own.
 template <int PANELS>
 inline CUDA_CALLABLE void lay_out(
     const World& world, const int* low, Factoring<PANELS>& factoring, Layout<PANELS>& layout, double* partial, int thread,
@@ -136,7 +137,7 @@ inline CUDA_CALLABLE void lay_out(
     wait_for_all();
 }
 
-// What the threads that share a world share.
+// Shared memory of the threads of a world.
 template <int PANELS>
 struct Own {
     Factoring<PANELS> factoring;
@@ -145,14 +146,14 @@ struct Own {
     Layout<PANELS> layout;
 };
 
-// Accelerations and contact forces of a lane's world. The solver starts from the accelerations that are there. All
-// `threads` of a lane must call it, since they wait for one another. PANELS: most panels of a system. PANEL, EFC_WORDS:
-// sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, are others than at the
-// last call. `forces`: those of the accelerations that it ends with are wanted, too. `shared`: shared memory of the block,
-// with `shared_words` numbers for each of its worlds, where the strip and the Hessian go if they fit.
+// Finds accelerations and contact forces of a lane's world. The solver starts from the accelerations in the workspace.
+// All `threads` of a lane must call it, since they wait for one another. PANELS: most panels of a system. PANEL,
+// EFC_WORDS: sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, have
+// changed since the last call. `forces`: the forces of the final accelerations are wanted, too. `shared`: shared memory
+// of the block, with `shared_words` numbers for each of its worlds, for the strip and the Hessian if they fit.
 //
-// With PETMJX_PAUSE_AFTER the solver pauses after so many iterations, and says so in `solver_paused`. The next call goes on
-// with the same system; it takes the same iterations as without a pause.
+// With PETMJX_PAUSE_AFTER the solver pauses after that number of iterations, and stores it in `solver_paused`. The next
+// call goes on with the same system, and takes the same iterations as without a pause.
 template <int PANELS, int PANEL, int EFC_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
     const Model& model, int block, int thread, int threads, int limit, bool changed, bool forces, float* shared,
@@ -161,7 +162,7 @@ inline CUDA_CALLABLE void newton(
     static_assert(PANEL == B && EFC_WORDS == EFC, "Python and C++ differ about the sizes of arrays");
     static_assert(sizeof(Own<PANELS>) <= PETMJX_OWN_BYTES, "newton.own_bytes counts too little");
 #if defined(PETMJX_WORLD_OF_A_WARP)
-    // Behind what all worlds of the block have for strips and Hessians.
+    // After the memory for strips and Hessians of all worlds of the block.
     const size_t place = place_in_block(block);
     Own<PANELS>& own = *(Own<PANELS>*)(shared + PETMJX_WORLDS * shared_words + place * (PETMJX_OWN_BYTES / 4));
     shared += place * shared_words;
@@ -245,7 +246,8 @@ inline CUDA_CALLABLE void newton(
     bool last = false;
     #pragma unroll 1
     for (int iteration = begun;; ++iteration) {
-        // The forces that are there are of the accelerations before the last iteration: found once more only if wanted.
+        // The stored forces belong to the accelerations before the last iteration. They are found once more only if
+        // wanted.
         const bool ends = last || iteration >= limit;
         if (ends && !forces) break;
         #pragma unroll 1
@@ -270,7 +272,7 @@ inline CUDA_CALLABLE void newton(
         hessian(world, system, pairs, thread, threads);
         factor_and_solve(system, factoring, thread, threads);
 
-        // A step along −x; its length by Newton's method with safeguards on the cost's derivative.
+        // A step along −x. Its length is found by Newton's method on the cost's derivative, with safeguards.
         double along[3];
         sum_over_all(nv, thread, partial, along, [&](int i, double (&sums)[3]) {
             if (i >= nv) return;
@@ -294,7 +296,7 @@ inline CUDA_CALLABLE void newton(
             });
             first = cost[0] + along[1] + length * along[2];
             const double second = cost[1] + along[2];
-            // No step is longer than Newton's, though the cost may decrease further on where contacts open.
+            // No step is longer than Newton's, although the cost may decrease beyond it where contacts open.
             if (first <= ENOUGH_SLOPE * -start && (length == 1.0 || first >= ENOUGH_SLOPE * start)) break;
             if (trial + 1 == model.ls_iterations) break;
             if (first < 0.0) shortest = length; else longest = length;
@@ -303,7 +305,8 @@ inline CUDA_CALLABLE void newton(
         }
         #pragma unroll 1
         for (int i = thread; i < nv; i += threads) qacc[i] += length * search[i];
-        // Drags take the whole step, also where accelerations take a part of it: 20 iterations then, and else 25.
+        // Drags take the whole step, even if accelerations take only a part of it. This needs 20 iterations, and 25
+        // otherwise.
         #pragma unroll 1
         for (int k = thread; k < ncon; k += threads) {
             if (!pyramidal) follow(Jaref + 3 * k, jv + 3 * k, world.drag + 2 * k);

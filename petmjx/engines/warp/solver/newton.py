@@ -1,20 +1,20 @@
 """The constraint solver of mjx-warp: MuJoCo's Newton method on a pallet's contacts, by one thread block.
 
-MuJoCo finds the accelerations a (qacc) that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r), where a₀ (qacc_smooth) are
-those without contacts, r (aref) the reference accelerations of the contacts, and s the cost of their cones (MuJoCo's
-documentation, "Computation", section "Constraint model"). Newton's direction (search) solves H·x = gradient with
-H = M + Jᵀ·s″·J; a line search follows.
+MuJoCo finds the accelerations a (qacc) that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r). Here a₀ (qacc_smooth) are the
+accelerations without contacts, r (aref) the reference accelerations of the contacts, and s the cost of their cones
+(MuJoCo's documentation, "Computation", section "Constraint model"). Newton's direction (search) solves H·x = gradient
+with H = M + Jᵀ·s″·J; a line search follows.
 
 Five things make it fast:
 
-- It starts where accelerations are heading: on the line through those of the last two steps. While boxes come to rest
-  they change smoothly, and the start is off by what bends the line.
-- A contact touches two bodies. So J is kept as 27 numbers per contact, and a product with J costs that much.
-- H is sparse, and bodies are in order of their contacts (kernel/ordering.py), so H has a narrow envelope: a
-  column is zero above the rows of the first body that its body touches, and its factor fills in only below them.
+- It starts where accelerations are heading: on the line through the accelerations of the last two steps. While boxes
+  come to rest, accelerations change smoothly, and the start is off only by the curvature.
+- A contact touches two bodies. So J is stored as 27 numbers per contact, and a product with J is as cheap.
+- H is sparse, and bodies are ordered by their contacts (kernels/elimination_order.py). So H has a narrow envelope: a
+  column is zero above the rows of the first body that its body touches, and the factor fills in only below these rows.
   Cholesky runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
-- Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This says before each
-  factorisation whether it can help.
+- Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This bound shows before
+  each factorisation whether another iteration can help.
 - Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm, μ·p·|j|. Its curvature
   μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to that of sticking within a tiny step, so that line searches end
   at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and more while a pallet slides. So j/|j| in it is
@@ -28,7 +28,7 @@ Accelerations, residuals, forces and gradients are double precision; H and its f
 the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
 world's result depends neither on other blocks nor on their number nor on the run.
 
-The method itself is CUDA C++: petmjx/engines/warp/solver/newton.cu and the files that it includes.
+The method itself is written in CUDA C++: petmjx/engines/warp/solver/newton.cu and the files that it includes.
 """
 
 from __future__ import annotations
@@ -41,45 +41,45 @@ from petmjx.engines.warp.world_arrays import PANEL
 from petmjx.world.contact_laws import ENOUGH_M_S2, RELAXATION
 
 PANELS_MACRO = "PETMJX_MOST_PANELS"
-"""What C++ calls the panels of a kernel's largest system: its shared memory has room for as many."""
+"""C++ macro for the panels of a kernel's largest system, for which its shared memory has room."""
 
 FEW_PANELS = 40
-"""A kernel whose largest system has no more panels factors one at a time (by_one.cuh), others two (by_two.cuh)."""
+"""A kernel whose largest system has at most this many panels factors one panel at a time (by_one.cuh), other kernels
+two (by_two.cuh)."""
 
 SLIP_ROUNDS = 12
-"""Iterations after the first one that may change the excess of contacts that slide (petmjx/world/contact_laws.py). The
-other engines change it between two calls of their solver. With these, steps of bricks that slide and tip take 6.6
-iterations (without the law 7.4), those of a heap 24.9 (21.8); with 40 those of a heap take 40."""
+"""Number of iterations after the first that may change the excess of sliding contacts (petmjx/world/contact_laws.py).
+The other engines change it between two calls of their solver. With 12 rounds, steps of bricks that slide and tip take
+6.6 iterations (7.4 without the law), and steps of a heap 24.9 (21.8). With 40 rounds, steps of a heap take 40."""
 
 SLIP_MACROS = {
     "PETMJX_SLIP_ROUNDS": SLIP_ROUNDS,
     "PETMJX_SLIP_RELAXATION": RELAXATION,
     "PETMJX_SLIP_ENOUGH": ENOUGH_M_S2,
 }
-"""What C++ calls the numbers of contacts that slide."""
+"""C++ macros for the constants of sliding contacts."""
 
 _INCLUDE = re.compile(r'#include "([\w.]+)"')
 
 
 DRIVER_BYTES = 1 << 10
-"""Of a block's shared memory, which the driver keeps for itself (CUDA C++ Programming Guide, "Compute capability
-9.0")."""
+"""Part of a block's shared memory that the driver reserves (CUDA C++ Programming Guide, "Compute capability 9.0")."""
 
 
 def own_bytes(panels: int, worlds: int = 1) -> int:
-    """Shared memory that the threads of a world take for systems of up to so many panels, beside strip and Hessian, in
-    blocks of so many worlds. newton.cu checks that it is enough."""
+    """Shared memory, in bytes, of a world's threads for systems of up to ``panels`` panels, without strip and Hessian,
+    in blocks of ``worlds`` worlds. newton.cu checks that it is enough."""
     parts = 4 if worlds > 1 else 8 if panels <= FEW_PANELS else 17
     return 4 * (PANEL + 4) * panels + (parts << 10)
 
 
 def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int = 0) -> str:
-    """The solver's C++ for systems of up to so many panels.
+    """The solver's C++ for systems of up to ``panels`` panels.
 
     Args:
-        worlds: of a block; each of several has a warp.
-        threads: of a world.
-        pause_after: iterations after which the solver pauses; 0: it does not.
+        worlds: worlds of a block; if there are several, each has a warp.
+        threads: threads of a world.
+        pause_after: iterations after which the solver pauses; 0: it never pauses.
     """
     numbers: dict[str, float] = {
         PANELS_MACRO: panels,
@@ -94,7 +94,7 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
 
 
 def defines(numbers: Mapping[str, float]) -> str:
-    """C++ that gives numbers their names."""
+    """C++ definitions of named numbers."""
     return "".join(f"#define {name} {number}\n" for name, number in numbers.items())
 
 
@@ -105,7 +105,7 @@ def source(name: str, included: set[str] | None = None) -> str:
     file. ``#line`` directives let compiler errors name the right file and line.
 
     Args:
-        included: files that are in the text already and are not included again; this call adds its own.
+        included: files that the text already contains, which are not included again. This call adds its own files.
     """
     included = included if included is not None else set()
     included.add(name)

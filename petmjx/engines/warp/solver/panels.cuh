@@ -1,4 +1,4 @@
-// What both ways to factor have in common: lists of panels, and the order of products.
+// Common parts of both factorisations: lists of panels, and the order of products.
 
 #ifndef PETMJX_PANELS_CUH
 #define PETMJX_PANELS_CUH
@@ -8,10 +8,12 @@
 
 namespace petmjx {
 
-// A diagonal tile takes the first warp about as long as this many products, with two panels those of both.
+// A diagonal tile takes the first warp about as long as this many products; with two panels at a time, products of
+// both.
 const int DIAGONAL_PRODUCTS = 10;
 
-// Lists the panels behind panel K whose columns reach up to it; returns how many. By one warp. `top`: as in System.
+// Lists the panels after panel K whose columns reach up to it, and returns their number. By one warp. `top`: as in
+// System.
 template <class Number>
 inline CUDA_CALLABLE int list_reaching(const int* top, int panels, int K, Number* list, int lane) {
     int found = 0;
@@ -30,8 +32,8 @@ inline CUDA_CALLABLE int list_reaching(const int* top, int panels, int K, Number
     return found;
 }
 
-// A row of U: of the panels `reached`, from place `first` on; in its place and in the strip, whose tiles are `apart`
-// numbers apart. W: inverse of the diagonal tile's factor. A warp for each tile.
+// Finds a row of U for the panels `reached`, from place `first` on. Writes it to its place and to the strip, whose
+// tiles are `apart` numbers apart. W: inverse of the diagonal tile's factor. A warp for each tile.
 template <class Number>
 inline CUDA_CALLABLE void factor_row(
     const System& system, const float* inverse, int row, const Number* reached, int first, int end, int stride, float* strip,
@@ -49,7 +51,7 @@ inline CUDA_CALLABLE void factor_row(
     }
 }
 
-// A product of two of the tiles of a row, numbered 0·0, 0·1, 1·1, 0·2, 1·2, 2·2, …
+// A product of two tiles of a row. Products are numbered 0·0, 0·1, 1·1, 0·2, 1·2, 2·2, …
 struct Pair {
     int left, right;
 
@@ -65,8 +67,8 @@ struct Pair {
 struct Share {
     int first, end;
 
-    // Of `across` tiles. The first `skipped` of the products are not to be shared. The first warp takes the last ones, if
-    // there are many.
+    // The share of the products of `across` tiles. The first `skipped` products are left out. The first warp takes the
+    // last products, if there are many.
     inline CUDA_CALLABLE Share(int across, int skipped, int warp, int warps) {
         const int others = warps > 1 ? warps - 1 : 1, other = warps > 1 ? warp - 1 : 0;
         const int products = across * (across + 1) / 2, many = products - DIAGONAL_PRODUCTS * others;

@@ -1,4 +1,4 @@
-// A body's six numbers at once, for the vector units of CPUs. Vectors have eight; the last two are not used.
+// Vectors of a body's six numbers, for the vector units of CPUs. Vectors have eight numbers; the last two are not used.
 
 #ifndef PETMJX_SIX_CUH
 #define PETMJX_SIX_CUH
@@ -8,11 +8,12 @@
 #if !defined(__CUDA_ARCH__)
 namespace petmjx {
 
-// Warp compiles for CPUs with Clang, which has such types.
+// Warp compiles for CPUs with Clang, which has vector types.
 typedef float Six __attribute__((ext_vector_type(8)));
 typedef double SixDoubles __attribute__((ext_vector_type(8)));
 
-// A body's part of a row of J: a contact's axis, and the moment arm of it. `side`: 0 for its first body, 1 for its second.
+// A body's part of a row of J: a contact's axis, and the moment arm about it. `side`: 0 for the contact's first body, 1
+// for its second.
 inline Six load_six(const Numbers& contact, int side, int r) {
     typedef float Four __attribute__((ext_vector_type(4)));
     Four axis, arm;
@@ -23,7 +24,7 @@ inline Six load_six(const Numbers& contact, int side, int r) {
 
 inline SixDoubles as_doubles(const Six& six) { return __builtin_convertvector(six, SixDoubles); }
 
-// Of a body; zeros for one that does not move, whose number is negative.
+// The numbers of a body; zeros for a body that does not move, whose number is negative.
 inline SixDoubles load_six_doubles(const double* x, int body) {
     SixDoubles six = 0.0;
     if (body >= 0) __builtin_memcpy(&six, x + 6 * body, 6 * sizeof *x);

@@ -1,4 +1,4 @@
-// Solving with the factor: x from UᵀU·x = g.
+// Substitution with the factor: x from UᵀU·x = g.
 
 #ifndef PETMJX_SUBSTITUTION_CUH
 #define PETMJX_SUBSTITUTION_CUH
@@ -19,7 +19,7 @@ inline CUDA_CALLABLE float dot(const float* x, int stride, const float* y) {
 inline CUDA_CALLABLE void solve_forward(const System& system, const float* W, int K, float* solved, int lane) {
     float* rhs = system.rhs + K * B;
 #if defined(__CUDA_ARCH__)
-    // as `dot` sums: lanes 16 apart have two of its four sums each
+    // the order of `dot`: lanes 16 apart have two of its four sums each
     const float* column = W + lane % B + lane / B * 2 * PITCH;
     const float* g = rhs + lane / B * 2;
     float one = 0.0f, two = 0.0f;
@@ -35,7 +35,7 @@ inline CUDA_CALLABLE void solve_forward(const System& system, const float* W, in
 }
 
 #if defined(__CUDA_ARCH__)
-// A lane's half of a row of a tile; lanes 16 apart have the halves of one.
+// A lane's half of a row of a tile. Lanes 16 apart have the halves of one row.
 struct HalfRow {
     float v[8];
 
@@ -44,7 +44,7 @@ struct HalfRow {
         load_four(v, from), load_four(v + 4, from + 4);
     }
 
-    // The whole row times y; both lanes get it.
+    // The whole row times y. Both lanes get the result.
     inline __device__ float times(const float* y, int lane) const {
         float its[8], sums[4];
         load_four(its, y + lane / B * 8), load_four(its + 4, y + lane / B * 8 + 4);
@@ -56,9 +56,9 @@ struct HalfRow {
 };
 #endif
 
-// Backward: U·x = y, two panels at a time from the last one. Their solution is subtracted from the rows above at once. On
-// a GPU each warp finds it for itself, in its part of `solved` (3·16 numbers for each), so that none waits for another.
-// SPREAD: how often the code that subtracts a panel's part stands there, once or twice.
+// Backward: U·x = y, two panels at a time from the last one. Their solution is at once subtracted from the rows above.
+// On a GPU each warp finds the solution for itself, in its part of `solved` (3·16 numbers for each warp). So no warp
+// waits for another. SPREAD: copies of the code that subtracts a panel's part, one or two.
 template <int SPREAD>
 inline CUDA_CALLABLE void solve_backward(const System& system, float* solved, int thread, int threads) {
     float* rhs = system.rhs;

@@ -1,8 +1,8 @@
 // The linear system of a step, H·x = g, in H's envelope.
 //
-// H's upper triangle is stored in whole tiles of 16 × 16: panel J's columns begin at row 16·top[J]. The factor is zero
-// above that. Panels follow one another, each one row by row, so that an envelope takes no more room than it needs and
-// fits into shared memory where it is small.
+// H's upper triangle is stored in whole tiles of 16 × 16. Panel J's columns begin at row 16·top[J]; the factor is zero
+// above it. Panels are stored one after another, each row by row. So an envelope takes no more room than it needs, and
+// a small one fits into shared memory.
 
 #ifndef PETMJX_SYSTEM_CUH
 #define PETMJX_SYSTEM_CUH
@@ -11,11 +11,11 @@
 
 namespace petmjx {
 
-// The columns of a body: six neighbours, which lie in one panel or in two.
+// The columns of a body: six neighbouring columns, in one panel or in two.
 struct Columns {
     float* one;
     float* two;
-    int first;  // of the panel's columns
+    int first;  // first of the panel's columns
 
     inline CUDA_CALLABLE float& entry(int row, int i) const {
         const int column = first + i;
@@ -32,7 +32,7 @@ struct System {
     const int* base;  // (panels + 1,) where each panel's numbers begin
     float* rhs;       // (16·panels,) g, then x in its place; NaN or infinite if H is not positive definite
 
-    // Entry (0, 16·J), if it were stored; the entry of row r and column 16·J + c is at r·16 + c.
+    // Address of entry (0, 16·J), if it were stored. The entry of row r and column 16·J + c is at r·16 + c.
     inline CUDA_CALLABLE float* panel(int J) const { return A + base[J] - top[J] * B * B; }
 
     inline CUDA_CALLABLE float* tile(int K, int J) const { return panel(J) + K * B * B; }

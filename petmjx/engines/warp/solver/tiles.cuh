@@ -1,10 +1,10 @@
 // Tiles of 16 × 16 numbers, and products of two of them. On a GPU a warp has a tile, on a CPU a thread.
 //
-// Tensor cores multiply numbers of 11 bits and add in single precision, but cut off instead of rounding. So each number
-// is the sum of an upper and a lower part, which have 22 of its 24 bits, a product of tiles is the three products of
-// parts that count, and what it is subtracted from is not given to the tensor cores (Ootomo and Yokota, "Recovering
-// single precision accuracy from Tensor Cores while surpassing the FP32 theoretical peak performance", Int. J. High
-// Perform. Comput. Appl. 36, 2022).
+// Tensor cores multiply numbers of 11 bits and add in single precision, but truncate instead of rounding. So each
+// number is split into an upper and a lower part, which together have 22 of its 24 bits. A product of tiles is the sum
+// of the three products of parts that count. The subtraction of this product is not done by the tensor cores (Ootomo
+// and Yokota, "Recovering single precision accuracy from Tensor Cores while surpassing the FP32 theoretical peak
+// performance", Int. J. High Perform. Comput. Appl. 36, 2022).
 
 #ifndef PETMJX_TILES_CUH
 #define PETMJX_TILES_CUH
@@ -19,11 +19,12 @@ namespace petmjx {
 
 const int B = 16;  // rows of a tile
 
-const int PITCH = 24;  // from row to row of a tile that lies by itself: four rows begin in different banks
+const int PITCH = 24;  // distance of rows in a separate tile: four rows begin in different banks
 
 const int TILE = B * B;
 
-// A lane's piece of a tile: rows 2·(lane / 4) and the next one, columns 4·(lane % 4) and the next three. On a CPU all.
+// A lane's piece of a tile: rows 2·(lane / 4) and the next one, columns 4·(lane % 4) and the next three. On a CPU the
+// whole tile.
 #if defined(__CUDA_ARCH__)
 const int PIECE_ROWS = 2, PIECE_COLUMNS = 4;
 #else
@@ -65,8 +66,8 @@ inline CUDA_CALLABLE void subtract(Piece& from, const Piece& what) {
     }
 }
 
-// What a lane has of a factor of a product. With tensor cores: of rows 8·i + lane % 4 and the fourth after it, columns
-// 2·(lane / 4) and the next one, row by row. Else the tile.
+// A lane's part of one factor of a product. With tensor cores: of rows 8·i + lane % 4 and the fourth row after it,
+// columns 2·(lane / 4) and the next one, row by row. Else the whole tile.
 struct Operand {
 #ifdef PETMJX_TENSOR_CORES
     float upper[2][4], lower[2][4];
@@ -77,14 +78,14 @@ struct Operand {
 };
 
 #ifdef PETMJX_TENSOR_CORES
-// The upper part of a number, rounded; the lower part is what is left, also where that is no number: so a NaN stays one in
-// the products with lower parts, though its upper part may be a number.
+// The upper part of a number, rounded. The lower part is the rest, which may be NaN. So a NaN stays NaN in the products
+// with lower parts, although its upper part may be a number.
 inline __device__ float upper_part(float x) {
     return __uint_as_float((__float_as_uint(x) + 0x1000u) & 0xffffe000u);
 }
 #endif
 
-// Of a tile of numbers.
+// The operand of a lane, from a tile of numbers.
 inline CUDA_CALLABLE Operand load_whole(const float* tile, int pitch, int lane) {
 #ifdef PETMJX_TENSOR_CORES
     Operand out;
@@ -102,7 +103,7 @@ inline CUDA_CALLABLE Operand load_whole(const float* tile, int pitch, int lane) 
 #endif
 }
 
-// Keeps a tile in the order in which lanes read it as an operand: four numbers of a lane beside those of the next one.
+// Stores a tile in the order in which lanes read it as an operand: four numbers of a lane, then four of the next lane.
 inline CUDA_CALLABLE void store_in_order(float* to, const Piece& piece, int lane) {
 #ifdef PETMJX_TENSOR_CORES
     #pragma unroll
@@ -136,8 +137,8 @@ inline CUDA_CALLABLE Operand load_in_order(const float* from, int lane) {
 }
 
 #ifdef PETMJX_TENSOR_CORES
-// Adds the product of eight rows of x and those of y, of which column j of each two, to a lane's four sums. The tensor
-// cores leave out what a factor has beyond 11 bits.
+// Adds the product of eight rows of x and of y, with column j of each two columns, to a lane's four sums. The tensor
+// cores ignore the bits of a factor beyond 11.
 inline __device__ void multiply_add(float (&sums)[4], const float (&x)[4], const float (&y)[4], int j) {
     asm("mma.sync.aligned.m16n8k8.row.col.f32.tf32.tf32.f32 {%0,%1,%2,%3}, {%4,%5,%6,%7}, {%8,%9}, {%0,%1,%2,%3};"
         : "+f"(sums[0]), "+f"(sums[1]), "+f"(sums[2]), "+f"(sums[3])

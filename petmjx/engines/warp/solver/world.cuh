@@ -7,15 +7,15 @@
 
 namespace petmjx {
 
-// Views of one world's arrays, which records.py describes. Its bodies are the free ones.
+// Views of one world's arrays, which world_arrays.py describes. Bodies here are the free bodies.
 struct World {
     int ncon, nfree, nv;
     const float* efc;           // the numbers of contacts (efc.cuh)
     int nconmax;                // contacts for which there is room
-    const int* body;            // (contact, 2) negative: does not move
+    const int* body;            // (contact, 2) bodies; negative: does not move
     const int* body_conadr;     // (body + 1,) where each body's contacts begin
     const int* body_contact;    // 2·contact + side, body after body
-    const int* position;        // (body,) of its rows in the system, in bodies
+    const int* position;        // (body,) position of its rows in the system, counted in bodies
     const float* qM;            // (nv,) diagonal of M
     const float* qacc_smooth;   // (nv,) accelerations without contacts
     double* qacc;               // (nv,)
@@ -26,7 +26,7 @@ struct World {
     double* force;              // (contact, 3)
     float* curvature;           // (contact, 6)
     float* drag;                // (contact, 2)
-    float* excess;              // (contact,) in Jaref so far; negative: does not slide
+    float* excess;              // (contact,) excess that Jaref includes; negative: does not slide
     int* bodies_conadr;         // (pair,) first contact of each pair of moving bodies
 
     inline CUDA_CALLABLE Numbers contact(int k) const { return Numbers(efc, nconmax, k); }
