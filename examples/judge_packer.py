@@ -34,7 +34,9 @@ def pack(items: list[Box], extent_mm: tuple[float, float]) -> list[Box]:
     placed: list[Box] = []
     x = y = z = end = row_end = 0.0
     stacked = ""
-    for item in sorted(items, key=lambda each: (-each["length/mm"] * each["width/mm"], each["article"])):
+    for item in sorted(
+        items, key=lambda candidate: (-candidate["length/mm"] * candidate["width/mm"], candidate["article"])
+    ):
         length, width, height = (item[f"{side}/mm"] for side in ("length", "width", "height"))
         if item["article"] != stacked or z + height > 1800:  # a new stack
             x, z, stacked = end, 0.0, item["article"]
@@ -71,11 +73,11 @@ def main() -> None:
     runs = {"mine": plans, "balanced": theirs}
     for name, source in runs.items():
         petmjx.score(source, engine=arguments.engine, orders=arguments.orders, out=arguments.out / name, overwrite=True)
-    found = petmjx.compare_packers({name: arguments.out / name for name in runs})
+    comparison = petmjx.compare_packers({name: arguments.out / name for name in runs})
     shown = ["packer", "n", "n_stable", "share", "low", "high", "left_out"]
-    print(found.packers.query("size == 'all'")[shown].to_string(index=False))
-    print(found.pairs.query("size == 'all'")[["a", "b", "only_a", "only_b", "difference", "low", "high", "p"]])
-    print("worth a look:", ", ".join(found.decided["plan_id"].astype(str)) or "no order is decided")
+    print(comparison.packers.query("size == 'all'")[shown].to_string(index=False))
+    print(comparison.pairs.query("size == 'all'")[["a", "b", "only_a", "only_b", "difference", "low", "high", "p"]])
+    print("worth a look:", ", ".join(comparison.decided["plan_id"].astype(str)) or "no order is decided")
 
 
 if __name__ == "__main__":

@@ -27,13 +27,13 @@ LENGTHS = ("x", "y", "z", "length_x", "length_y", "height")
 
 def prepared(candidates: NDArray[Any]) -> Array:
     """(n, a, f) features of about 1: metres, tens of kilograms, and some products."""
-    found = candidates.astype(np.float64)
+    features = candidates.astype(np.float64)
     for name in LENGTHS:
-        found[..., FEATURES.index(name)] /= 1000
-    found[..., FEATURES.index("mass")] /= 10
-    x, y, z, mass, support = (found[..., FEATURES.index(name)] for name in ("x", "y", "z", "mass", "support"))
+        features[..., FEATURES.index(name)] /= 1000
+    features[..., FEATURES.index("mass")] /= 10
+    x, y, z, mass, support = (features[..., FEATURES.index(name)] for name in ("x", "y", "z", "mass", "support"))
     products: Array = np.stack([x * y, z * z, z * mass, support**2], axis=-1)
-    return np.asarray(np.concatenate([found, products], axis=-1), np.float64)
+    return np.asarray(np.concatenate([features, products], axis=-1), np.float64)
 
 
 class Policy:

@@ -70,9 +70,9 @@ class Labeller:
 
 def _write(round_: int, path: Path, policy: Path, how: dict[str, Any]) -> None:
     begin = time.monotonic()
-    found = collect(round_=round_, policy=Policy.load(policy), **how)
+    labels = collect(round_=round_, policy=Policy.load(policy), **how)
     with path.with_suffix(".part").open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **found.arrays)
+        np.savez_compressed(file, allow_pickle=False, **labels.arrays)
     path.with_suffix(".part").replace(path)
     seconds = time.monotonic() - begin
-    print(f"labels {round_}: {len(found.stands)}, {found.stands.mean():.4f} stand, {seconds:.0f} s", flush=True)
+    print(f"labels {round_}: {len(labels.stands)}, {labels.stands.mean():.4f} stand, {seconds:.0f} s", flush=True)

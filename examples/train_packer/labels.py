@@ -147,11 +147,11 @@ class _Game:
             if not self._boxes.seen:
                 self._begin()
             wanders = self._rng.random() < self._wanders
-            found = self._anywhere() if wanders else self._best()
-            if found is None:
+            decision = self._anywhere() if wanders else self._best()
+            if decision is None:
                 self._boxes.skip()
                 continue
-            places, row, chosen = found
+            places, row, chosen = decision
             size, rng = places.size_mm[row] - self._boxes.clearance, self._rng
             beside = np.append(rng.normal(0, PLACE_MM, 2), 0.0)
             self._move = _Move(

@@ -89,5 +89,5 @@ def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) 
 
 def policy_worth(outcomes: Sequence[Outcome]) -> float:
     """What a policy is worth that has these outcomes: density, as long as its plans stand often enough."""
-    chance = float(np.mean([each.chance for each in outcomes]))
-    return float(np.mean([each.worth for each in outcomes])) - SHORT * max(LEAST_CHANCE - chance, 0.0)
+    chance = float(np.mean([outcome.chance for outcome in outcomes]))
+    return float(np.mean([outcome.worth for outcome in outcomes])) - SHORT * max(LEAST_CHANCE - chance, 0.0)

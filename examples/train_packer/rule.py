@@ -44,15 +44,15 @@ def spread(number: int, seed: int) -> Array:
     order, sequence, look_ahead = drawn(seed, -1 % 2**31, number)
     items = [order.items[i] for i in sequence]
     boxes, policy = FourSidedStream(items, TARGET_EXTENT_MM[order.target], CLEARANCE_MM, look_ahead), by_rule()
-    found = [np.zeros((0, len(NAMES)))]
+    row_blocks = [np.zeros((0, len(NAMES)))]
     while boxes.seen:
         decision = policy.decide(boxes)
         if decision is None:
             boxes.skip()
             continue
-        found.append(decision.rows - decision.rows.mean(axis=0))
+        row_blocks.append(decision.rows - decision.rows.mean(axis=0))
         boxes.put(decision.chosen.next)
-    return np.concatenate(found)
+    return np.concatenate(row_blocks)
 
 
 def scaled(rows: Array) -> Network:

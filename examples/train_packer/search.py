@@ -37,8 +37,8 @@ class Search:
         """(n, d) candidates."""
         values, axes = self._axes()
         steps = rng.standard_normal((n, len(self.mean))) * np.sqrt(values) @ axes.T
-        found: Array = self.mean + self.sigma * steps
-        return found
+        weights: Array = self.mean + self.sigma * steps
+        return weights
 
     def told(self, candidates: Array, worth: Array) -> Search:
         """The search after a generation, by what its candidates are worth."""

@@ -161,14 +161,14 @@ class Training:
         head, calibration = self._pool.submit(fit, labels, self.plan.seed, self.plan.fit_steps).result()
         (self.out / f"calibration-{rounds - 1}.json").write_text(json.dumps(calibration, indent=1))
         for placements, said in calibration.items():
-            brief = {name: each for name, each in said.items() if name != "reliability"}
+            brief = {name: figure for name, figure in said.items() if name != "reliability"}
             print(f"head of {rounds} rounds, {placements}: {json.dumps(brief)}", flush=True)
         return head
 
     def _begun(self) -> State:
         """A policy that does as the rule does, with a head that believes that all placements stand."""
-        each = list(self._pool.map(partial(spread, seed=self.plan.seed), range(self.plan.measured), chunksize=1))
-        taste = self._pool.submit(scaled, np.concatenate(each)).result()
+        row_blocks = list(self._pool.map(partial(spread, seed=self.plan.seed), range(self.plan.measured), chunksize=1))
+        taste = self._pool.submit(scaled, np.concatenate(row_blocks)).result()
         return State(taste, believing(), Search.fresh(taste.linear, self.plan.sigma))
 
     def _updated(self, state: State) -> State:
@@ -177,18 +177,18 @@ class Training:
         candidates = state.search.drawn(plan.candidates, rng)
         tasks = [(plan.seed, state.update, number) for number in range(plan.orders)]
         one = partial(outcomes, policy=state.policy, candidates=candidates)
-        found = list(self._pool.map(one, tasks, chunksize=1))
-        worth = np.array([policy_worth(of_one) for of_one in zip(*found, strict=True)])
+        outcomes_by_order = list(self._pool.map(one, tasks, chunksize=1))
+        worth = np.array([policy_worth(of_one) for of_one in zip(*outcomes_by_order, strict=True)])
         after = replace(state, search=state.search.told(candidates, worth))
-        self._row(after, [each for order in found for each in order], time.monotonic() - begin)
+        self._row(after, [outcome for order in outcomes_by_order for outcome in order], time.monotonic() - begin)
         return after
 
     # ------------------------------------------------------------------ curves
 
-    def _row(self, state: State, found: list[Outcome], seconds: float) -> None:
+    def _row(self, state: State, outcomes: list[Outcome], seconds: float) -> None:
         row: dict[str, Any] = {"update": state.update, "seconds": round(seconds, 3)}
-        if found:
-            row |= {f"played_{name}": value for name, value in _means(found).items()}
+        if outcomes:
+            row |= {f"played_{name}": value for name, value in _means(outcomes).items()}
         row["sigma"] = float(state.search.sigma)
         if state.update % self.plan.validate == 0:
             for look_ahead in (1, 5):
@@ -210,7 +210,9 @@ class Training:
 
 
 def _means(outcomes: list[Outcome]) -> dict[str, float]:
-    return {name: float(np.mean([getattr(each, name) for each in outcomes])) for name in Outcome.__dataclass_fields__}
+    return {
+        name: float(np.mean([getattr(outcome, name) for outcome in outcomes])) for name in Outcome.__dataclass_fields__
+    }
 
 
 def main() -> None:

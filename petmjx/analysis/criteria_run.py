@@ -8,31 +8,28 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Self
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, model_validator
 
 from petmjx.analysis.criteria import NO, NOT_ASKED, YES, Answers, Criterion, answer, chosen_criteria
+from petmjx.analysis.criteria_options import CriteriaOptions
 from petmjx.analysis.criteria_vs_physics import CELLS, SCORES, best_thresholds, judge
 from petmjx.analysis.force_balance import Friction
 from petmjx.common.argument_checks import flag_of, path_of
 from petmjx.common.atomic_write import write_errors
-from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 from petmjx.common.errors import InputError
 from petmjx.common.processes import process_pool
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import PLAN_UNITS
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
-from petmjx.options.carriers import AnyCarrier, Carrier, OwnCarrier
-from petmjx.options.physics import PHYSICS
+from petmjx.options.carriers import Carrier, OwnCarrier
 from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans
-from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
 from petmjx.results.plan_lookup import how_read
 from petmjx.results.read_files import source_files
@@ -40,41 +37,6 @@ from petmjx.results.run_folder import text
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
 from petmjx.world.carrier_boards import pallet
-
-
-class CriteriaOptions(CheckedRecord):
-    """The options of the criteria: inputs that the answers depend on, and how they are computed."""
-
-    friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
-        PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
-    )
-    side_friction: Annotated[float, within(0, 10), CliFlag("--side-friction", "MU")] = Field(
-        0.0, description="coefficient of friction where boxes touch side by side, for force balance with leaning"
-    )
-    tolerance_mm: Annotated[float, within(0, 100), CliFlag("--tolerance-mm", "MM")] = Field(
-        DEFAULT_TOLERANCE_MM, description="gaps and overlaps up to this count as touching, mm"
-    )
-    carrier: Annotated[AnyCarrier, CliFlag("--carrier", "NAME|FILE", default="that of the run, or footprint")] = Field(
-        Carrier.FOOTPRINT,
-        description="what the boxes stand on, as for petmjx score, and by default that of the run: boards bear, gaps "
-        "do not; one without boards reaches under all boxes",
-    )
-    only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
-    processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
-    seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
-        0, description="of the halves of the plans and of the bootstrap"
-    )
-
-    @property
-    def criteria(self) -> tuple[Criterion, ...]:
-        """The criteria asked for."""
-        return chosen_criteria(self.only)
-
-    @model_validator(mode="after")
-    def _names_criteria(self) -> Self:
-        chosen_criteria(self.only)
-        return self
-
 
 _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
@@ -302,7 +264,7 @@ def criteria(
         units: of files and data frames, as for ``petmjx.load_plans``.
         anchor: as for ``petmjx.load_plans``.
         progress: called with the number of finished plans and the number of all plans.
-        options: fields of ``petmjx.analysis.criteria_run.CriteriaOptions``: ``friction``, ``side_friction``,
+        options: fields of ``petmjx.analysis.criteria_options.CriteriaOptions``: ``friction``, ``side_friction``,
             ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``seed``. With
             ``processes`` a script needs its ``if __name__``.
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from petmjx.analysis.criteria import Criterion
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
-from petmjx.results.shares import DEFAULT_CONFIDENCE
+from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
 """Bootstrap samples of the plans. With this number the bounds of the intervals vary by about 1 % of their width."""

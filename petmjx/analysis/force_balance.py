@@ -94,12 +94,12 @@ def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
 
 
 def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limits: Entries | None = None) -> float:
-    """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = wanted``, with g ≥ 0 and ``limits @ g ≤ 0``.
+    """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = row_sums``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
     Args:
         forces: (r, f) what each force adds to each row.
         share: (f,) amount that each force must carry per unit of slack.
-        wanted: (r,) what the rows must add up to.
+        row_sums: (r,) what the rows must add up to.
         limits: (q, f); None: there are none.
 
     Returns:
@@ -129,12 +129,12 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
 
 def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
-    """The least and the largest value of several sums of forces g ≥ 0 with ``forces @ g = wanted``.
+    """The least and the largest value of several sums of forces g ≥ 0 with ``forces @ g = row_sums``.
 
     Args:
         sums: (m, f) factors of the forces in each sum.
         forces: (r, f) what each force adds to each row.
-        wanted: (r,) what the rows must add up to.
+        row_sums: (r,) what the rows must add up to.
 
     Returns:
         (m, 2), or None if no forces balance.

@@ -24,7 +24,14 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.engines.verdict import Verdict
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.run_reader import RunResults
-from petmjx.results.shares import DEFAULT_CONFIDENCE, PairedCounts, holm, mcnemar_p, newcombe_interval, wilson_interval
+from petmjx.results.share_intervals import (
+    DEFAULT_CONFIDENCE,
+    PairedCounts,
+    holm,
+    mcnemar_p,
+    newcombe_interval,
+    wilson_interval,
+)
 from petmjx.results.to_json import to_json
 
 LEAST_P: Final = 1e-4
@@ -172,30 +179,30 @@ def compare_packers(
     return comparison_of(runs_by_packer(runs), confidence, None if orders is None else Path(orders))
 
 
-def comparison_of(found: Mapping[str, RunResults], confidence: float, orders: Path | None) -> PackerComparison:
+def comparison_of(runs: Mapping[str, RunResults], confidence: float, orders: Path | None) -> PackerComparison:
     """The comparison of packers by open runs. A single packer has no pairs.
 
     Raises:
         InputError: unreadable orders, or SciPy is missing.
     """
-    against = None if orders is None else against_orders(found, orders)
-    plans = plans_of(found, against)
-    notes = doubts(found, plans)
+    against = None if orders is None else against_orders(runs, orders)
+    plans = plans_of(runs, against)
+    notes = doubts(runs, plans)
     if against is not None:
         plans, notes = _with_kpis(plans, against.rows), [*notes, *against.notes]
     sized = plans.assign(size=size_names(plans["order_boxes"]))
     sizes = [ALL_SIZES, *(size for size in _bin_names() if (sized["size"] == size).any())]
     parts = {size: sized if size == ALL_SIZES else sized[sized["size"] == size] for size in sizes}
-    packers = [_packer_row(size, name, rows, confidence) for size, rows in parts.items() for name in found]
-    pairs = [_pair_row(size, a, b, rows, confidence) for size, rows in parts.items() for a, b in combinations(found, 2)]
+    packers = [_packer_row(size, name, rows, confidence) for size, rows in parts.items() for name in runs]
+    pairs = [_pair_row(size, a, b, rows, confidence) for size, rows in parts.items() for a, b in combinations(runs, 2)]
     pair_table = pd.DataFrame(pairs, columns=_PAIR_COLUMNS)
     overall = pair_table["size"] == ALL_SIZES
     pair_table.loc[overall, "p_holm"] = holm(pair_table.loc[overall, "p"].tolist())
-    decided = _decided_orders(plans, list(found))
+    decided = _decided_orders(plans, list(runs))
     by = ["a", "b", "lost_by", "reason"]
     reasons = decided.groupby(by, sort=False).size().rename("n").reset_index()
     return PackerComparison(
-        runs={name: str(run.path) for name, run in found.items()},
+        runs={name: str(run.path) for name, run in runs.items()},
         confidence=confidence,
         packers=pd.DataFrame(packers),
         pairs=pair_table,

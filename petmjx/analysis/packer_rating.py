@@ -17,12 +17,12 @@ from petmjx.analysis.packer_comparison import PackerComparison
 from petmjx.analysis.packer_runs import MISSING
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
-from petmjx.results.shares import wilson_interval
+from petmjx.results.share_intervals import wilson_interval
 
 
-def rate(found: PackerComparison) -> pd.DataFrame:
+def rate(comparison: PackerComparison) -> pd.DataFrame:
     """The rating of each packer, the best first, as :func:`ratings` returns it."""
-    return ratings(found.plans, list(found.runs), found.confidence)
+    return ratings(comparison.plans, list(comparison.runs), comparison.confidence)
 
 
 def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> pd.DataFrame:

@@ -68,7 +68,7 @@ def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] 
     check_tables_free(folder, TABLES, overwrite=overwrite, inputs=inputs)
 
 
-def write_comparison(found: PackerComparison, folder: Path, overwrite: bool = False) -> None:
+def write_comparison(comparison: PackerComparison, folder: Path, overwrite: bool = False) -> None:
     """Write each table into a folder, as NAME.parquet, with units, and NAME.csv.
 
     Args:
@@ -79,4 +79,4 @@ def write_comparison(found: PackerComparison, folder: Path, overwrite: bool = Fa
     """
     check_comparison_free(folder, overwrite)
     with write_errors(folder):
-        write_documented_tables(folder, ((name, table, DESCRIBED) for name, table in found.tables.items()))
+        write_documented_tables(folder, ((name, table, DESCRIBED) for name, table in comparison.tables.items()))

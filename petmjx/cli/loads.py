@@ -63,8 +63,8 @@ def loads(
     A strength is given in newtons, or by McKee's formula from the carton's board. Of it boxes lose a share by how they
     are stacked: across each other, over edges, over gaps of the deck. Verdicts stay as they are.
     """
-    from petmjx.analysis.box_loads import check_loads_free
-    from petmjx.analysis.box_loads import loads as compare
+    from petmjx.analysis.box_strength import check_loads_free
+    from petmjx.analysis.box_strength import loads as compare
     from petmjx.results.read_files import source_files
     from petmjx.results.to_json import to_json
     from petmjx.show.load_tables import load_tables

@@ -96,7 +96,7 @@ def score_worlds(
         """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
 
         Args:
-            found: with the attempt's outcome.
+            pending: with the attempt's outcome.
         """
         world, outcome, records = pending
         assert outcome is not None

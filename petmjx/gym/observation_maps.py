@@ -80,7 +80,7 @@ class Maps:
         """(x, m) and (y, m): 1 for columns and rows of cells that boxes cover, else 0.
 
         Args:
-            each: (m, 2, 2) of ``spans``.
+            box_spans: (m, 2, 2) of ``spans``.
         """
         low, high = box_spans.transpose(1, 2, 0)
         x, y = (

@@ -13,7 +13,7 @@ import warnings
 from typing import Any
 
 from petmjx.jax.palletizing import Observation, Palletizing
-from petmjx.jax.placement_results import REASONS, PlacementArrays
+from petmjx.jax.placement_arrays import REASONS, PlacementArrays
 from petmjx.jax.pure_functions import empty, place, try_all
 from petmjx.jax.timestep import Spec, StepType, TimeStep
 

@@ -21,7 +21,7 @@ from petmjx.engines.verdict import DROPPED_EXCESS, INVALID_FLAGS, Reason, failur
 from petmjx.engines.warp.next_boxes import NewBox
 from petmjx.engines.warp.open_simulator import OpenState, Simulator
 from petmjx.engines.warp.open_worlds import WarpWorlds
-from petmjx.jax.placement_results import ENDED, REASONS, PlacementArrays
+from petmjx.jax.placement_arrays import ENDED, REASONS, PlacementArrays
 from petmjx.options.simulation import Simulation
 from petmjx.world.contact_laws import CONTACTS_PER_FACE, DEPTHS_M, cone_factor, pulls_m_s2
 from petmjx.world.growing_scenes import EmptyCarrier

@@ -51,18 +51,20 @@ class Cells:
         self._least = least_support
         self.count = TURNS * len(corners)
 
-    def ways(self, size_mm: Float[Array, " 3"], boxes_mm: Boxes, corners_mm: Boxes, there: Bool[Array, " box"]) -> Ways:
+    def ways(
+        self, size_mm: Float[Array, " 3"], boxes_mm: Boxes, corners_mm: Boxes, present: Bool[Array, " box"]
+    ) -> Ways:
         """The actions for a box of this size; none if the size is 0.
 
         Args:
-            boxes_mm, corners_mm: sizes and corners of the boxes on the pallet, if they are ``there``.
+            boxes_mm, corners_mm: sizes and corners of the boxes on the pallet, where ``present``.
         """
         size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
         low, high = self._corners, self._corners + size[:, :2]
         start = jnp.maximum(low[:, None], corners_mm[None, :, :2])
         end = jnp.minimum(high[:, None], (corners_mm + boxes_mm)[None, :, :2])
         side = end - start
-        area = jnp.where((side > TOUCH_MM).all(axis=2) & there[None], side[..., 0] * side[..., 1], 0.0)
+        area = jnp.where((side > TOUCH_MM).all(axis=2) & present[None], side[..., 0] * side[..., 1], 0.0)
         tops = jnp.broadcast_to((corners_mm + boxes_mm)[None, :, 2], area.shape)
         z = jnp.where(area > 0, tops, 0.0).max(axis=1)
         carried = jnp.where(jnp.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)

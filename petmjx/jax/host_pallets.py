@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.engines.protocol import Engine
-from petmjx.jax.placement_results import PlacementArrays, empty_results, shapes, write_results
+from petmjx.jax.placement_arrays import PlacementArrays, empty_results, shapes, write_results
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.placements import Placements
 from petmjx.options.simulation import Simulation

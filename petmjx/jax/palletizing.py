@@ -15,7 +15,7 @@ from petmjx.common.checked_records import hint
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY
 from petmjx.jax.free_cells import Cells
-from petmjx.jax.placement_results import PlacementArrays
+from petmjx.jax.placement_arrays import PlacementArrays
 from petmjx.jax.pure_functions import State as Pallet
 from petmjx.jax.pure_functions import empty, place
 from petmjx.jax.timestep import Spec, StepType, TimeStep

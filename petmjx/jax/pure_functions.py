@@ -13,7 +13,7 @@ from petmjx.common.argument_checks import integer_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.jax.host_pallets import empty_host
-from petmjx.jax.placement_results import PlacementArrays
+from petmjx.jax.placement_arrays import PlacementArrays
 from petmjx.loop.engine_setup import MOST_PALLETS, check_open, open_engine
 from petmjx.loop.placements import check_limits
 from petmjx.options.carriers import AnyCarrier

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 
 from petmjx.common.argument_checks import list_of, path_of
+from petmjx.common.arrow_files import parquet_table
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
-from petmjx.common.safe_read import parquet_table
 from petmjx.common.text import printable
 from petmjx.common.units import FloatArray
 from petmjx.plans.articles import Articles, read_articles

@@ -72,24 +72,26 @@ class PlacementResults:
         return cls(**joined_records(parts, max(part.top_force_n.shape[1] for part in parts)))
 
     @classmethod
-    def of_readings(cls, pallet: NDArray[np.int64], found: Readings, thresholds: Thresholds) -> PlacementResults:
+    def of_readings(cls, pallet: NDArray[np.int64], readings: Readings, thresholds: Thresholds) -> PlacementResults:
         """The results of worlds that have paused or ended."""
-        m, k = found.max_tilt_deg.shape
+        m, k = readings.max_tilt_deg.shape
         with np.errstate(invalid="ignore"):  # columns without boxes, worlds with bad numbers
-            shifted = shift(found.pos, found.target, thresholds.shift_floor_m)
+            shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
             quat, middles, halves = (
-                values.reshape(-1, values.shape[2]) for values in (found.quat, found.pos, found.half_size)
+                values.reshape(-1, values.shape[2]) for values in (readings.quat, readings.pos, readings.half_size)
             )
-            tilted = np.fmax(found.max_tilt_deg, tilt_deg(quat).reshape(m, k))
-            dropped = found.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
-            verdict, reason = judge_all(found.flags, Signs(shifted, tilted, found.max_top_force_n, dropped), thresholds)
+            tilted = np.fmax(readings.max_tilt_deg, tilt_deg(quat).reshape(m, k))
+            dropped = readings.dropped | has_dropped(middles, quat, halves, thresholds).reshape(m, k)
+            verdict, reason = judge_all(
+                readings.flags, Signs(shifted, tilted, readings.max_top_force_n, dropped), thresholds
+            )
             x, y, z = np.abs(np.moveaxis(shifted, 2, 0))
             farthest = np.maximum(np.maximum(x, y), z)
             over = np.maximum(farthest / thresholds.shift_m, tilted / thresholds.tilt_deg)
             over = np.nan_to_num(np.maximum(over, DROPPED_EXCESS * dropped), nan=-np.inf)
         stable, invalid = verdict == str(Verdict.STABLE), verdict == str(Verdict.INVALID)
         worst = over.argmax(axis=1) if k else np.zeros(m, np.int64)
-        culprit = np.where(found.culprit >= 0, found.culprit, np.where(invalid, -1, worst))
+        culprit = np.where(readings.culprit >= 0, readings.culprit, np.where(invalid, -1, worst))
         margin = 1.0 - over.max(axis=1, initial=0.0)
         eps = float(np.finfo(np.float64).eps)
         margin = np.where(stable, np.maximum(margin, 0.0), np.minimum(margin, -eps))
@@ -102,28 +104,28 @@ class PlacementResults:
             margin=np.where(invalid, np.nan, margin),
             shift_mm=_largest(farthest * MM_PER_M),
             tilt_deg=_largest(tilted),
-            n_boxes=found.placed,
-            ended=found.ended,
-            moving=(found.flags & int(Flag.MOVING)) != 0,
-            top_force_n=found.top_force_n,
-            middle_mm=found.pos * MM_PER_M,
-            quat=found.quat,
+            n_boxes=readings.placed,
+            ended=readings.ended,
+            moving=(readings.flags & int(Flag.MOVING)) != 0,
+            top_force_n=readings.top_force_n,
+            middle_mm=readings.pos * MM_PER_M,
+            quat=readings.quat,
             share=np.full(m, np.nan),
         )
 
     @classmethod
     def of_outcomes(
-        cls, pallet: NDArray[np.int64], found: Sequence[Outcome], thresholds: Thresholds
+        cls, pallet: NDArray[np.int64], outcomes: Sequence[Outcome], thresholds: Thresholds
     ) -> PlacementResults:
         """The results of worlds that reached their end after a drive. Forces are those at rest."""
-        width = max((outcome.n_boxes for outcome in found), default=0)
+        width = max((outcome.n_boxes for outcome in outcomes), default=0)
 
         def padded(rows: Sequence[FloatArray]) -> FloatArray:
             return np.concatenate([widened_rows(np.asarray(row, np.float64)[None], width) for row in rows])
 
         def boxes(name: str) -> FloatArray:
             rows = []
-            for outcome in found:
+            for outcome in outcomes:
                 values = np.array(getattr(outcome.boxes, name), np.float64)
                 values[outcome.n_placed :] = np.nan
                 rows.append(values)
@@ -131,22 +133,22 @@ class PlacementResults:
 
         return cls(
             pallet=np.asarray(pallet, np.int64),
-            stable=np.array([outcome.verdict is Verdict.STABLE for outcome in found], bool),
-            verdict=np.array([str(outcome.verdict) for outcome in found]),
-            reason=np.array([str(outcome.reason) for outcome in found]),
-            culprit=np.array([outcome.culprit for outcome in found], np.int64),
+            stable=np.array([outcome.verdict is Verdict.STABLE for outcome in outcomes], bool),
+            verdict=np.array([str(outcome.verdict) for outcome in outcomes]),
+            reason=np.array([str(outcome.reason) for outcome in outcomes]),
+            culprit=np.array([outcome.culprit for outcome in outcomes], np.int64),
             margin=np.array(
-                [margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, thresholds) for outcome in found]
+                [margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, thresholds) for outcome in outcomes]
             ),
             shift_mm=_largest(np.abs(boxes("shift_m")).max(axis=2) * MM_PER_M),
             tilt_deg=_largest(boxes("max_tilt_deg")),
-            n_boxes=np.array([outcome.n_boxes for outcome in found], np.int64),
-            ended=np.array([outcome.verdict is not Verdict.STABLE for outcome in found], bool),
-            moving=np.array([bool(outcome.flags & Flag.MOVING) for outcome in found], bool),
+            n_boxes=np.array([outcome.n_boxes for outcome in outcomes], np.int64),
+            ended=np.array([outcome.verdict is not Verdict.STABLE for outcome in outcomes], bool),
+            moving=np.array([bool(outcome.flags & Flag.MOVING) for outcome in outcomes], bool),
             top_force_n=boxes("rest_top_force_n"),
             middle_mm=boxes("pos") * MM_PER_M,
             quat=boxes("quat"),
-            share=np.full(len(found), np.nan),
+            share=np.full(len(outcomes), np.nan),
         )
 
 

@@ -81,29 +81,29 @@ class LandingPair(CheckedRecord):
         return _pair(*self.between)
 
 
-def landing_between(one: str, other: str, own: Sequence[LandingPair]) -> tuple[float | None, float | None]:
+def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
     """The restitution of a pair of materials, and the time in which a landing stops, s; None: the value of ``Physics``.
 
     Args:
-        own: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+        user_pairs: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
     """
     pair = _pair(one, other)
-    said = next((each for each in reversed(own) if each.key == pair), None)
-    restitution = said.restitution if said is not None else None
+    user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
+    restitution = user_pair.restitution if user_pair is not None else None
     usual = RESTITUTION_OF_PAIRS.get(pair) if restitution is None else restitution
-    return usual, said.landing_s if said is not None else None
+    return usual, user_pair.landing_s if user_pair is not None else None
 
 
-def friction_between(one: str, other: str, own: Sequence[FrictionPair]) -> float | None:
+def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
     """The coefficient of friction of a pair of materials; None: it is not known.
 
     Names are compared without case and white space around them.
 
     Args:
-        own: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+        user_pairs: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
     """
     pair = _pair(one, other)
-    frictions = [friction_pair.friction for friction_pair in own if friction_pair.key == pair]
+    frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
     return frictions[-1] if frictions else FRICTION_OF_PAIRS.get(pair)
 
 
@@ -112,14 +112,14 @@ def _pair(one: str, other: str) -> tuple[str, str]:
     return first, second
 
 
-def check_pairs(boxes: Sequence[str], boards: Iterable[str], own: Sequence[FrictionPair]) -> None:
+def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequence[FrictionPair]) -> None:
     """Check that the friction is known for each pair of materials that may touch: box on box, and box on board.
 
     Args:
         boxes: the material of each box that has one. A box does not touch itself, so a material of one box alone makes
             no pair with itself.
         boards: the materials of boards.
-        own: pairs of the user.
+        user_pairs: pairs of the user.
 
     Raises:
         InputError: it names the pairs whose friction is not known.
@@ -127,7 +127,7 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], own: Sequence[Frict
     count = Counter(boxes)
     pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}
     pairs |= {(min(pair), max(pair)) for pair in itertools.product(count, {*boards})}
-    missing = sorted(pair for pair in pairs if friction_between(*pair, own) is None)
+    missing = sorted(pair for pair in pairs if friction_between(*pair, user_pairs) is None)
     if missing:
         named = ", ".join(f"{printable_name(one)} on {printable_name(other)}" for one, other in missing[:_MOST_NAMED])
         more = f" and {count_text(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""

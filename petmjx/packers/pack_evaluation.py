@@ -107,7 +107,7 @@ Asks = list[tuple[Trial, range]]
 
 
 def order_evaluation(
-    plan_id: str, found: Sequence[Finalist], options: PhysicalOptions, spare: Callable[[], bool] = lambda: False
+    plan_id: str, finalists: Sequence[Finalist], options: PhysicalOptions, spare: Callable[[], bool] = lambda: False
 ) -> Generator[Asks, None, list[Evaluation]]:
     """Evaluate the packings of an order: yields requests for worlds, and returns the evaluations.
 
@@ -116,16 +116,16 @@ def order_evaluation(
     good, all worlds of all packings are requested, since the packing that stands most often is then taken.
 
     Args:
-        found: packings of the order, the best first.
+        finalists: packings of the order, the best first.
         spare: whether the engine has spare capacity. Then worlds are requested before it is known whether they are
             needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"
-    while len(tried) < len(found):
+    while len(tried) < len(finalists):
         hurries = spare()
         first = options.worlds if hurries else min(FIRST_WORLDS, options.worlds)
-        left = found[len(tried) :]
+        left = finalists[len(tried) :]
         now = [Trial(plan_id, finalist) for finalist in (left if hurries or by_share else left[:1])]
         tried += now
         yield [(trial, trial.ask(first)) for trial in now]

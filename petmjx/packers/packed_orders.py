@@ -15,7 +15,7 @@ from petmjx.packers.sample_plans import LeftOutItems, as_placements, left_out_of
 from petmjx.plans.json_writer import Placement
 from petmjx.plans.order_generator import Order
 from petmjx.plans.plan import Plan
-from petmjx.results.shares import wilson_interval
+from petmjx.results.share_intervals import wilson_interval
 
 NO_PLACE = "no packing has room for more"
 FALLS = "packings with more boxes do not stand often enough"
@@ -50,20 +50,20 @@ class PackedOrder:
         cls,
         order_id: str,
         order: Order,
-        found: Sequence[Finalist],
+        finalists: Sequence[Finalist],
         judged: Sequence[Evaluation],
         options: PhysicalOptions,
     ) -> PackedOrder:
         """Choose a packing of an order.
 
         Args:
-            found: all packings of the order.
+            finalists: all packings of the order.
             judged: the evaluations of those that were simulated.
         """
         tried = decisive_evaluations(judged, options)
         packing = choose(tried, options) if tried else None
         left_out = left_out_of(order_id, order, packing.finalist.placed if packing else ())
-        fuller = packing is not None and max(finalist.volume_m3 for finalist in found) > packing.finalist.volume_m3
+        fuller = packing is not None and max(finalist.volume_m3 for finalist in finalists) > packing.finalist.volume_m3
         why = "" if left_out is None else FALLS if fuller else NO_PLACE
         good = packing is not None and packing.is_good(options)
         simulated = sum(candidate.n_simulated for candidate in judged)

@@ -20,9 +20,9 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
+from petmjx.common.arrow_files import parquet_rows
 from petmjx.common.checked_records import read_toml, reason
 from petmjx.common.errors import InputError
-from petmjx.common.safe_read import parquet_rows
 from petmjx.common.text import number_in, printable, printable_name
 from petmjx.plans.file_formats import (
     CSV_SUFFIXES,

@@ -84,10 +84,7 @@ def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
     """Plans with the properties of their boxes from a table of articles. Plans that contradict it are skipped."""
-    from petmjx.plans.articles import (
-        read_articles,
-        with_articles,  # loads Arrow
-    )
+    from petmjx.plans.articles import read_articles, with_articles
 
     articles = read_articles(file)
     kept, skipped, changed = [], list(plan_set.skipped), 0

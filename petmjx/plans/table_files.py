@@ -12,8 +12,8 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
+from petmjx.common.arrow_files import OversizedFile, open_for_arrow, read_within
 from petmjx.common.checked_records import reason
-from petmjx.common.safe_read import OversizedFile, open_for_arrow, read_within
 from petmjx.common.text import count_text, is_text, printable_name
 from petmjx.plans.file_formats import other_encoding, separator_mark
 from petmjx.plans.placement_table import LostRow, Table, TableError, as_column, sorted_columns

@@ -11,8 +11,9 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.overwrite_guard import IsOurs, check_outputs
-from petmjx.common.safe_read import open_for_arrow, read_regular
+from petmjx.common.safe_read import read_regular
 from petmjx.results.run_folder import Write, csv, parquet, write_together
 
 Described = Mapping[str, tuple[str, str]]

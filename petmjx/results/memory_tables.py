@@ -9,8 +9,8 @@ from pathlib import Path
 import pyarrow as pa
 
 from petmjx.results.run_folder import part_name, write_table
+from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import Parts, with_columns
-from petmjx.results.table_files import Tables
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from petmjx.engines.metrics import FORCE_INTERVAL, Column, box_columns, box_metr
 from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.plans.plan import Plan
 from petmjx.results import history_tables
-from petmjx.results.table_files import Tables
+from petmjx.results.run_table_files import Tables
 from petmjx.results.world_counts import COUNTED, WorldCounts
 
 WORLDS_PER_PART: Final = 1_000

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from petmjx.results.part_buffer import Part, Row
 from petmjx.results.run_folder import part_number
+from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import Parts
-from petmjx.results.table_files import Tables
 from petmjx.results.world_counts import WorldCounts
 
 LARGE: Final = 50_000

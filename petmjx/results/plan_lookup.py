@@ -15,7 +15,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans
-from petmjx.results.placement_table import kept_plans
+from petmjx.results.plan_table import kept_plans
 from petmjx.results.run_manifest import PlanRecord, plan_digest
 from petmjx.results.run_reader import RunResults
 

@@ -34,10 +34,11 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
+from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
-from petmjx.common.safe_read import open_for_arrow, read_regular
+from petmjx.common.safe_read import read_regular
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")

@@ -22,9 +22,9 @@ from petmjx.results.memory_tables import MemoryTables
 from petmjx.results.order_columns import counts_block, orders_block
 from petmjx.results.run_file import write_run_file
 from petmjx.results.run_reader import FINISHED
+from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION, Param
-from petmjx.results.table_files import Tables
 from petmjx.results.world_counts import WorldCounts
 
 RUNNING: Final = "running"

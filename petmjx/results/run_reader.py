@@ -34,13 +34,13 @@ from petmjx.plans.order_matching import PlanOrderCounts
 from petmjx.plans.plan import Plan
 from petmjx.results.memory_tables import MemoryParts
 from petmjx.results.notebook_tables import worlds_as_html
-from petmjx.results.placement_table import PLACEMENTS, placements_table
 from petmjx.results.plan_order import PlanOrder
+from petmjx.results.plan_table import PLACEMENTS, placements_table
 from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
+from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import check_version, data_frame, placements_schema, plans_schema, schemas
-from petmjx.results.table_files import Tables
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
 """Table → the table that tells which worlds a part of it has, by the part with the same number. For tables that are not

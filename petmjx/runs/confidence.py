@@ -21,7 +21,7 @@ from petmjx.options.placing import Way
 from petmjx.results.run_tables import Parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table
-from petmjx.results.shares import ONE_PLAN, PairedCounts, holm, mcnemar_p, share_standing
+from petmjx.results.share_intervals import ONE_PLAN, PairedCounts, holm, mcnemar_p, share_standing
 from petmjx.runs.sweep_axes import Axis
 from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep
 from petmjx.world.variants import Distribution

@@ -17,7 +17,7 @@ from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.order_matching import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.order_columns import joined_check, read_check
-from petmjx.results.placement_table import PLACEMENTS
+from petmjx.results.plan_table import PLACEMENTS
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run, split_warnings
 from petmjx.results.run_writer import RunWriter

@@ -27,7 +27,7 @@ from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files, usable_plans
 from petmjx.results.history_tables import Recording, recording_of
 from petmjx.results.part_order import LARGE, Places
-from petmjx.results.placement_table import placements_table
+from petmjx.results.plan_table import placements_table
 from petmjx.results.resume import engine_of_run
 from petmjx.results.run_manifest import Manifest, PlanRecord, records_of
 from petmjx.results.run_reader import RunResults

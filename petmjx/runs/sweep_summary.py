@@ -15,7 +15,7 @@ from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.results.run_tables import Parts
 from petmjx.results.schema import Param
-from petmjx.results.shares import KEYS, by_plan_and_axis, share_standing
+from petmjx.results.share_intervals import KEYS, by_plan_and_axis, share_standing
 from petmjx.runs.level_search import failure_mode
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis

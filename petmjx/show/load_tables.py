@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from rich.console import RenderableType
 
-from petmjx.analysis.box_loads import Loads
+from petmjx.analysis.box_strength import Loads
 from petmjx.common.text import box_label, count_text
 from petmjx.show.sweep_tables import FEW_ROWS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent

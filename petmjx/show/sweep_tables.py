@@ -12,7 +12,7 @@ import pandas as pd
 
 from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
-from petmjx.results.shares import ALL_PLANS
+from petmjx.results.share_intervals import ALL_PLANS
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 

@@ -12,7 +12,7 @@ import pytest
 import petmjx
 import petmjx.jax
 from petmjx.common.errors import InputError
-from petmjx.jax.placement_results import REASONS, PlacementArrays
+from petmjx.jax.placement_arrays import REASONS, PlacementArrays
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 

@@ -39,7 +39,7 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.mjx.host_to_device import load
-from petmjx.engines.mjx.model_template import MAX_ITERATIONS
+from petmjx.engines.mjx.padded_template import MAX_ITERATIONS
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_state import fresh_state
 from petmjx.engines.warp import programs

@@ -16,7 +16,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.bed import Beds as JaxBeds
 from petmjx.engines.mjx.bed import Faces, bed_of
 from petmjx.engines.mjx.mjx_import import mjx
-from petmjx.engines.mjx.model_template import override_fields, padded_template
+from petmjx.engines.mjx.padded_template import override_fields, padded_template
 from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.engines.mujoco.bed import Beds, face_pressure
 from petmjx.engines.mujoco.live_world import LiveWorld

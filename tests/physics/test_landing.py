@@ -19,7 +19,7 @@ from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.line_search import solve
 from petmjx.engines.mjx.mjx_import import mjx
-from petmjx.engines.mjx.model_template import FLOAT32_TOLERANCE
+from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.landing import Landings
 from petmjx.engines.mujoco.live_world import LiveWorld
@@ -196,10 +196,10 @@ def test_mjx_stops_a_landing_wherever_its_solver_starts() -> None:
     device = mjx.put_model(model, impl="jax").tree_replace({"opt.tolerance": jnp.float32(FLOAT32_TOLERANCE)})
     fresh = mjx.put_data(model, data, impl="jax")
     with jax.numpy_rank_promotion("allow"):
-        found = jax.jit(jax.vmap(lambda start: solve(device, fresh.replace(qacc_warmstart=start)).qacc))(
+        accelerations = jax.jit(jax.vmap(lambda start: solve(device, fresh.replace(qacc_warmstart=start)).qacc))(
             jnp.asarray(starts, jnp.float32)
         )
-    np.testing.assert_allclose(found, np.tile(data.qacc, (64, 1)), atol=SAME_ACCELERATION)
+    np.testing.assert_allclose(accelerations, np.tile(data.qacc, (64, 1)), atol=SAME_ACCELERATION)
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from support.tiny_worlds import shared_engine
 import petmjx
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.compliance import laws
-from petmjx.engines.mjx.model_template import padded_template
+from petmjx.engines.mjx.padded_template import padded_template
 from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine

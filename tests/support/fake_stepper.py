@@ -20,9 +20,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from petmjx.engines.mjx.batch_step import PaddedModel, StepResult
 from petmjx.engines.mjx.engine import MjxJaxEngine
-from petmjx.engines.mjx.model_template import CARRIER_BODY, FIRST_BOX_BODY
-from petmjx.engines.mjx.padded_model import PaddedModel, StepResult
+from petmjx.engines.mjx.padded_template import CARRIER_BODY, FIRST_BOX_BODY
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.verdict import Outcome
 from petmjx.options.carriers import Carrier

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from petmjx.common.errors import PetmjxError
 from petmjx.results import run_folder
 from petmjx.results.part_order import Places
-from petmjx.results.placement_table import placements_table
+from petmjx.results.plan_table import placements_table
 from petmjx.results.run_manifest import Manifest, records_of
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter

@@ -13,8 +13,8 @@ import pytest
 from support.plans import make_plan
 
 import petmjx
+from petmjx.common.arrow_files import parquet_table
 from petmjx.common.errors import InputError
-from petmjx.common.safe_read import parquet_table
 from petmjx.loop.order_sources import Orders
 from petmjx.plans.articles import read_articles
 from petmjx.plans.plan_writer import plans_table

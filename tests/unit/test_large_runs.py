@@ -17,7 +17,7 @@ import petmjx
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.results import part_order, table_files
+from petmjx.results import part_order, run_table_files
 from petmjx.results.part_order import Places
 from petmjx.results.run_writer import RunWriter
 from petmjx.runs import sweep_run
@@ -80,13 +80,13 @@ def written_as_given(folder: Path) -> None:
 def writes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """The parts of worlds that are written, by name."""
     names: list[str] = []
-    write = table_files.write_table
+    write = run_table_files.write_table
 
     def noted(table: Any, path: Path) -> str:
         names.extend([path.name] if path.parent.name == "worlds" else [])
         return write(table, path)
 
-    monkeypatch.setattr(table_files, "write_table", noted)
+    monkeypatch.setattr(run_table_files, "write_table", noted)
     return names
 
 

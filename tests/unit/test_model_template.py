@@ -12,7 +12,7 @@ from mujoco import mjx
 from support.fake_stepper import fake_scene
 from support.plans import on_boards
 
-from petmjx.engines.mjx.model_template import override_fields, padded_template, parked_positions
+from petmjx.engines.mjx.padded_template import override_fields, padded_template, parked_positions
 from petmjx.engines.mjx.world_constants import upload_worlds
 from petmjx.options.physics import PHYSICS, Physics
 from petmjx.options.simulation import Simulation, Solver

@@ -12,10 +12,10 @@ from support.command_line import run
 
 import petmjx
 from petmjx.plans.plan import Plan
-from petmjx.results.placement_table import kept_plans, placements_table
+from petmjx.results.plan_table import kept_plans, placements_table
 from petmjx.results.run_manifest import plan_digest, records_of
+from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import Parts
-from petmjx.results.table_files import Tables
 
 FIELDS = [name for name in Plan.__slots__ if name != "source"]
 

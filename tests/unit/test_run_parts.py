@@ -21,7 +21,7 @@ from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.common.errors import InputError, PetmjxError
-from petmjx.results import part_buffer, run_folder, run_info, table_files
+from petmjx.results import part_buffer, run_folder, run_info, run_table_files
 from petmjx.results.part_buffer import Part, PartBuffer, Row
 from petmjx.results.part_order import DestinationBuffer, Places
 from petmjx.results.run_file import write_run_file
@@ -200,7 +200,7 @@ def test_an_error_in_the_body_is_told(tmp_path: Path) -> None:
 def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, ids in (("one", "ab"), ("two", "cd")):
         write_run(tmp_path / name, ids=tuple(ids))
-    copy = table_files.copy_file
+    copy = run_table_files.copy_file
 
     def cut_short(file: Path, place: Path) -> str:
         if file.is_relative_to(tmp_path / "two/boxes"):
@@ -212,7 +212,7 @@ def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkey
             for name in ("one", "two"):
                 run.adopt(load_run(tmp_path / name).parts)
 
-    monkeypatch.setattr(table_files, "copy_file", cut_short)
+    monkeypatch.setattr(run_table_files, "copy_file", cut_short)
     with pytest.raises(KeyboardInterrupt):
         merge()
     merged = load_run(tmp_path / "merged")

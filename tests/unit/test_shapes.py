@@ -17,8 +17,8 @@ from support.fake_stepper import FakeEngine, FakeStepper, fake_scene, run_all
 
 import petmjx.engines.mjx
 from petmjx.engines.mjx import box_motion as motion
-from petmjx.engines.mjx.model_template import parked_positions
 from petmjx.engines.mjx.outcomes import started_states
+from petmjx.engines.mjx.padded_template import parked_positions
 from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable, build_timetable

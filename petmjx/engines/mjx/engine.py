@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_bodies import paths
 from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, load, round_up
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
-from petmjx.engines.mjx.padded_model import PaddedModel
 from petmjx.engines.mjx.readback import read_back
 from petmjx.engines.mjx.rollout import CHUNK_STEPS, BatchRollout
 from petmjx.engines.mjx.rules import Rules

@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from petmjx.common.units import FloatArray
+from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_body_states import let_go
 from petmjx.engines.mjx.jax_setup import compiler_options
-from petmjx.engines.mjx.padded_model import PaddedModel
 from petmjx.engines.mjx.rollout import BatchRollout
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import build_timetable

@@ -37,7 +37,7 @@ def solve(model: Any, data: Any) -> Any:
 def _real_roots() -> Iterator[None]:
     """While a program is traced inside this context, the roots in the line search's points are real."""
     point = _point_class()
-    original, found = point.create, vars(point)["create"]
+    original, descriptor = point.create, vars(point)["create"]
 
     def create(model: Any, data: Any, context: Any, alpha: jax.Array, *terms: Any) -> Any:
         *others, uu, v0, uv, vv = terms
@@ -48,7 +48,7 @@ def _real_roots() -> Iterator[None]:
     try:
         yield
     finally:
-        point.create = found
+        point.create = descriptor
 
 
 def _point_class() -> Any:

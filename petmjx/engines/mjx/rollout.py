@@ -11,12 +11,12 @@ from jaxtyping import Array, Bool, Float
 from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx import film, hand
+from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.bed import Faces
 from petmjx.engines.mjx.frame_recorder import Trail
 from petmjx.engines.mjx.jax_setup import compiler_options
 from petmjx.engines.mjx.landing import Landing
-from petmjx.engines.mjx.model_template import FIRST_BOX_BODY, override_fields
-from petmjx.engines.mjx.padded_model import PaddedModel
+from petmjx.engines.mjx.padded_template import FIRST_BOX_BODY, override_fields
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import State

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.engines.mjx import box_motion as motion
 from petmjx.engines.mjx import hand, jitter
-from petmjx.engines.mjx.model_template import PARKING_HEIGHT_M, parked_positions
+from petmjx.engines.mjx.padded_template import PARKING_HEIGHT_M, parked_positions
 from petmjx.engines.mjx.running_metrics import Sample
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds

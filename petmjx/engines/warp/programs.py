@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import warp as wp
 from jaxtyping import Array, Int
 
-from petmjx.engines.mjx.model_template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
+from petmjx.engines.mjx.padded_template import LINE_SEARCH_ITERATIONS, MAX_ITERATIONS
 from petmjx.engines.mjx.rules import Rules
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds

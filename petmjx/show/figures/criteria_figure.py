@@ -8,7 +8,7 @@ from petmjx.analysis.criteria_run import CriteriaResults
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
-from petmjx.results.shares import DEFAULT_CONFIDENCE
+from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 from petmjx.show.figures.figure_style import POINTS, WIDTH_IN
 from petmjx.show.pages.palette import OKABE_ITO
 

@@ -28,7 +28,7 @@ from petmjx.packers.packer_registry import PACKERS
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.order_reader import read_orders
 from petmjx.results.read_files import source_files
-from petmjx.results.shares import DEFAULT_CONFIDENCE
+from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 from petmjx.show.leaderboard.entries import Entry, Watch, enter, keep_plans, pack_ours, packer_sources
 from petmjx.show.leaderboard.entry_replays import Replay, Sample, sample_entry
 from petmjx.show.leaderboard.leaderboard_files import ORDERS, PAGE, PLANS, STORIES, BoardFolder, names_of
@@ -232,14 +232,14 @@ def _stories(
     return stories, seen
 
 
-def worth_telling(found: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
+def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
     """Plans of a packer in the order in which they get stories. First come plans that do not stand while another
     packer's plan does, then other plans that do not stand, then plans that stand while another packer's plan does not,
     then the rest. In each group the largest plans come first."""
-    mine = found.plans[(found.plans["packer"] == packer) & found.plans["plan_id"].isin(list(plans))]
-    lost = set(found.decided.loc[found.decided["lost_by"] == packer, "plan_id"])
+    mine = comparison.plans[(comparison.plans["packer"] == packer) & comparison.plans["plan_id"].isin(list(plans))]
+    lost = set(comparison.decided.loc[comparison.decided["lost_by"] == packer, "plan_id"])
     falls = mine["verdict"] == Verdict.UNSTABLE.value
-    won = set(found.decided.loc[found.decided["won_by"] == packer, "plan_id"])
+    won = set(comparison.decided.loc[comparison.decided["won_by"] == packer, "plan_id"])
     rest = np.where(mine["plan_id"].isin(won), 2, 3)
     group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, rest))
     order = mine.assign(group=group, large=-mine["boxes"].fillna(0))

@@ -13,7 +13,7 @@ from petmjx.analysis.run_comparison import thresholds_of
 from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
 from petmjx.options.simulation import Thresholds
-from petmjx.results.shares import wilson_interval
+from petmjx.results.share_intervals import wilson_interval
 from petmjx.show.report.charts import MOST_POINTS, equal_groups, histogram, points, quantile_bands, share_curve
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup
 from petmjx.show.report.report_runs import Kind, ReportRun

@@ -19,8 +19,8 @@ from petmjx.common.text import printable
 from petmjx.common.units import MM_PER_M
 from petmjx.plans.plan import Plan
 from petmjx.results.run_reader import RunResults, load_run, rows_of_worlds
-from petmjx.results.shares import ALL_PLANS, share_standing
-from petmjx.show.report.plan_lookup import ReportPlans, find_report_plans
+from petmjx.results.share_intervals import ALL_PLANS, share_standing
+from petmjx.show.report.report_plans import ReportPlans, find_report_plans
 
 
 class Kind(StrEnum):

@@ -11,7 +11,7 @@ import pandas as pd
 from petmjx.common.text import count_text, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
-from petmjx.results.shares import ALL_PLANS, share_standing
+from petmjx.results.share_intervals import ALL_PLANS, share_standing
 from petmjx.show.report.charts import ROSE_RINGS, Bar, bars, histogram, percent, rose, share_curve
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun

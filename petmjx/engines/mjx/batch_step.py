@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from petmjx.engines.mjx.bed import Beds, Faces
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
-from petmjx.engines.mjx.model_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.engines.mjx.slip import SlipLaw
 from petmjx.engines.mjx.top_forces import contact_force_z, pressed_box
 from petmjx.options.physics import Cone

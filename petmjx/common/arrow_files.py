@@ -1,0 +1,172 @@
+"""Files that users name, opened for Arrow within bounds of decoded bytes and rows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, MOST_RATIO, open_regular, size
+from petmjx.common.text import printable_name
+
+_WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
+"""Bytes of a value in memory, by its type in the file. A text counts with its offset and its length only."""
+
+_ROWS: Final = 1 << 16
+_FEW_ROWS: Final = 1 << 8
+"""Rows that are read at a time. ``_FEW_ROWS`` is for files in which texts may be long though the file is small."""
+
+_PREFIXED: Final = "DELTA_BYTE_ARRAY"
+"""Encoding of Parquet that stores a text as the length of its common prefix with the text before, and the rest. A text
+may thus be as long as all texts before it together."""
+
+
+def open_for_arrow(path: Path) -> pa.NativeFile:
+    """A regular file that Arrow reads by itself. Parquet is never read through a stream of Python.
+
+    Arrow reads Parquet in threads of its own. A thread may still free its buffers after the table has been returned. If
+    the buffers are Python's, the thread needs the interpreter to free them. If the interpreter is ending then, the
+    process aborts ("terminate called without an active exception") or hangs:
+    https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
+
+    Raises:
+        OSError: the file cannot be read, or is no regular file; ``strerror`` says which.
+        ValueError: no file can have this name.
+    """
+    # Python checks the file first, since Arrow waits for FIFOs. pa.OSFile takes the bytes of any name. Other functions
+    # of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a column, and refuse names that are not UTF-8.
+    with open_regular(path):
+        return pa.OSFile(os.fsencode(path))
+
+
+class OversizedFile(ValueError):
+    """A Parquet file would take much more memory than a file of its size should."""
+
+
+def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> int:
+    """Least number of bytes that columns of a Parquet file take in memory, according to the file's metadata.
+
+    Texts count with their offsets only: their lengths are not known before they are read.
+
+    Args:
+        columns: names; None: all.
+    """
+    metadata, chosen = file.metadata, None if columns is None else set(columns)
+    n_bytes = 0
+    for group in range(metadata.num_row_groups):
+        rows = metadata.row_group(group)
+        for index in range(metadata.num_columns):
+            column = rows.column(index)
+            if chosen is None or column.path_in_schema in chosen or column.path_in_schema.split(".")[0] in chosen:
+                n_bytes += max(column.num_values, rows.num_rows) * _WIDTHS.get(column.physical_type, 16)
+    return n_bytes
+
+
+def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:
+    """Bytes that a file of this size may take when it is unpacked. The rule is the same for gzip and Parquet."""
+    return min(most, max(free, MOST_RATIO * file_bytes))
+
+
+def read_within(
+    stream: pa.NativeFile, columns: Sequence[str] | None = None, *, free: int = FREE_BYTES, most: int = MOST_BYTES
+) -> pa.Table:
+    """Columns of a Parquet file, read within bounds. In a file a few bytes may stand for millions of rows, and a short
+    code for a long text in each row.
+
+    Args:
+        columns: names; None: all.
+        free, most: as of :func:`allowed_bytes`.
+
+    Raises:
+        OversizedFile: the columns would take more memory than allowed.
+        ValueError: a column has lists or tables in it.
+        pyarrow.ArrowException, OSError: the file is not a whole Parquet file.
+    """
+    allowed = allowed_bytes(stream.size(), free, most)
+    with pq.ParquetFile(stream) as file:
+        schema, metadata = file.schema_arrow, file.metadata
+        needed = decoded_bytes(file, columns)
+        if needed > allowed:
+            raise OversizedFile(
+                f"its {metadata.num_rows:,} rows would take {size(needed)}, too much for a file of this size"
+            )
+        names = schema.names if columns is None else list(columns)
+        for name in names:
+            if pa.types.is_nested(schema.field(name).type):
+                raise ValueError(f"the column {printable_name(name)} has lists or tables in it")
+        texts = [name for name in names if _is_text(schema.field(name).type)]
+        by_prefix = set(_columns_by_prefix(metadata))
+        # texts stay dictionary codes until their lengths are known; Arrow cannot do this for texts stored by prefix
+        codes = [name for name in texts if name not in by_prefix]
+        coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
+        few = not by_prefix.isdisjoint(names)
+        batches, long = [], 0
+        for batch in coded.iter_batches(_FEW_ROWS if few else _ROWS, columns=names):
+            long += sum(_length_of(batch.column(name)) for name in texts)
+            if needed + long > allowed:
+                raise OversizedFile(f"its texts would take more than {size(allowed)}, too much for a file of this size")
+            batches.append(_decoded_columns(batch, schema))
+        kept = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
+        return pa.Table.from_batches(batches, schema=kept)
+
+
+def _columns_by_prefix(metadata: pq.FileMetaData) -> Iterator[str]:
+    for group in range(metadata.num_row_groups):
+        for index in range(metadata.num_columns):
+            column = metadata.row_group(group).column(index)
+            if _PREFIXED in column.encodings:
+                yield column.path_in_schema
+
+
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(
+        pa.types.is_string(kind)
+        or pa.types.is_large_string(kind)
+        or pa.types.is_binary(kind)
+        or pa.types.is_large_binary(kind)
+        or (pa.types.is_dictionary(kind) and _is_text(kind.value_type))
+    )
+
+
+def _length_of(coded: pa.Array) -> int:
+    """Bytes of the texts of a column, which may be coded by a dictionary."""
+    if not pa.types.is_dictionary(coded.type):
+        return int(coded.nbytes)
+    lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))
+    codes = np.asarray(coded.indices.drop_null())
+    return int(lengths[codes].sum(dtype=np.int64)) if len(codes) else 0
+
+
+def _decoded_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
+    """The columns of a batch with the types that they have in the file."""
+    fields = [schema.field(name) for name in batch.schema.names]
+    arrays = [column.cast(field.type) for column, field in zip(batch.columns, fields, strict=True)]
+    return pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields, metadata=schema.metadata))
+
+
+def parquet_table(path: Path) -> pa.Table:
+    """All of a Parquet file, read within bounds.
+
+    Raises:
+        OSError: the file cannot be read, or is no regular file.
+        pyarrow.ArrowException: the file is not a whole Parquet file.
+        ValueError: no file can have this name, two columns have one name, or the file would take too much memory.
+    """
+    with open_for_arrow(path) as stream:
+        with pq.ParquetFile(stream) as file:
+            names = file.schema_arrow.names
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise ValueError(f"the column {printable_name(twice)} is repeated")
+        return read_within(stream)
+
+
+def parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
+    """The rows of a Parquet file, one by one. Bounds and errors are those of :func:`parquet_table`."""
+    for batch in parquet_table(path).to_batches(_FEW_ROWS):
+        yield from batch.to_pylist()
