@@ -309,7 +309,7 @@ class Palletizing:
 
     @property
     def observation_spec(self) -> dict[str, Spec]:
-        """The spec of each field of an observation."""
+        """The specification of each field of an observation."""
         longest = int(self._boxes.shape[1])
         specs = (
             Spec("height_map", self._maps, jnp.float32, 0.0, self._highest + 1.0),

@@ -62,5 +62,5 @@ class Spec:
     num_values: int | None = None
 
     def generate_value(self) -> jax.Array:
-        """An array that fits the spec."""
+        """An array that fits the specification."""
         return jnp.full(self.shape, self.minimum, self.dtype)

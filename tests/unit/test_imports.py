@@ -176,4 +176,4 @@ def test_old_names_warn() -> None:
     import petmjx
 
     with pytest.warns(FutureWarning, match=r"petmjx\.Told is now petmjx\.PlacementResults"):
-        assert petmjx.PlacementResults is petmjx.PlacementResults
+        assert petmjx.Told is petmjx.PlacementResults
