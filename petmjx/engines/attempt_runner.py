@@ -67,7 +67,7 @@ class AttemptRunner(Generic[AnyWorld]):
         more: worlds that follow from the results so far, if they may be added to the batch.
         next_chunk: makes further worlds that may be added; None while they are being made, and no worlds at the end.
         aside: receives the worlds that another engine simulates.
-        lookers: pool that checks outcomes in other processes, if there is one.
+        check_pool: pool that checks outcomes in other processes, if there is one.
     """
 
     attempt: AttemptRecipe
@@ -75,7 +75,7 @@ class AttemptRunner(Generic[AnyWorld]):
     engines: Engines
     more: Callable[[], Iterable[AnyWorld]] | None
     aside: list[AnyWorld]
-    lookers: CheckPool[Pending[AnyWorld]] | None = None
+    check_pool: CheckPool[Pending[AnyWorld]] | None = None
     next_chunk: Callable[[], list[AnyWorld] | None] | None = None
     _message: str = ""
     """Text of the last error of an engine."""
@@ -96,13 +96,13 @@ class AttemptRunner(Generic[AnyWorld]):
         if left:
             left = yield from self._run_on(engine, left)
         self.aside += self._put_back or ()
-        yield from self.stood_in(left + others)
+        yield from self.had_fallback(left + others)
 
-    def stood_in(self, left: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
+    def had_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
         """Run the worlds that an engine left unanswered on its fallback, if it has one; yields as ``run``."""
         maker = self.engines.own
-        if left and self.engines.stand_in is not None:
-            maker = self.engines.stand_in
+        if left and self.engines.fallback is not None:
+            maker = self.engines.fallback
             left = yield from self._run_on(maker, left)
         failed = [failed_outcome(0, pending[0].job, self.sim, self._message) for pending in left]
         yield from self.made(list(zip(left, failed, strict=True)), maker.name)
@@ -138,12 +138,12 @@ class AttemptRunner(Generic[AnyWorld]):
             try:
                 answer = next(answers, _END)
             except BaseException as error:  # even ctrl-C loses no outcome that has arrived
-                if self.lookers is not None and not isinstance(error, Exception):
-                    self.lookers.hurry()
+                if self.check_pool is not None and not isinstance(error, Exception):
+                    self.check_pool.hurry()
                 yield from self.made(arrivals, maker, looks=engine.looks)
                 if not isinstance(error, Exception):
                     raise
-                refused = isinstance(error, PetmjxError) or self.engines.stand_in is None
+                refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
                     raise  # the user can change it: worlds that the engine refuses, or the user's own engine
                 self._message = one_line(error)
@@ -234,9 +234,9 @@ class AttemptRunner(Generic[AnyWorld]):
         """
         if looks:
             answered = arrivals
-        elif self.lookers is not None:
+        elif self.check_pool is not None:
             jobs = [world.job for (world, _, _), _ in arrivals]
-            answered = self.lookers.exchanged(arrivals, jobs, self.sim, wait=wait, until=until)
+            answered = self.check_pool.exchanged(arrivals, jobs, self.sim, wait=wait, until=until)
         else:
             jobs = [world.job for (world, _, _), _ in arrivals]
             jobs = self.attempt.apply_to_jobs(jobs) if self.attempt.soft else jobs

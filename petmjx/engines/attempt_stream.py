@@ -16,7 +16,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_runner import AttemptRunner, Made, Pending
-from petmjx.engines.attempts import ATTEMPTS, BESIDE, STAND_INS, AttemptRecipe, Engines, ready_for
+from petmjx.engines.attempts import ATTEMPTS, BESIDE, FALLBACKS, AttemptRecipe, Engines, ready_for
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import READY, Answer, Task
@@ -56,7 +56,7 @@ def score_worlds(
     first_worlds: int = FIRST_WORLDS,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
     more: Callable[[], Iterable[AnyWorld]] | None = None,
-    lookers: CheckPool[Any] | None = None,
+    check_pool: CheckPool[Any] | None = None,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
@@ -69,7 +69,7 @@ def score_worlds(
     ``more`` gives worlds that follow from the results so far, each world once. An engine with ``takes_more`` simulates
     them beside the worlds that still run, any other engine after these have ended.
 
-    ``lookers``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
+    ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
     An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. Nor does
     an error at a further attempt: without a fallback these worlds are invalid by ``failed``.
@@ -80,7 +80,7 @@ def score_worlds(
         PetmjxError: the engine refuses the worlds at the first attempt.
         Exception: an error of an engine without a fallback at the first attempt.
     """
-    if sim.has_soft and engine.name != "mujoco" and engine.name not in STAND_INS:
+    if sim.has_soft and engine.name != "mujoco" and engine.name not in FALLBACKS:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     progress = progress or Progress()
     engines = Engines(engine, progress)
@@ -90,7 +90,7 @@ def score_worlds(
     source = Chunks[AnyWorld](iter(worlds), begins_with, chunk_worlds, CHUNK_BOXES * engine.devices)
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
     aside: list[AnyWorld] = []
-    besides = _SideTasks[AnyWorld](sim, engines, lookers)
+    besides = _SideTasks[AnyWorld](sim, engines, check_pool)
 
     def went_on(attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
@@ -119,7 +119,7 @@ def score_worlds(
     def attempt_at(batch: list[Pending[AnyWorld]], attempt: AttemptRecipe) -> Iterator[WorldResult[AnyWorld]]:
         making = AttemptRunner(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
         if attempt is first and more is None:
-            making.lookers, besides.making = besides.lookers, making
+            making.check_pool, besides.making = besides.check_pool, making
             making.next_chunk = next_chunk if source.more else None
         for pending in making.run(batch):
             if pending is not None:  # None: the engine pauses
@@ -154,8 +154,8 @@ def score_worlds(
     except GeneratorExit:
         raise
     except BaseException as error:  # even ctrl-C loses no outcome that has arrived
-        if besides.lookers is not None and not isinstance(error, Exception):
-            besides.lookers.hurry()
+        if besides.check_pool is not None and not isinstance(error, Exception):
+            besides.check_pool.hurry()
         yield from from_beside()
         for answered in besides.making.made([], engine.name) if besides.making is not None else ():
             yield from went_on(first, answered)
@@ -227,7 +227,7 @@ class _SideTasks(Generic[AnyWorld]):
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
     """A pool that is kept after this run."""
-    lookers: CheckPool[Pending[AnyWorld]] | None = None
+    check_pool: CheckPool[Pending[AnyWorld]] | None = None
     making: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""
     _numbers: Iterator[int] = field(default_factory=count)
@@ -242,7 +242,7 @@ class _SideTasks(Generic[AnyWorld]):
     def prepare(self, worlds: Sequence[AnyWorld], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. That
         process simulates one box first: it may have to compile a kernel, which takes as long as many worlds."""
-        self.lookers = self.lookers or self.lent or check_pool_for(self.engines.own, len(worlds))
+        self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.own, len(worlds))
         name = BESIDE.get(self.engines.own.name)
         if name is None or len(worlds) < LARGE:
             return
@@ -293,19 +293,19 @@ class _SideTasks(Generic[AnyWorld]):
     ) -> Iterator[Made[AnyWorld] | None]:
         """The world with the outcome of an answer. Without an outcome the fallback is asked beside the run. If it has
         no outcome either, it simulates the world in this process."""
-        stand_in = self.engines.stand_in
+        fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps
             yield from making.made([(pending, answer.outcome)], engine)
-        elif stand_in is not None and engine != stand_in.name:
+        elif fallback is not None and engine != fallback.name:
             self.engines.note_failure(engine, making.attempt.number, 1, answer.message)
-            self._ask(making, pending, stand_in.name)
+            self._ask(making, pending, fallback.name)
         else:
-            yield from making.stood_in([pending])
+            yield from making.had_fallback([pending])
 
     def close(self) -> None:
         """End the side tasks."""
-        if self.lookers is not None and self.lookers is not self.lent:
-            self.lookers.close()
+        if self.check_pool is not None and self.check_pool is not self.lent:
+            self.check_pool.close()
         if "helper" in vars(self.engines):
             self.engines.helper.close()

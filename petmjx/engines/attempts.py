@@ -9,7 +9,7 @@ The second attempts of the reference implementation repeat the same deterministi
 ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 
 The MJX engines work in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
-(``STAND_INS``). It makes the attempts that want double precision, simulates worlds with soft boxes and with conjugate
+(``FALLBACKS``). It makes the attempts that want double precision, simulates worlds with soft boxes and with conjugate
 gradients, and takes over worlds that an error left unanswered. ``mujoco`` itself and a user's own engine have no
 fallback.
 
@@ -153,7 +153,7 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
 )
 """The attempts, in order. Attempts 1 and 6 to 9 use the run's own solver (Newton by default)."""
 
-STAND_INS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
+FALLBACKS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
 """Engine → its fallback engine."""
 
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
@@ -168,26 +168,26 @@ class Engines:
     progress: Progress
 
     @cached_property
-    def stand_in(self) -> Engine | None:
-        name = STAND_INS.get(self.own.name)
+    def fallback(self) -> Engine | None:
+        name = FALLBACKS.get(self.own.name)
         return make_engine(name) if name is not None else None
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
         """The engine of a job; ``doubles``: the attempt wants double precision; ``soft``: it has soft boxes."""
-        if soft and self.stand_in is not None:
-            self.note(f"worlds with soft boxes were simulated on {self.stand_in.name}")
-            return self.stand_in
+        if soft and self.fallback is not None:
+            self.note(f"worlds with soft boxes were simulated on {self.fallback.name}")
+            return self.fallback
         cut = bool(job.scene.pieces) and self.own.name == "mjx-jax"
-        if cut and self.stand_in is not None:
-            self.note(f"worlds with interlayer sheets were simulated on {self.stand_in.name}")
-            return self.stand_in
+        if cut and self.fallback is not None:
+            self.note(f"worlds with interlayer sheets were simulated on {self.fallback.name}")
+            return self.fallback
         foreign = isinstance(job.start, KeptState) and job.start.engine != self.own.name
-        if (doubles or foreign or sim.solver is Solver.CG) and self.stand_in is not None:
+        if (doubles or foreign or sim.solver is Solver.CG) and self.fallback is not None:
             if doubles:
-                self.note(f"worlds were simulated again on {self.stand_in.name}, in double precision")
+                self.note(f"worlds were simulated again on {self.fallback.name}, in double precision")
             elif sim.solver is Solver.CG:
-                self.note(f"worlds were simulated on {self.stand_in.name}: only it has the solver cg")
-            return self.stand_in
+                self.note(f"worlds were simulated on {self.fallback.name}: only it has the solver cg")
+            return self.fallback
         return self.own
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
@@ -215,7 +215,7 @@ class Engines:
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
         """Note that an error ended an engine's attempt, and what happens to the unanswered worlds."""
-        other = self.stand_in
+        other = self.fallback
         then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
         self.note(f"attempt {attempt}: {engine} failed ({message}); {count_text(worlds, 'world')}: {then}")
 

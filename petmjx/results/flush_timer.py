@@ -32,7 +32,7 @@ class FlushTimer:
         self._due_s: float | None = None
         self._changed = threading.Event()
         self._closed = False
-        self._thread = threading.Thread(target=self._run, name="petmjx-alarm", daemon=True)
+        self._thread = threading.Thread(target=self._run, name="petmjx-flush", daemon=True)
         self._thread.start()
 
     @property

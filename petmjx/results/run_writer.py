@@ -96,15 +96,15 @@ class RunWriter(RunFolder):
         self.recorded = CompletedWorlds()
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
-        self._alarm: FlushTimer | None = None  # only for a run in a folder
-        self._gathering = PartBuffer()
-        self._by_place = None if places is None else DestinationBuffer(places, self.schemas)
+        self._flush_timer: FlushTimer | None = None  # only for a run in a folder
+        self._part_buffer = PartBuffer()
+        self._destination_buffer = None if places is None else DestinationBuffer(places, self.schemas)
         self._until_exit = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         if not self._in_memory:
             self._open()
-        elif self._by_place is not None:
+        elif self._destination_buffer is not None:
             self._leave_memory()
         else:
             self._write_plans()
@@ -126,7 +126,7 @@ class RunWriter(RunFolder):
     @property
     def counts(self) -> WorldCounts:
         """Of the worlds that are written."""
-        return (self._by_place or self._gathering).counts
+        return (self._destination_buffer or self._part_buffer).counts
 
     def _open(self) -> None:
         """Lock the folder, and write everything that is known before the first world.
@@ -151,7 +151,7 @@ class RunWriter(RunFolder):
                 self._write_info()
             except OSError as error:
                 raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
-            self._alarm = FlushTimer(self._lock, self._time_is_up, min(AGAIN_S, self._seconds_per_part))
+            self._flush_timer = FlushTimer(self._lock, self._time_is_up, min(AGAIN_S, self._seconds_per_part))
             self._until_exit = until_exit.pop_all()
 
     def _leave_memory(self) -> None:
@@ -175,9 +175,11 @@ class RunWriter(RunFolder):
         self.recorded = CompletedWorlds(parts, [param.name for param in self.params])
         parts.check_tables(SORTED)
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        self._gathering.begin(self.parts.next_number(*OF_WORLDS), self.recorded.counts())
-        if self._by_place is not None and not self._by_place.goes_on(parts, self._gathering.counts):
-            self._by_place = None  # the parts are in another order, or of other sizes
+        self._part_buffer.begin(self.parts.next_number(*OF_WORLDS), self.recorded.counts())
+        if self._destination_buffer is not None and not self._destination_buffer.goes_on(
+            parts, self._part_buffer.counts
+        ):
+            self._destination_buffer = None  # the parts are in another order, or of other sizes
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._write_info()  # before listed files are deleted; and after a kill the run must not look finished
@@ -192,7 +194,7 @@ class RunWriter(RunFolder):
         if self.status != RUNNING:  # it has ended, and another run may have the folder by now
             return
         # the first of several Ctrl-C ends the run; the later ones must not lose gathered worlds
-        closing = contextlib.closing(self._gathering)
+        closing = contextlib.closing(self._part_buffer)
         with defer_signals(afterwards=error is None), self._unless_temporary(), self._until_exit, closing:
             trouble = self._write_rest()
             if (cause := trouble if error is None else error) is None:
@@ -216,8 +218,8 @@ class RunWriter(RunFolder):
     def _write_rest(self) -> Exception | None:
         """Write the gathered worlds at the end; returns the error if they could not be written."""
         with self._lock:
-            if self._alarm is not None:
-                self._alarm.close()
+            if self._flush_timer is not None:
+                self._flush_timer.close()
             with contextlib.suppress(Exception):  # what could not be written is gathered again and written below
                 self._land()
             try:
@@ -261,25 +263,25 @@ class RunWriter(RunFolder):
             raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
         row = Row.of(plan, variant, str(schedule), outcome, attempts, values, interval_n)
         with self._lock:
-            if self._by_place is not None:
-                self._write_by_place(self._by_place.add(row))
-                self._set_alarm(anew=False)
+            if self._destination_buffer is not None:
+                self._write_by_destination(self._destination_buffer.add(row))
+                self._set_flush_timer(anew=False)
                 return
-            self._gathering.add(row)
-            self._set_alarm(anew=len(self._gathering.part.rows) == 1)
-            late = self._gathering.is_old(self._seconds_per_part) and not self._in_memory
-            if late or self._gathering.is_full(self._worlds_per_part):
+            self._part_buffer.add(row)
+            self._set_flush_timer(anew=len(self._part_buffer.part.rows) == 1)
+            late = self._part_buffer.is_old(self._seconds_per_part) and not self._in_memory
+            if late or self._part_buffer.is_full(self._worlds_per_part):
                 self._write_part(beside=True)
             else:
                 self._land(wait=False)
 
-    def _set_alarm(self, anew: bool = True) -> None:
+    def _set_flush_timer(self, anew: bool = True) -> None:
         """Set the timer, so that waiting worlds are written in time even if no world follows. With ``anew`` also if it
         is set already."""
-        waits = self._gathering if self._by_place is None else self._by_place
-        if self._alarm is not None and (anew or not self._alarm.is_set):
+        waits = self._part_buffer if self._destination_buffer is None else self._destination_buffer
+        if self._flush_timer is not None and (anew or not self._flush_timer.is_set):
             due_s = waits.due_s(self._seconds_per_part)
-            self._alarm.off() if due_s is None else self._alarm.set(due_s)
+            self._flush_timer.off() if due_s is None else self._flush_timer.set(due_s)
 
     def flush(self) -> None:
         """Write the gathered worlds, so that other programs can read them before the run ends.
@@ -305,8 +307,8 @@ class RunWriter(RunFolder):
             with defer_signals(afterwards=True):
                 self.parts.add(digests)
                 for worlds in tables:
-                    self._gathering.counts.add_worlds(worlds)
-                self._gathering.begin(self.parts.next_number(*OF_WORLDS))
+                    self._part_buffer.counts.add_worlds(worlds)
+                self._part_buffer.begin(self.parts.next_number(*OF_WORLDS))
             self._write_info()
 
     def put_in_order(self) -> None:
@@ -320,53 +322,53 @@ class RunWriter(RunFolder):
         """
         if self._manifest is None:
             return
-        if self._by_place is not None:
+        if self._destination_buffer is not None:
             with self._lock:
-                self._write_by_place(self._by_place.left(early=True))
+                self._write_by_destination(self._destination_buffer.left(early=True))
             return
         plans = self._manifest.plans
         given = PlanOrder(list(plans), [plan.number or 0 for plan in plans.values()])
         with self._lock:
             self._land()
             place = {plan_id: at for at, plan_id in enumerate(plans)}
-            self._gathering.part.rows.sort(key=lambda row: (place[row.plan.plan_id], row.cells["variant"]))
+            self._part_buffer.part.rows.sort(key=lambda row: (place[row.plan.plan_id], row.cells["variant"]))
             if not self.parts.files("worlds"):
                 return  # the waiting part is the only one
             self._write_part()
             try:
-                done = sort_parts(self.parts, given, self._gathering.part.number, self._worlds_per_part)
+                done = sort_parts(self.parts, given, self._part_buffer.part.number, self._worlds_per_part)
             except OSError as error:
                 self.warn(f"rows are in the order in which worlds finished: {error.strerror or error}")
                 return
             if done is not None:
                 with defer_signals(afterwards=True), self._writing():
                     self._tables.replace(done)
-                    self._gathering.begin(self.parts.next_number(*OF_WORLDS))
+                    self._part_buffer.begin(self.parts.next_number(*OF_WORLDS))
                     self._write_info()
                     self._tables.drop_others()
 
     def _time_is_up(self) -> None:
         """Write waiting worlds although their part is not full, with the lock held. After an error the timer calls
         again."""
-        if self._by_place is not None:
-            self._write_by_place(self._by_place.late(self._seconds_per_part))
+        if self._destination_buffer is not None:
+            self._write_by_destination(self._destination_buffer.late(self._seconds_per_part))
         else:
             with contextlib.suppress(Exception):  # worlds that could not be written are gathered again, and may be old
                 self._land(wait=False)
-            if self._gathering.is_old(self._seconds_per_part):
+            if self._part_buffer.is_old(self._seconds_per_part):
                 self._write_part()
         if self._is_behind:
             self._write_info()
-        self._set_alarm()
+        self._set_flush_timer()
 
     def _write_part(self, last: bool = False, beside: bool = False) -> None:
         """Write the gathered part, with the lock held. With ``beside`` a thread writes it. With ``last`` a run in
         memory stays in memory."""
-        if self._by_place is not None:
-            self._write_by_place(self._by_place.left())
+        if self._destination_buffer is not None:
+            self._write_by_destination(self._destination_buffer.left())
             return
         self._land()
-        part = self._gathering.part
+        part = self._part_buffer.part
         # a run without worlds still gets one empty part, so that readers find the columns
         if not part.rows and not (last and not self.parts.files("worlds")):
             return
@@ -374,21 +376,21 @@ class RunWriter(RunFolder):
             if self._in_memory and not last:
                 self._leave_memory()
             if beside:
-                self._gathering.write_beside(self._tables, self.schemas)
-                self._set_alarm()  # the part must land even if no world follows
+                self._part_buffer.write_beside(self._tables, self.schemas)
+                self._set_flush_timer()  # the part must land even if no world follows
                 return
             self._tables.write_part(part.number, part.tables(self.schemas))
-        self._gathering.written()
+        self._part_buffer.written()
         self._write_info()
 
     def _land(self, wait: bool = True) -> None:
         """Let the part that the thread has written count, with the lock held."""
         with self._writing():
-            landed = self._gathering.land(self._tables, wait=wait)
+            landed = self._part_buffer.land(self._tables, wait=wait)
         if landed:
             self._write_info()
 
-    def _write_by_place(self, numbers: Sequence[int]) -> None:
+    def _write_by_destination(self, numbers: Sequence[int]) -> None:
         """Write the waiting worlds of some parts of a large run, with the lock held. If one part cannot be written, the
         others are written all the same."""
         with contextlib.ExitStack() as parts:  # calls all of them, even if some raise
@@ -396,9 +398,9 @@ class RunWriter(RunFolder):
                 parts.callback(self._write_one, number)
 
     def _write_one(self, number: int) -> None:
-        assert self._by_place is not None
+        assert self._destination_buffer is not None
         with defer_signals(afterwards=True), self._writing():
-            put_together = self._by_place.write(number, self._tables)
+            put_together = self._destination_buffer.write(number, self._tables)
             self._write_info()
             if put_together:
                 self._tables.drop_others()

@@ -167,7 +167,7 @@ class SweepRun:
     progress: Progress = field(default_factory=Progress)
     batching: Batching = field(default_factory=Batching)
     tally: Tally = field(default_factory=Tally)
-    _lookers: CheckPool[Any] | None = field(default=None, init=False)
+    _check_pool: CheckPool[Any] | None = field(default=None, init=False)
 
     @cached_property
     def sim(self) -> Simulation:
@@ -178,12 +178,12 @@ class SweepRun:
         """Simulate everything that is missing; yield each world when it is final, in any order."""
         # many drives may end soon after they begin, so the check pool is started while boxes are placed
         known = self.plan.sweep.search is None
-        self._lookers = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if known else None
+        self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if known else None
         try:
             yield from self._all_worlds()
         finally:
-            if self._lookers is not None:
-                self._lookers.close()
+            if self._check_pool is not None:
+                self._check_pool.close()
 
     def _all_worlds(self) -> Iterator[FinishedWorld]:
         profiles = bool(self.plan.sweep.profiles)
@@ -270,7 +270,7 @@ class SweepRun:
             first_worlds=first_worlds,
             attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
             more=more,
-            lookers=self._lookers,
+            check_pool=self._check_pool,
         )
 
     # Placements.

@@ -36,25 +36,25 @@ def few_worlds(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Worlds for which blocks for few boxes were asked for; they are on this device."""
     counts: list[int] = []
 
-    def fleet_for_few(fleet: Any, worlds: int, lanes: int | None) -> Any:
+    def fleet_for_few(pool: Any, worlds: int, lanes: int | None) -> Any:
         counts.append(worlds)
-        return replace(fleet, least=1)
+        return replace(pool, least=1)
 
     monkeypatch.setattr(block_pool, "small_world_pool", fleet_for_few)
-    monkeypatch.setattr(block_pool, "tail_pool", lambda fleet, lanes: replace(fleet, last=True))
+    monkeypatch.setattr(block_pool, "tail_pool", lambda pool, lanes: replace(pool, last=True))
     return counts
 
 
 def kinds(chosen_fleets: Any) -> list[str]:
-    return ["last" if fleet.last else "few" if fleet.least else str(fleet.n_boxes) for fleet in chosen_fleets]
+    return ["last" if pool.last else "few" if pool.least else str(pool.n_boxes) for pool in chosen_fleets]
 
 
 def test_the_largest_worlds_come_first_behind_the_extra_ones(few_worlds: list[int]) -> None:
     chosen_fleets = BlockPools(None, lambda launch: 3).of(group(widths={SMALL: 40, LARGE: 120}))
     assert kinds(chosen_fleets) == ["last", "few", "120", "40"]
-    assert [fleet.n_boxes for fleet in chosen_fleets] == [40, 40, 120, 40]
+    assert [pool.n_boxes for pool in chosen_fleets] == [40, 40, 120, 40]
     assert few_worlds == [2]
-    assert {fleet.blocks for fleet in chosen_fleets} == {3}
+    assert {pool.blocks for pool in chosen_fleets} == {3}
 
 
 def test_stiff_contacts_have_no_blocks_for_few_boxes(few_worlds: list[int]) -> None:
@@ -67,15 +67,15 @@ def test_stiff_contacts_have_no_blocks_for_few_boxes(few_worlds: list[int]) -> N
 def test_larger_buffers_are_of_the_size_that_needs_them_and_end_blocks_for_few_boxes(few_worlds: list[int]) -> None:
     both = group(widths={SMALL: 40, LARGE: 120})
     mine = BlockPools(None, lambda launch: 3)
-    usual = {fleet.n_boxes: fleet for fleet in mine.of(both)}
+    usual = {pool.n_boxes: pool for pool in mine.of(both)}
     assert mine.grow(both.run, LARGE) == 2
     assert kinds(mine.of(both)) == ["last", "few", "120", "40"], "the others are of the usual size"
     assert mine.grow(both.run, SMALL) == 2
     grown = mine.of(both)
     assert kinds(grown) == ["last", "120", "40"]
-    for fleet in grown:
-        assert (fleet.npairmax, fleet.nconmax) == (
-            2 * usual[fleet.n_boxes].npairmax, 2 * usual[fleet.n_boxes].nconmax
+    for pool in grown:
+        assert (pool.npairmax, pool.nconmax) == (
+            2 * usual[pool.n_boxes].npairmax, 2 * usual[pool.n_boxes].nconmax
         )  # fmt: skip
     assert mine.grow(group(STIFF, widths={SMALL: 40}).run, SMALL) == 4, "for the same cones"
     pyramids = USUAL.changed(physics=USUAL.physics.changed(cone="pyramidal"))
@@ -90,13 +90,13 @@ def test_buffers_grow_until_a_world_of_the_largest_size_would_have_enough() -> N
     mine = BlockPools(None, lambda launch: 3)
     while mine.grow(narrow, SMALL):
         pass
-    (fleet,) = mine.of(group(widths={SMALL: 2}))[-1:]
-    assert fleet.npairmax == PAIRS_PER_BOX * most_room(SMALL)
+    (pool,) = mine.of(group(widths={SMALL: 2}))[-1:]
+    assert pool.npairmax == PAIRS_PER_BOX * most_room(SMALL)
 
 
 @pytest.mark.parametrize("boards", [1, 3])
 def test_each_shape_of_a_carrier_has_room_as_a_box_has(boards: int) -> None:
-    *_, fleet = BlockPools(None, lambda launch: 3).of(group(boards=boards))
+    *_, pool = BlockPools(None, lambda launch: 3).of(group(boards=boards))
     shapes = 40 + MORE_BOXES + boards - 1
-    assert (fleet.npairmax, fleet.nconmax) == (PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
-    assert fleet.boards == boards
+    assert (pool.npairmax, pool.nconmax) == (PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+    assert pool.boards == boards

@@ -252,7 +252,7 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
     some = engine()
     assert_equal_worlds(simulate(some, scenes, SHORT), alike)
     ((_, rollout),) = some._kept.values()
-    assert [fleet.n_boxes for fleet in rollout.march.fleets] == [12, 4]
+    assert [pool.n_boxes for pool in rollout.launcher.pools] == [12, 4]
     (order,) = queues
     assert [sorted(row[row >= 0].tolist()) for row in order] == [[5, 6], [0, 1, 2, 3, 4]]
     few = engine(group_size=2)  # groups may have worlds of one size only

@@ -75,7 +75,7 @@ def test_buffers_grow_for_the_size_that_needs_it(monkeypatch: pytest.MonkeyPatch
     made = watched_rollouts(monkeypatch, lambda *_: None)
     for name, outcome in simulate(engine(), some, SHORT).items():
         assert_same(outcome, expected[name])
-    large, small = np.array([[fleet.nconmax for fleet in rollout.march.fleets] for rollout in made]).T
+    large, small = np.array([[pool.nconmax for pool in rollout.launcher.pools] for rollout in made]).T
     assert len(set(large)) > 1
     assert len(set(small)) == 1
 

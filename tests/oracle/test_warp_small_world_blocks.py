@@ -53,7 +53,7 @@ def test_a_world_goes_on_in_other_blocks_when_few_such_worlds_are_left(
     most: int, monkeypatch: pytest.MonkeyPatch, taken: list[list[int]], crowd: dict[str, Outcome]
 ) -> None:
     few = {"n_boxes": most, "blocks": 2, "least": 1 if most == 1 else 2}
-    monkeypatch.setattr(block_pool, "small_world_pool", lambda fleet, worlds, lanes: replace(fleet, **few))
+    monkeypatch.setattr(block_pool, "small_world_pool", lambda pool, worlds, lanes: replace(pool, **few))
     scenes = tiny_scenes()
     assert_equal_worlds(simulate(engine(slice_ns=SOME_NS), scenes, SHORT), crowd)
     of_few, of_one = np.array(taken).T
@@ -77,7 +77,7 @@ def test_worlds_of_few_boxes_have_a_queue_of_their_own_while_they_are_enough() -
 
 
 @pytest.mark.parametrize(
-    ("worlds", "lanes", "fleet", "blocks"),
+    ("worlds", "lanes", "pool", "blocks"),
     [
         (24, None, ONE, 4),
         (23, None, ONE, None),  # fewer than three quarters of the lanes
@@ -87,15 +87,15 @@ def test_worlds_of_few_boxes_have_a_queue_of_their_own_while_they_are_enough() -
     ],
 )
 def test_they_have_blocks_if_these_are_worth_while(
-    worlds: int, lanes: int | None, fleet: BlockPool, blocks: int | None, monkeypatch: pytest.MonkeyPatch
+    worlds: int, lanes: int | None, pool: BlockPool, blocks: int | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Launch, "of", lambda *_: FEW)
-    few = small_world_pool(fleet, worlds, lanes)
+    few = small_world_pool(pool, worlds, lanes)
     assert (few and few.blocks) == blocks
     if few:
         assert (few.lanes, few.least, few.most_idle) == (8 * few.blocks, 2 * few.blocks, 6 * few.blocks)
-        assert (few.n_boxes, few.nconmax) == (15, fleet.nconmax)
-    assert fleet.most_idle == NEVER
+        assert (few.n_boxes, few.nconmax) == (15, pool.nconmax)
+    assert pool.most_idle == NEVER
 
 
 def test_on_a_cpu_there_are_none() -> None:
@@ -111,7 +111,7 @@ def test_memory_without_room_for_them_has_room_for_others(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     tried = room_for_one_fleet(monkeypatch)
-    monkeypatch.setattr(block_pool, "small_world_pool", lambda fleet, *_: replace(fleet, n_boxes=1, least=1))
+    monkeypatch.setattr(block_pool, "small_world_pool", lambda pool, *_: replace(pool, n_boxes=1, least=1))
     assert_equal_worlds(simulate(engine(), tiny_scenes(TINY[:1]), SHORT), crowd)
     assert tried == [2, 1]
 

@@ -63,9 +63,9 @@ ORDER = [[3, -1, -1, -1, -1], [0, 4, 2, 1, -1]]
 """Of five worlds, the fourth of which is large; two rows behind them are in no queue."""
 
 
-def with_last(running: list[int], steps: list[int], fleet: BlockPool = TWO_LAST) -> list[list[int]]:
+def with_last(running: list[int], steps: list[int], pool: BlockPool = TWO_LAST) -> list[list[int]]:
     states = jnp.array(steps, jnp.int32), jnp.isin(jnp.arange(7), jnp.array([*running, 5, 6]))
-    return tail_queues(fleet, jnp.array(ORDER, jnp.int32), *states, lanes=2).tolist()
+    return tail_queues(pool, jnp.array(ORDER, jnp.int32), *states, lanes=2).tolist()
 
 
 def test_when_no_more_worlds_are_left_than_multiprocessors_each_has_one() -> None:
@@ -87,12 +87,12 @@ def test_no_other_block_has_room_beside_one_for_a_last_world(monkeypatch: pytest
         device = SimpleNamespace(is_cuda=True, max_shared_memory_per_block=shared_bytes, sm_count=3)
         monkeypatch.setattr(wp, "get_device", lambda device=device: device)
         usual = Launch.of(SIZES[0])
-        fleet = tail_pool(replace(ONE, launch=usual))
-        assert fleet is not None
-        assert (fleet.last, fleet.lanes, fleet.launch.threads) == (True, 3, LAST.threads)
-        both = sum(4 * one.shared_words + own_bytes(one.panels) + DRIVER_BYTES for one in (usual, fleet.launch))
+        pool = tail_pool(replace(ONE, launch=usual))
+        assert pool is not None
+        assert (pool.last, pool.lanes, pool.launch.threads) == (True, 3, LAST.threads)
+        both = sum(4 * one.shared_words + own_bytes(one.panels) + DRIVER_BYTES for one in (usual, pool.launch))
         assert both > shared_bytes + DRIVER_BYTES  # what a multiprocessor has for all
-        assert tail_pool(replace(ONE, launch=usual), lanes=2) == replace(fleet, blocks=2)
+        assert tail_pool(replace(ONE, launch=usual), lanes=2) == replace(pool, blocks=2)
         assert tail_pool(replace(ONE, launch=Launch.of(SIZES[1]))) is None, "they have it to themselves anyway"
 
 
@@ -107,7 +107,7 @@ def test_a_world_goes_on_in_blocks_for_the_last_ones(
 ) -> None:
     """On a CPU all blocks are alike; one has the worlds, and two those that are left when there are two."""
     queue_counts = watched_queues(monkeypatch)
-    monkeypatch.setattr(block_pool, "tail_pool", lambda fleet, lanes: replace(fleet, blocks=2, last=True))
+    monkeypatch.setattr(block_pool, "tail_pool", lambda pool, lanes: replace(pool, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(), SHORT), crowd)
     of_last, of_others = np.array(queue_counts).T
     assert (of_last[0], of_others[0]) == (0, 1)
@@ -118,8 +118,8 @@ def test_worlds_go_on_where_there_are_blocks_for_few_boxes_too(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
     queue_counts = watched_queues(monkeypatch)
-    monkeypatch.setattr(block_pool, "small_world_pool", lambda fleet, *_: replace(fleet, blocks=2, n_boxes=1, least=1))
-    monkeypatch.setattr(block_pool, "tail_pool", lambda fleet, _: replace(fleet, blocks=2, last=True))
+    monkeypatch.setattr(block_pool, "small_world_pool", lambda pool, *_: replace(pool, blocks=2, n_boxes=1, least=1))
+    monkeypatch.setattr(block_pool, "tail_pool", lambda pool, _: replace(pool, blocks=2, last=True))
     assert_equal_worlds(simulate(engine(slice_ns=STEP_NS), tiny_scenes(), SHORT), crowd)
     of_last, of_few, of_others = np.array(queue_counts).max(axis=0)
     assert min(of_last, of_few, of_others) > 0

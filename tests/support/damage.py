@@ -200,7 +200,7 @@ class _TooSlow(BaseException):
     """Raised by the alarm."""
 
 
-def _alarm(_signal: int, _frame: FrameType | None) -> None:
+def _flush_timer(_signal: int, _frame: FrameType | None) -> None:
     raise _TooSlow
 
 
@@ -259,7 +259,7 @@ def _work(task: tuple[str, range]) -> tuple[Counter[str], list[Finding]]:
     """A share of one kind's seeds, in a process with an alarm and a limit of address space."""
     kind, seeds = task
     faulthandler.enable()
-    signal.signal(signal.SIGALRM, _alarm)
+    signal.signal(signal.SIGALRM, _flush_timer)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + FAT_BYTES, resource.RLIM_INFINITY))
     count: Counter[str] = Counter()

@@ -52,8 +52,8 @@ class OneStep:
         self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
         boards = len(scene.carrier.half_size)
         room, launch = scene.n_boxes + boards - 1 + MORE_BOXES, Launch.here(scene.n_boxes)
-        fleet = BlockPool(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
-        self.rollout = Rollout(run, [fleet], slice_ns=0)
+        pool = BlockPool(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
+        self.rollout = Rollout(run, [pool], slice_ns=0)
         self.fresh = jax.tree.map(np.asarray, self.group.table)
         self.most_contacts = 0
 

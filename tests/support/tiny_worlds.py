@@ -71,10 +71,10 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
     Returns a list of what is made."""
     made: list[Rollout] = []
 
-    def rollout(run: Run, fleets: Sequence[BlockPool], slice_ns: int) -> Rollout:
-        for fleet in fleets:
-            look(fleet.n_boxes, fleet.nconmax, fleet.blocks)
-        made.append(Rollout(run, fleets, slice_ns))
+    def rollout(run: Run, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
+        for pool in pools:
+            look(pool.n_boxes, pool.nconmax, pool.blocks)
+        made.append(Rollout(run, pools, slice_ns))
         return made[-1]
 
     monkeypatch.setattr(mjx_warp, "Rollout", rollout)
@@ -86,11 +86,11 @@ def room_for_one_fleet(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     were tried."""
     tried: list[int] = []
 
-    def rollout(run: Run, fleets: Sequence[BlockPool], slice_ns: int) -> Rollout:
-        tried.append(len(fleets))
-        if len(fleets) > 1:
+    def rollout(run: Run, pools: Sequence[BlockPool], slice_ns: int) -> Rollout:
+        tried.append(len(pools))
+        if len(pools) > 1:
             raise out_of_memory()
-        return Rollout(run, fleets, slice_ns)
+        return Rollout(run, pools, slice_ns)
 
     monkeypatch.setattr(mjx_warp, "Rollout", rollout)
     return tried

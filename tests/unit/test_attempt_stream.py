@@ -117,7 +117,7 @@ def test_what_looks_at_answers_is_waited_for_until_more_are_at_hand() -> None:
 
     kept, went_on = list[Any](), list[int]()
     progress, worlds = Progress(), worlds_failing(0, 0, 0)
-    results = score_worlds(worlds, Simulation(), Answering(), progress=progress, lookers=Waiting(0))
+    results = score_worlds(worlds, Simulation(), Answering(), progress=progress, check_pool=Waiting(0))
     assert sorted(result.world.plan.plan_id for result in results) == ["p0", "p1", "p2"]
     assert [count for count in went_on if count] == [3], "in the end all are waited for"
 

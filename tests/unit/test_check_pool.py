@@ -34,14 +34,14 @@ def raw() -> list[Outcome]:
 
 
 @pytest.fixture
-def lookers() -> Iterator[CheckPool[Any]]:
+def check_pool() -> Iterator[CheckPool[Any]]:
     pool = CheckPool[Any](2)
     yield pool
     pool.close()
 
 
-def pids(lookers: CheckPool[Any]) -> list[int]:
-    return [looker.child.pid for looker in lookers._lookers if looker.child.pid is not None]
+def pids(check_pool: CheckPool[Any]) -> list[int]:
+    return [looker.child.pid for looker in check_pool._check_pool if looker.child.pid is not None]
 
 
 def told(outcomes: list[Outcome]) -> list[tuple[Any, ...]]:
@@ -63,77 +63,77 @@ def given(raw: list[Outcome], key: Any) -> list[tuple[Any, Outcome]]:
     return [((key, outcome.job), outcome) for outcome in deepcopy(raw)]
 
 
-def test_they_find_what_the_run_would(lookers: CheckPool[Any], raw: list[Outcome]) -> None:
-    assert len(pids(lookers)) == 2
+def test_they_find_what_the_run_would(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
+    assert len(pids(check_pool)) == 2
     outcomes: dict[Any, Outcome] = {}
     many = 2 * MOST_WAITING + 3  # more than may wait for them
     for key in range(many):
-        outcomes |= lookers.exchanged(given(raw, key), JOBS, SIM, wait=False)
-    outcomes |= lookers.exchanged([], [], SIM, wait=True)
+        outcomes |= check_pool.exchanged(given(raw, key), JOBS, SIM, wait=False)
+    outcomes |= check_pool.exchanged([], [], SIM, wait=True)
     assert sorted(outcomes) == [(key, job) for key in range(many) for job in range(len(JOBS))]
     for key in range(many):
         assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw)
         for job, sent in enumerate(raw):
             np.testing.assert_array_equal(outcomes[key, job].boxes.pos, sent.boxes.pos)
-    assert lookers.exchanged([], [], SIM, wait=True) == []
+    assert check_pool.exchanged([], [], SIM, wait=True) == []
 
 
-def test_what_was_measured_of_boxes_stays_with_the_run(lookers: CheckPool[Any], raw: list[Outcome]) -> None:
+def test_what_was_measured_of_boxes_stays_with_the_run(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
     sent = given(raw, "once")
     boxes = [outcome.boxes for _, outcome in sent]
-    outcomes = dict(lookers.exchanged(sent, JOBS, SIM, wait=True))
+    outcomes = dict(check_pool.exchanged(sent, JOBS, SIM, wait=True))
     assert [outcomes["once", job].boxes.pos is boxes[job].pos for job in range(len(JOBS))] == [True, True]
     assert [np.isfinite(outcomes["once", job].boxes.plan_edge_m).any() for job in range(len(JOBS))] == [True, True]
     assert [outcomes["once", job] is sent[job][1] for job in range(len(JOBS))] == [False, False]
 
 
-def test_the_run_looks_itself_where_they_do_not(lookers: CheckPool[Any], raw: list[Outcome]) -> None:
-    one, other = pids(lookers)
+def test_the_run_looks_itself_where_they_do_not(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
+    one, other = pids(check_pool)
     # one look that cannot be sent, and some of processes that are stopped, and then killed
     os.kill(one, signal.SIGSTOP)
     os.kill(other, signal.SIGSTOP)
     unsendable = [Job(job.scene, record=lambda: None) for job in JOBS]  # type: ignore[arg-type]
-    outcomes = dict(lookers.exchanged(given(raw, "unsendable"), unsendable, SIM, wait=False))
+    outcomes = dict(check_pool.exchanged(given(raw, "unsendable"), unsendable, SIM, wait=False))
     assert len(outcomes) == len(JOBS)
     for key in range(5):
-        assert lookers.exchanged(given(raw, key), JOBS, SIM, wait=False) == []
+        assert check_pool.exchanged(given(raw, key), JOBS, SIM, wait=False) == []
     os.kill(one, signal.SIGKILL)
     os.kill(other, signal.SIGKILL)
-    outcomes |= lookers.exchanged(given(raw, 5), JOBS, SIM, wait=True)
-    assert pids(lookers) == []
-    outcomes |= lookers.exchanged(given(raw, "none is left"), JOBS, SIM, wait=False)
+    outcomes |= check_pool.exchanged(given(raw, 5), JOBS, SIM, wait=True)
+    assert pids(check_pool) == []
+    outcomes |= check_pool.exchanged(given(raw, "none is left"), JOBS, SIM, wait=False)
     for key in ("unsendable", *range(6), "none is left"):
         assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw)
 
 
-def test_states_that_drives_start_from_stay_here(lookers: CheckPool[Any], raw: list[Outcome]) -> None:
+def test_states_that_drives_start_from_stay_here(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
     """A process would have to import what they are of."""
     driven = [Job(job.scene, start=lambda: None) for job in JOBS]  # type: ignore[arg-type]  # cannot be sent
-    assert lookers.exchanged(given(raw, 0), driven, SIM, wait=False) == []
-    outcomes = dict(lookers.exchanged([], [], SIM, wait=True))
+    assert check_pool.exchanged(given(raw, 0), driven, SIM, wait=False) == []
+    outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
     assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
 
 
 def test_a_process_that_hangs_is_not_waited_for_without_end(
-    lookers: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
+    check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    one, other = pids(lookers)
-    lookers.exchanged(given(raw, "started"), JOBS, SIM, wait=True)
+    one, other = pids(check_pool)
+    check_pool.exchanged(given(raw, "started"), JOBS, SIM, wait=True)
     monkeypatch.setattr("petmjx.engines.subprocess.check_pool.HANGS_S", 2 * LOOK_S)
     os.kill(one, signal.SIGSTOP)
-    lookers.exchanged(given(raw, 0), JOBS, SIM, wait=False)
-    outcomes = dict(lookers.exchanged([], [], SIM, wait=True))
+    check_pool.exchanged(given(raw, 0), JOBS, SIM, wait=False)
+    outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
     assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
-    assert pids(lookers) == [other]
+    assert pids(check_pool) == [other]
     with pytest.raises(ProcessLookupError):
         os.kill(one, 0)
 
 
 def test_waiting_ends_when_there_is_something_else_to_do(
-    lookers: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
+    check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("petmjx.engines.subprocess.check_pool.HANGS_S", 5.0)
-    stopped, answers = pids(lookers), list[bool]()
+    stopped, answers = pids(check_pool), list[bool]()
 
     def later() -> bool:
         answers.append(len(answers) > 2)
@@ -141,14 +141,14 @@ def test_waiting_ends_when_there_is_something_else_to_do(
 
     for pid in stopped:
         os.kill(pid, signal.SIGSTOP)
-    assert lookers.exchanged(given(raw, 0), JOBS, SIM, wait=True, until=later) == []
+    assert check_pool.exchanged(given(raw, 0), JOBS, SIM, wait=True, until=later) == []
     assert answers[-1]
-    assert lookers.exchanged([], [], SIM, wait=True, until=lambda: True) == []
+    assert check_pool.exchanged([], [], SIM, wait=True, until=lambda: True) == []
     for pid in stopped:
         os.kill(pid, signal.SIGCONT)
-    outcomes = dict(lookers.exchanged([], [], SIM, wait=True, until=lambda: False))
+    outcomes = dict(check_pool.exchanged([], [], SIM, wait=True, until=lambda: False))
     assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
-    assert pids(lookers) == stopped
+    assert pids(check_pool) == stopped
 
 
 @pytest.mark.parametrize("sent", [b"", pickle.dumps(range(9))[:-3], b"cno_such_module\nname\n.", b"\x80\x04]K\x01R."])
@@ -156,32 +156,32 @@ def test_what_cannot_be_read_is_the_end_of_a_pipe(sent: bytes) -> None:
     assert next_of(io.BytesIO(sent)) is None
 
 
-def test_an_error_is_raised_in_the_run(lookers: CheckPool[Any], raw: list[Outcome]) -> None:
+def test_an_error_is_raised_in_the_run(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
     with pytest.raises(ValueError):  # noqa: PT011 - NumPy words it
-        lookers.exchanged(given(raw, 0), JOBS[:1], SIM, wait=True)
+        check_pool.exchanged(given(raw, 0), JOBS[:1], SIM, wait=True)
 
 
-def test_they_end_with_the_run(lookers: CheckPool[Any]) -> None:
-    some = pids(lookers)
-    lookers.close()
+def test_they_end_with_the_run(check_pool: CheckPool[Any]) -> None:
+    some = pids(check_pool)
+    check_pool.close()
     for pid in some:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
 
 
 def test_after_ctrl_c_all_that_hang_are_waited_for_a_moment_together(
-    lookers: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
+    check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("petmjx.engines.subprocess.check_pool.INTERRUPTED_S", 2 * LOOK_S)
-    stopped = pids(lookers)
+    stopped = pids(check_pool)
     for pid in stopped:
         os.kill(pid, signal.SIGSTOP)
     for key in range(4):
-        lookers.exchanged(given(raw, key), JOBS, SIM, wait=False)
+        check_pool.exchanged(given(raw, key), JOBS, SIM, wait=False)
     begin = time.monotonic()
-    lookers.hurry()
-    outcomes = dict(lookers.exchanged([], [], SIM, wait=True))
+    check_pool.hurry()
+    outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
     assert time.monotonic() - begin < 20  # a loaded machine; each would have had a minute
     for key in range(4):
         assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw), "nothing that came is lost"
-    assert pids(lookers) == []
+    assert pids(check_pool) == []

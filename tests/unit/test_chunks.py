@@ -101,13 +101,13 @@ def test_an_engine_that_takes_parts_begins_with_few_worlds() -> None:
 def test_what_an_engine_had_of_several_chunks_when_it_failed_is_simulated_by_its_stand_in(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stand_in = FailingEngine("mujoco")
-    monkeypatch.setattr("petmjx.engines.attempts.make_engine", lambda name: stand_in)
+    fallback = FailingEngine("mujoco")
+    monkeypatch.setattr("petmjx.engines.attempts.make_engine", lambda name: fallback)
     engine = InParts("mjx-warp-cpu", fails=1)
     results = list(score_worlds(worlds_failing(*[0] * 10), Simulation(), engine, chunk_worlds=4))
     assert sorted(r.world.plan.plan_id for r in results) == sorted(f"p{k}" for k in range(10))
     assert engine.parts == [4, 2]
-    assert len(stand_in.calls[0][1]) == 6
+    assert len(fallback.calls[0][1]) == 6
 
 
 def test_an_error_of_the_source_is_none_of_the_engine() -> None:

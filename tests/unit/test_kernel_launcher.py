@@ -39,7 +39,7 @@ def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkey
         return load(module, *args, **options)
 
     marching = KernelLauncher.__new__(KernelLauncher)
-    marching.fleets = tuple(BlockPool(launch, 1, 8, 1, 80, 64) for launch in launches)
+    marching.pools = tuple(BlockPool(launch, 1, 8, 1, 80, 64) for launch in launches)
     with monkeypatch.context() as patched:
         patched.setattr(wp.Module, "load", watched)
         patched.setattr(kernel_launcher, "kernel", lambda launch: kernels[launch.threads])

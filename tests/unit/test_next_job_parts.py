@@ -95,7 +95,7 @@ shorts = pytest.mark.parametrize("short", [when_it_is_found_who_simulates_them, 
 
 
 @pytest.fixture(autouse=True)
-def stand_in(monkeypatch: pytest.MonkeyPatch) -> None:
+def fallback(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("petmjx.engines.attempts.make_engine", lambda name: TakesForItsOwn("mujoco"))
 
 

@@ -65,7 +65,7 @@ def test_a_worker_reports_progress_and_errors() -> None:
 
 def test_processes_beside_a_worker_look_at_the_outcomes_of_large_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ray_actor, "LARGE", 3)
-    worker = Worker(MUJOCO, None, 1, lookers=1)
+    worker = Worker(MUJOCO, None, 1, check_pool=1)
     alone = Worker(MUJOCO, None, 1)
     for peer in (worker, alone):
         peer.hello()
@@ -79,10 +79,10 @@ def test_processes_beside_a_worker_look_at_the_outcomes_of_large_chunks(monkeypa
         for job, outcome in beside.items():
             assert (outcome.margin, outcome.rest_edge_m) == (here[job].margin, here[job].rest_edge_m)
             assert outcome.rest_edge_m > 0
-        assert (worker._lookers is None) == (count == 2)
-    assert alone._lookers is None
-    assert worker._lookers is not None
-    worker._lookers.close()
+        assert (worker._check_pool is None) == (count == 2)
+    assert alone._check_pool is None
+    assert worker._check_pool is not None
+    worker._check_pool.close()
 
 
 @pytest.fixture

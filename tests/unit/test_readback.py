@@ -14,13 +14,13 @@ from support.plans import make_scene
 from petmjx.engines.mjx import readback, repeated_rows
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.outcomes import outcomes
-from petmjx.engines.mjx.readback import PICKED, prepare_readback, read_back, reduce_metrics
+from petmjx.engines.mjx.readback import READ_BACK_ROWS, prepare_readback, read_back, reduce_metrics
 from petmjx.engines.mjx.world_constants import Worlds, upload_worlds
 from petmjx.engines.mjx.world_state import NEVER, State, fresh_state, take_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
-SIM, ROWS, BOXES = Simulation(), 2 * PICKED + 5, 3
+SIM, ROWS, BOXES = Simulation(), 2 * READ_BACK_ROWS + 5, 3
 
 
 @pytest.fixture(scope="module")
@@ -37,14 +37,14 @@ def tables() -> tuple[Worlds, State]:
     return worlds, jax.tree.map(random, state)
 
 
-@pytest.mark.parametrize("count", [0, 1, PICKED, PICKED + 1, ROWS])
+@pytest.mark.parametrize("count", [0, 1, READ_BACK_ROWS, READ_BACK_ROWS + 1, ROWS])
 def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State]) -> None:
     worlds, table = tables
     rows = np.random.default_rng(count).permutation(ROWS)[:count]
     batches = [batch.on_host() for batch in read_back(rows, table, worlds, SIM)]
-    assert len(batches) == -(-count // PICKED)
+    assert len(batches) == -(-count // READ_BACK_ROWS)
     for number, (state, measured) in enumerate(batches):
-        some = jnp.asarray(np.resize(rows[number * PICKED :][:PICKED], PICKED))
+        some = jnp.asarray(np.resize(rows[number * READ_BACK_ROWS :][:READ_BACK_ROWS], READ_BACK_ROWS))
         chosen = take_rows(table, some)
         jax.tree.map(assert_same_bits, state, chosen)
         # what is made of no number is none, with any bits
@@ -52,13 +52,13 @@ def test_they_have_the_bits_of_the_table(count: int, tables: tuple[Worlds, State
 
 
 def test_what_was_prepared_compiles_nothing(tables: tuple[Worlds, State]) -> None:
-    worlds, table = (take_rows(record, jnp.arange(PICKED + 3)) for record in tables)
+    worlds, table = (take_rows(record, jnp.arange(READ_BACK_ROWS + 3)) for record in tables)
     with compiled_programs() as compiled:
         prepare_readback(table, worlds, SIM)
     assert compiled, "the listener hears of programs"
     with compiled_programs() as compiled:
         read_back(np.arange(3), table, worlds, SIM)
-        read_back(np.arange(PICKED + 3), table, worlds, SIM)
+        read_back(np.arange(READ_BACK_ROWS + 3), table, worlds, SIM)
     assert compiled == []
 
 
@@ -70,7 +70,7 @@ def test_of_a_small_table_no_more_rows_are_picked_than_it_has(tables: tuple[Worl
 
 
 def test_outcomes_have_their_rows_in_each_batch(tables: tuple[Worlds, State], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(readback, "PICKED", 2)
+    monkeypatch.setattr(readback, "READ_BACK_ROWS", 2)
     jobs, rows = [Job(make_scene(BOXES))] * 5, np.array([4, 0, 2, 3, 1])
     worlds = take_rows(tables[0], jnp.arange(5))
     table = fresh_state(worlds, all_placed=True, ends=jnp.full(5, NEVER, jnp.int32), rest_steps=1)

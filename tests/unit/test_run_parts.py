@@ -73,7 +73,7 @@ def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
                 "the last part has not landed"
             )
             if number % 2:
-                beside = run._gathering._beside
+                beside = run._part_buffer._beside
                 assert beside is not None
                 beside.digests.result()
     assert [file for file in part_files(tmp_path) if file.startswith("worlds")] == [

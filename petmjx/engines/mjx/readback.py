@@ -17,7 +17,7 @@ from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
-PICKED: Final = 256
+READ_BACK_ROWS: Final = 256
 """Rows that are read back at a time; a smaller table has fewer. XLA compiles a program for each number."""
 
 
@@ -72,7 +72,7 @@ def prepare_readback(table: State, worlds: Worlds, sim: Simulation) -> None:
 
 def read_back(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simulation) -> list[Readback]:
     """Rows of a table, still on the device, in batches of equal size. The last batch is padded."""
-    size = min(PICKED, len(table.status))
+    size = min(READ_BACK_ROWS, len(table.status))
 
     def kind(of_row: tuple[int, ...], dtype: Any) -> Any:
         return jax.ShapeDtypeStruct((size, *of_row), dtype)  # type: ignore[no-untyped-call]  # JAX has no types for it

@@ -63,7 +63,7 @@ class Worker:
 
     Args:
         threads: threads of its engine; None: the engine's default.
-            lookers: processes that check the outcomes of large chunks; one large chunk runs at a time.
+            check_pool: processes that check the outcomes of large chunks; one large chunk runs at a time.
             thorough: whether the worker is ready only when its engine is built. Else, for ``mjx-warp`` alone, a thread
                 builds the engine, which takes seconds, while the first jobs are made and sent.
 
@@ -72,13 +72,13 @@ class Worker:
     """
 
     def __init__(
-        self, recipe: Recipe, cache_dir: str | None, threads: int | None, lookers: int = 0, *, thorough: bool = True
+        self, recipe: Recipe, cache_dir: str | None, threads: int | None, check_pool: int = 0, *, thorough: bool = True
     ) -> None:
         collect_rarely()
         if cache_dir is not None:
             os.environ.setdefault("PETMJX_CACHE_DIR", cache_dir)
-        self._recipe, self._threads, self._most_lookers = recipe, threads, lookers
-        self._lookers: CheckPool[None] | None = None
+        self._recipe, self._threads, self._most_lookers = recipe, threads, check_pool
+        self._check_pool: CheckPool[None] | None = None
         self._thorough = thorough
         self._built: Future[Engine] = Future()
 
@@ -114,7 +114,7 @@ class Worker:
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
         """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked, and count jobs from 0."""
         jobs, sim = pickle.loads(chunk)
-        lookers = self._lookers_for(jobs)
+        check_pool = self._lookers_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
         progress = Progress()
         ended: list[BaseException] = []
@@ -123,7 +123,7 @@ class Worker:
         going, last_message = True, ""
         while going:
             new_outcomes, going = _gather(news)
-            outcomes = _checked_outcomes(new_outcomes, jobs, sim, lookers, wait=not going)
+            outcomes = _checked_outcomes(new_outcomes, jobs, sim, check_pool, wait=not going)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
                 # a copy, since the engine writes into ``extra`` meanwhile
@@ -136,8 +136,8 @@ class Worker:
         the worker checks outcomes itself."""
         if self._most_lookers == 0 or len(jobs) < LARGE:
             return CheckPool(0)
-        self._lookers = self._lookers or CheckPool(self._most_lookers)
-        return self._lookers
+        self._check_pool = self._check_pool or CheckPool(self._most_lookers)
+        return self._check_pool
 
     def _run(
         self,
@@ -172,7 +172,7 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
 
 
 def _checked_outcomes(
-    outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, lookers: CheckPool[None], *, wait: bool
+    outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, check_pool: CheckPool[None], *, wait: bool
 ) -> list[Outcome]:
     """Hand outcomes to the check pool, some at a time, and take checked ones.
 
@@ -183,8 +183,8 @@ def _checked_outcomes(
     for first in range(0, len(outcomes), MOST_TOGETHER):
         some = outcomes[first : first + MOST_TOGETHER]
         some_jobs = [jobs[outcome.job] for outcome in some]
-        keyed_outcomes += lookers.exchanged([(None, outcome) for outcome in some], some_jobs, sim, wait=False)
-    keyed_outcomes += lookers.exchanged([], [], sim, wait=wait)
+        keyed_outcomes += check_pool.exchanged([(None, outcome) for outcome in some], some_jobs, sim, wait=False)
+    keyed_outcomes += check_pool.exchanged([], [], sim, wait=wait)
     return [outcome for _, outcome in keyed_outcomes]
 
 

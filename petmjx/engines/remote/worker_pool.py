@@ -94,14 +94,14 @@ class WorkerPool(Engine):
     Args:
         places: the places of the workers, which begin to start at once.
         cluster: used until :meth:`close`, which closes it.
-        lookers: check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
+        check_pool: check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
     """
 
     looks = True
 
-    def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, lookers: int = 0) -> None:
+    def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, check_pool: int = 0) -> None:
         self.name = recipe.name
-        self._recipe, self._cluster, self._ray, self._lookers = recipe, cluster, cluster.ray, lookers
+        self._recipe, self._cluster, self._ray, self._check_pool = recipe, cluster, cluster.ray, check_pool
         self._running = RunLock(self.name)
         # As in `_LocalRay`: if Ray waited in the main thread, exceptions of signal handlers would be lost.
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="petmjx-workers")
@@ -229,7 +229,7 @@ class WorkerPool(Engine):
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
         thorough = self.name != "mjx-warp" or self._deaths > 0  # a device may be broken
-        options = {"lookers": self._lookers, "thorough": thorough}
+        options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
         return _Hand(place, actor, actor.hello.remote(), working=thorough)
 

@@ -64,7 +64,7 @@ class CheckPool(Generic[Key]):
     """
 
     def __init__(self, processes: int) -> None:
-        self._lookers = [_CheckProcess[Key]() for _ in range(processes)]
+        self._check_pool = [_CheckProcess[Key]() for _ in range(processes)]
         self._found: list[tuple[Key, Outcome]] = []
         self._until_s: float | None = None
 
@@ -100,9 +100,9 @@ class CheckPool(Generic[Key]):
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))
-        for looker in self._lookers.copy():
+        for looker in self._check_pool.copy():
             self._take(looker, wait=False)
-        while wait and not until() and (busy := [looker for looker in self._lookers if looker.unanswered]):
+        while wait and not until() and (busy := [looker for looker in self._check_pool if looker.unanswered]):
             self._take(busy[0], wait=True, until=until)
         finished, self._found = self._found, []
         return finished
@@ -110,8 +110,8 @@ class CheckPool(Generic[Key]):
     def _begin(self, keys: list[Key], look: Look) -> None:
         """Begin a check. Waits if too many checks are unanswered."""
         large = any(outcome.state is not None or outcome.history is not None for outcome in look[0])
-        while self._lookers and not large:
-            looker = min(self._lookers, key=lambda candidate: len(candidate.unanswered))
+        while self._check_pool and not large:
+            looker = min(self._check_pool, key=lambda candidate: len(candidate.unanswered))
             if len(looker.unanswered) < MOST_WAITING:
                 outcomes, jobs, sim = look
                 # checks do not need states, and for states of a GPU the process would have to import JAX
@@ -146,7 +146,7 @@ class CheckPool(Generic[Key]):
                 answer = None
             wait = False
             if answer is None:
-                self._lookers.remove(looker)
+                self._check_pool.remove(looker)
                 looker.child.end()
                 while looker.unanswered:
                     self._look(*looker.unanswered.popleft())
@@ -162,5 +162,5 @@ class CheckPool(Generic[Key]):
 
     def close(self) -> None:
         """End the processes. Unanswered checks are dropped."""
-        while self._lookers:
-            self._lookers.pop().child.end()
+        while self._check_pool:
+            self._check_pool.pop().child.end()

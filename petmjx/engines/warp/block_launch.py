@@ -273,7 +273,7 @@ def kernel(launch: Launch) -> Any:
     tile_words, threads = launch.tile_words, launch.threads // launch.worlds
     hands, gives, wraps, lands = (int(flag) for flag in (launch.hands, launch.gives, launch.wraps, launch.lands))
 
-    def march(
+    def launcher(
         # Model:
         model: Model,
         worlds: Worlds,
@@ -309,4 +309,4 @@ def kernel(launch: Launch) -> Any:
 
     bounds = launch.threads, launch.per_sm
     text = newton.text_for(launch.panels, of_block, threads, launch.pause_after)
-    return with_cpp(march, text, threads=launch.threads, launch_bounds=bounds)
+    return with_cpp(launcher, text, threads=launch.threads, launch_bounds=bounds)

@@ -39,16 +39,16 @@ class BlockPools:
         """The block pools of a group. The pools for the last worlds and for small worlds come first, if they are
         worthwhile. The pools by size follow, the one for the largest worlds first."""
         run = group.run
-        fleets = tuple(self._of_size(run, size, group.boards) for size in run.needs.sizes)
+        pools = tuple(self._of_size(run, size, group.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
         # Not with enlarged buffers, which all lanes would have. And not with stiff contacts: a step then takes five
         # times as many iterations, in some worlds many more, and the other worlds of their block would wait for them.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
-            few = small_world_pool(fleets[-1], worlds, self._lanes)
-            fleets = (few, *fleets) if few else fleets
-        last = tail_pool(fleets[-1], self._lanes)
-        return (last, *fleets) if last else fleets
+            few = small_world_pool(pools[-1], worlds, self._lanes)
+            pools = (few, *pools) if few else pools
+        last = tail_pool(pools[-1], self._lanes)
+        return (last, *pools) if last else pools
 
     def grow(self, run: Run, size: int) -> int | None:
         """Double the buffers for worlds of a size. Returns the new factor over the usual size, or None if they have

@@ -67,9 +67,9 @@ MIN_BLOCKS = 16
 """With fewer thread blocks than this, no useful amount of memory is saved."""
 
 
-def _half_pool(fleet: BlockPool) -> BlockPool:
+def _half_pool(pool: BlockPool) -> BlockPool:
     """The same pool with half as many blocks, but with at least ``MIN_BLOCKS``, or all if it has fewer."""
-    return replace(fleet, blocks=min(fleet.blocks, max(fleet.blocks // 2, MIN_BLOCKS)))
+    return replace(pool, blocks=min(pool.blocks, max(pool.blocks // 2, MIN_BLOCKS)))
 
 
 class MjxWarpEngine(Engine):
@@ -172,7 +172,7 @@ class MjxWarpEngine(Engine):
         lost, sim, progress = course.lose(), course.sim, course.progress
         if course.alone and lost:
             begun = GroupStart(course.next_run(), [*lost.values()], [*lost])
-            yield from outcomes_of(self._march(begun, course, waits=True, simulate=False), sim, progress, waits=True)
+            yield from outcomes_of(self._launcher(begun, course, waits=True, simulate=False), sim, progress, waits=True)
             return
         numbers = np.array([*lost], int)
         sizes = np.array([size_of(job) for job in lost.values()])
@@ -194,7 +194,7 @@ class MjxWarpEngine(Engine):
         """Slice results of one group after another, as long as the groups agree in whether slices wait for the host."""
         waits = course.waits_for_host
         while course.groups and course.waits_for_host == waits:
-            yield from self._march(course.begin(), course, waits=waits)
+            yield from self._launcher(course.begin(), course, waits=waits)
 
     def _load_group(self, run: Run, jobs: list[Job], most: int = 0, ahead: RowPrefetcher | None = None) -> Group:
         """The tables of a group.
@@ -207,7 +207,7 @@ class MjxWarpEngine(Engine):
         ready = ahead.take(jobs, width) if ahead is not None else None
         return Group(**vars(load(jobs, rows, width, run.sim, run.timetable, ready)), run=run)
 
-    def _march(
+    def _launcher(
         self, begun: GroupStart, course: GroupSequence, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
         """Run time slices until all worlds of a group have ended, or are left to the next group. While the device runs
@@ -260,7 +260,7 @@ class MjxWarpEngine(Engine):
                     continue
                 rest = np.flatnonzero(~emitted[: len(jobs)])
                 most = READY_SHARE * course.most_left
-                if leaving is None and course.next_is_due(len(rest), most, rollout.march.blocks):
+                if leaving is None and course.next_is_due(len(rest), most, rollout.launcher.blocks):
                     rollout.keep_under_way(self._while_loading, group, queues.order)
                     leaving = self._leaving(course, begun, rest, len(group.table.status))
                 if leaving is not None and 0 < len(rest) <= course.most_left:
@@ -355,29 +355,29 @@ class MjxWarpEngine(Engine):
         """The rollout for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. With
         blocks of two sizes the error of memory is raised instead."""
         run = group.run
-        fleets = self._fleets.of(group)
-        launches = tuple(fleet.launch for fleet in fleets)
-        key = run.sim, run.timetable, fleets
+        pools = self._fleets.of(group)
+        launches = tuple(pool.launch for pool in pools)
+        key = run.sim, run.timetable, pools
         if launches in self._kept and self._kept[launches][0] == key:
             return self._kept[launches][1]
         if launches in self._kept:
             self._kept.pop(launches)[1].close()
         while True:
             try:
-                rollout = Rollout(run, fleets, self.slice_ns)
+                rollout = Rollout(run, pools, self.slice_ns)
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
-                if not self._kept and any(fleet.is_extra for fleet in fleets):
-                    fleets = tuple(fleet for fleet in fleets if not fleet.is_extra)
+                if not self._kept and any(pool.is_extra for pool in pools):
+                    pools = tuple(pool for pool in pools if not pool.is_extra)
                 elif not self._kept:
-                    more, fleets = fleets, tuple(_half_pool(fleet) for fleet in fleets)
-                    if fleets == more:
-                        if len(fleets) > 1:
+                    more, pools = pools, tuple(_half_pool(pool) for pool in pools)
+                    if pools == more:
+                        if len(pools) > 1:
                             raise  # each size may fit alone
                         return None
                 self._drop()  # kept rollouts of other sizes may take the memory: try again without them
-                lanes = sum(fleet.blocks for fleet in fleets)
+                lanes = sum(pool.blocks for pool in pools)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
                 self._kept[launches] = (key, rollout)

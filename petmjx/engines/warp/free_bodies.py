@@ -76,8 +76,8 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
     every[:n] = math.gcd(*steps.tolist())
     growth = 1
     program = _program(sim, _block_pool(sim, blocks, width, k, boards, n, growth), slice_ns)
-    workspace = program.march.workspace()
-    frames = _room(every, width, program.march.lanes)
+    workspace = program.launcher.workspace()
+    frames = _room(every, width, program.launcher.lanes)
     while True:
         state, workspace, frames = program.slice(state, workspace, worlds, order, frames)
         _collect(frames, steps, poses)
@@ -87,7 +87,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
         if overflowed.any() and growth < MAX_GROWTH:
             growth *= 2
             program = _program(sim, _block_pool(sim, blocks, width, k, boards, n, growth), slice_ns)
-            workspace = program.march.workspace()
+            workspace = program.launcher.workspace()
             state = state._replace(status=jnp.where(state.status == Status.OVERFLOWED, Status.RUNNING, state.status))
         elif not (status == Status.RUNNING).any():
             return poses
@@ -96,13 +96,13 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
 class _Program:
     """A time slice as a jitted program."""
 
-    def __init__(self, sim: Simulation, fleet: BlockPool, slice_ns: int) -> None:
-        timetable = build_timetable(sim, fleet.n_boxes)
+    def __init__(self, sim: Simulation, pool: BlockPool, slice_ns: int) -> None:
+        timetable = build_timetable(sim, pool.n_boxes)
         # as many iterations as the solver needs, also for sliding boxes
         known = constants(sim, timetable)
         known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
-        self.march = KernelLauncher(known, [fleet], slice_ns)
-        self.march.load()
+        self.launcher = KernelLauncher(known, [pool], slice_ns)
+        self.launcher.load()
         self.slice = jax.jit(self._slice)
 
     def _slice(
@@ -114,13 +114,13 @@ class _Program:
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, dict[str, jax.Array]]:
         flat = worlds._asdict() | {"profiles": jnp.zeros((1, 1, 3)), "order": order}
-        after, workspace, frames, _ = self.march(flat, state.flat(), workspace, frames)
+        after, workspace, frames, _ = self.launcher(flat, state.flat(), workspace, frames)
         return of_flat(after), workspace, frames
 
 
 @functools.lru_cache(8)
-def _program(sim: Simulation, fleet: BlockPool, slice_ns: int) -> _Program:
-    return _Program(sim, fleet, slice_ns)
+def _program(sim: Simulation, pool: BlockPool, slice_ns: int) -> _Program:
+    return _Program(sim, pool, slice_ns)
 
 
 def _block_pool(
@@ -129,9 +129,9 @@ def _block_pool(
     """The block pool for worlds of k boxes. If there are enough worlds, a block has many of them, a warp each."""
     launch = replace(Launch.here(width), lands=sim.physics.has_landings)
     shapes = growth * (width + MORE_BOXES) + boards - 1
-    fleet = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
-    few = small_world_pool(fleet, worlds) if k <= FEW_BOXES.most_boxes else None
-    return fleet if few is None else replace(few, least=0)  # until the end, however few worlds are left
+    pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
+    few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None
+    return pool if few is None else replace(few, least=0)  # until the end, however few worlds are left
 
 
 def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:

@@ -98,42 +98,42 @@ class KernelLauncher:
 
     Args:
         constants: fields of ``world_arrays.Model`` except those of a block pool.
-        fleets: block pools, in the order of the queues from which they take worlds. The first pools get the device's
+        pools: block pools, in the order of the queues from which they take worlds. The first pools get the device's
             room first.
         slice_ns: time slice of a call, ns; with 0 each block takes one step.
     """
 
-    def __init__(self, constants: Mapping[str, Any], fleets: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
-        self.fleets = tuple(fleets)
+    def __init__(self, constants: Mapping[str, Any], pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
+        self.pools = tuple(pools)
         self.models = [
             filled_record(
                 Model,
                 {
                     **constants,
                     "queue": queue,
-                    "most_idle": fleet.most_idle,
-                    "most_placed": fleet.n_boxes if fleet.least else NEVER,
-                    "npairmax": fleet.npairmax,
-                    "nconmax": fleet.nconmax,
+                    "most_idle": pool.most_idle,
+                    "most_placed": pool.n_boxes if pool.least else NEVER,
+                    "npairmax": pool.npairmax,
+                    "nconmax": pool.nconmax,
                 },
             )
-            for queue, fleet in enumerate(fleets)
+            for queue, pool in enumerate(pools)
         ]
         # extra pools do not count: other pools have room for their worlds, too
-        self.blocks = sum(fleet.blocks for fleet in fleets if not fleet.is_extra)
-        self.lanes = sum(fleet.lanes for fleet in fleets)
+        self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra)
+        self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns
         self.id = next(_IDS)
-        _MARCHES[self.id] = self
+        _LAUNCHERS[self.id] = self
 
     def workspace(self) -> jax.Array:
         """The workspace of all blocks, an argument of each call."""
-        rows = sum(world_arrays.buffer_rows(fleet.sizes) for fleet in self.fleets)
+        rows = sum(world_arrays.buffer_rows(pool.sizes) for pool in self.pools)
         return jnp.zeros((rows, world_arrays.BUFFER_WORDS), jnp.float32)
 
     def load(self) -> None:
         """Compile the kernels, at the same time, or take them from Warp's cache."""
-        kernels = [kernel(fleet.launch) for fleet in self.fleets] + own_kernels(len(self.fleets))
+        kernels = [kernel(pool.launch) for pool in self.pools] + own_kernels(len(self.pools))
         modules = list(dict.fromkeys(kernel.module for kernel in kernels))
         wp.force_load(wp.get_device(), modules, max_workers=len(modules))
 
@@ -146,7 +146,7 @@ class KernelLauncher:
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
         """States after a time slice, the workspace, frames, and ``Counts``. Fields of a state that the kernels do not
         have stay as they are."""
-        kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.fleets)})
+        kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         given = {**worlds, **state, **counts, "workspace": workspace}
         given |= {_of_frames(name): values for name, values in frames.items()}
@@ -167,12 +167,12 @@ class KernelLauncher:
         worlds, state, counts = (filled_record(kind, arrays) for kind in (Worlds, State, Counts))
         frames = filled_record(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
         row, calls = 0, []
-        for fleet, model in zip(self.fleets, self.models, strict=True):
-            work = filled_record(Workspace, world_arrays.in_buffer(arrays["workspace"], fleet.sizes, row))
-            row += world_arrays.buffer_rows(fleet.sizes)
+        for pool, model in zip(self.pools, self.models, strict=True):
+            work = filled_record(Workspace, world_arrays.in_buffer(arrays["workspace"], pool.sizes, row))
+            row += world_arrays.buffer_rows(pool.sizes)
             before, after = (model, worlds, self.lanes, self.slice_ns), (state, work, frames, counts)
             arguments = partial(_with_block, before, after)
-            calls.append(Call(kernel(fleet.launch), fleet.blocks, fleet.launch.threads, arguments))
+            calls.append(Call(kernel(pool.launch), pool.blocks, pool.launch.threads, arguments))
         launch_all(calls, arrays["clock"], self.slice_ns)
 
 
@@ -197,17 +197,17 @@ _CHANGED = (
 """Name → type of the arrays that JAX sees."""
 
 _IDS = itertools.count()
-_MARCHES: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
+_LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
 """Launchers by number. JAX never frees a function that it calls, so this function must not hold a run's memory."""
 
 
-def _launch(march: int, *arrays: Any) -> None:
+def _launch(launcher: int, *arrays: Any) -> None:
     """Launch the kernels of a launcher. JAX calls this with the arrays of ``_INPUTS`` and ``_CHANGED``."""
-    _MARCHES[march].launch(dict(zip(_INPUTS | _CHANGED, arrays, strict=True)))
+    _LAUNCHERS[launcher].launch(dict(zip(_INPUTS | _CHANGED, arrays, strict=True)))
 
 
 # Warp reads the types of the buffers from the signature.
-_launch.__annotations__ = {"march": int} | _INPUTS | _CHANGED
+_launch.__annotations__ = {"launcher": int} | _INPUTS | _CHANGED
 _launch.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # what inspect reads
     [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in _launch.__annotations__]
 )

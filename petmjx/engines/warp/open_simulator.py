@@ -82,15 +82,15 @@ class Simulator:
         launch = replace(Launch.here(most_boxes, *traits), lands=sim.physics.has_landings)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
-        fleet = BlockPool(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
-        self._march = KernelLauncher(constants(sim, timetable), [fleet], SLICE_NS)
+        pool = BlockPool(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)
+        self._launcher = KernelLauncher(constants(sim, timetable), [pool], SLICE_NS)
         self._sim, self._timetable = sim, timetable
         self._placing = Rules(sim, timetable, most_boxes, driven=False, carries=True)
         self._driving = Rules(sim, timetable, most_boxes, driven=True)
 
     def load(self) -> None:
         """Compile the kernel, or take it from Warp's cache."""
-        self._march.load()
+        self._launcher.load()
 
     def begin(self, worlds: Worlds) -> State:
         """States of worlds before their soft start."""
@@ -161,7 +161,7 @@ class Simulator:
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds)._asdict()
         flat |= flat.pop("metrics")._asdict()
-        after, *_ = self._march(flat_worlds, flat, self._march.workspace(), _no_frames(n, worlds.half.shape[1]))
+        after, *_ = self._launcher(flat_worlds, flat, self._launcher.workspace(), _no_frames(n, worlds.half.shape[1]))
         return OpenState(worlds, of_flat(after))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:

@@ -30,7 +30,7 @@ from petmjx.world.film import spring_rate_1_s
 TOLERANCE = 1e-8
 """MuJoCo's default solver tolerance. It can be reached, since forces and residuals are double precision."""
 
-LOOKED_AT = ("steps", "iterations", "contacts")
+READ_COUNTS = ("steps", "iterations", "contacts")
 """The counts that the host reads after each time slice. They follow the statuses of all worlds in one array, since a
 thread waits for the interpreter's lock after each array that it fetches."""
 
@@ -114,15 +114,15 @@ class Programs:
     but no states. So any number of runs and threads can call them at the same time.
 
     Args:
-        fleets: block pools, as from ``BlockPools.of``.
+        pools: block pools, as from ``BlockPools.of``.
         slice_ns: time slice of a call of the kernels, ns.
     """
 
-    def __init__(self, sim: Simulation, timetable: Timetable, fleets: tuple[BlockPool, ...], slice_ns: int) -> None:
-        self.march = KernelLauncher(constants(sim, timetable), fleets, slice_ns)
-        self._few = next((fleet for fleet in fleets if fleet.least), None)
-        self._last = next((fleet for fleet in fleets if fleet.last), None)
-        self._rules = Rules(sim, timetable, max(fleet.n_boxes for fleet in fleets), driven=True)
+    def __init__(self, sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> None:
+        self.launcher = KernelLauncher(constants(sim, timetable), pools, slice_ns)
+        self._few = next((pool for pool in pools if pool.least), None)
+        self._last = next((pool for pool in pools if pool.last), None)
+        self._rules = Rules(sim, timetable, max(pool.n_boxes for pool in pools), driven=True)
         self._advancing = jax.jit(self._advance, donate_argnums=(0, 1))
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
 
@@ -135,7 +135,7 @@ class Programs:
         with _COMPILING:
             if sizes not in self._compiled:
                 begin, progress.message = time.perf_counter(), "compiling"
-                self.march.load()
+                self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
                 progress.compile_s += time.perf_counter() - begin
             return self._compiled[sizes]
@@ -149,17 +149,17 @@ class Programs:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " word"], dict[str, jax.Array], dict[str, jax.Array]]:
-        """A time slice. Returns states, workspace, the array for the host (``LOOKED_AT``), frames, and counts."""
+        """A time slice. Returns states, workspace, the array for the host (``READ_COUNTS``), frames, and counts."""
         table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = small_world_queues(self._few, order, table.placed, table.running)
         if self._last:
-            order = tail_queues(self._last, order, table.steps_done, table.running, self.march.blocks)
+            order = tail_queues(self._last, order, table.steps_done, table.running, self.launcher.blocks)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
-        after, workspace, frames, counts = self.march(flat_worlds, table.flat(), workspace, frames)
+        after, workspace, frames, counts = self.launcher(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
         # a copy, since the next slice reuses the table's memory
-        looked_at = jnp.concatenate([table.status, *(counts[name] for name in LOOKED_AT)])
+        looked_at = jnp.concatenate([table.status, *(counts[name] for name in READ_COUNTS)])
         return table, workspace, looked_at, frames, counts
 
 
@@ -171,6 +171,6 @@ MOST_KEPT = 16
 
 
 @functools.lru_cache(MOST_KEPT)
-def programs(sim: Simulation, timetable: Timetable, fleets: tuple[BlockPool, ...], slice_ns: int) -> Programs:
+def programs(sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> Programs:
     """The programs of a run. Timetables are compared by identity, and kept as long as the programs."""
-    return Programs(sim, timetable, fleets, slice_ns)
+    return Programs(sim, timetable, pools, slice_ns)

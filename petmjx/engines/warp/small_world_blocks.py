@@ -20,22 +20,22 @@ ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 lanes. For few worlds blocks of one world are faster."""
 
 
-def small_world_pool(fleet: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
+def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
     """The block pool for small worlds; None if this device has none, or if there are too few worlds.
 
     Args:
-        fleet: the pool that has these worlds otherwise.
+        pool: the pool that has these worlds otherwise.
         worlds: number of worlds that begin with few boxes.
         lanes: most worlds in blocks of one kind; None: as many as the device has room for.
     """
-    one = fleet.launch
+    one = pool.launch
     launch = replace(Launch.of(FEW_BOXES, one.hands, one.gives, one.wraps), lands=one.lands)
     blocks = min((lanes or launch.lanes) // launch.worlds, launch.blocks)
     of_all = blocks * launch.worlds
     if launch.worlds == 1 or one.threads != size_for(1).threads or not 0 < ENOUGH_SHARE * of_all <= worlds:
         return None
     least = int(LEAST_SHARE * of_all)
-    return replace(fleet, launch=launch, blocks=blocks, n_boxes=min(FEW_BOXES.most_boxes, fleet.n_boxes), least=least)
+    return replace(pool, launch=launch, blocks=blocks, n_boxes=min(FEW_BOXES.most_boxes, pool.n_boxes), least=least)
 
 
 def small_world_queues(

@@ -30,18 +30,18 @@ GOES_ON: Final = 8.0
 """A long world is expected to go on for at most GOES_ON times the steps that it has taken."""
 
 
-def tail_pool(fleet: BlockPool, lanes: int | None = None) -> BlockPool | None:
+def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     """The block pool for the last worlds; None if it would be the same as the usual pool, as on a CPU.
 
     Args:
-        fleet: the pool that has these worlds otherwise.
+        pool: the pool that has these worlds otherwise.
         lanes: most worlds in blocks of one kind; None: as many as the device has room for.
     """
-    one = fleet.launch
+    one = pool.launch
     if one.per_sm == 1:
         return None
     launch = replace(Launch.of(LAST, one.hands, one.gives, one.wraps), lands=one.lands)
-    return replace(fleet, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
+    return replace(pool, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
 
 
 def tail_queues(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.engines.warp.frame_buffers import room_for
 from petmjx.engines.warp.kernel_launcher import SLICE_NS, BlockPool
-from petmjx.engines.warp.programs import LOOKED_AT, programs
+from petmjx.engines.warp.programs import READ_COUNTS, programs
 from petmjx.engines.warp.world_groups import Group, Run
 
 
@@ -24,7 +24,7 @@ class Slice(NamedTuple):
 
     Attributes:
         began: time at which the host began it, s.
-        looked_at: statuses of all rows, then the counts ``LOOKED_AT``.
+        looked_at: statuses of all rows, then the counts ``READ_COUNTS``.
     """
 
     began: float
@@ -37,14 +37,14 @@ class Rollout:
     """The buffers of a run and its time slices in flight, in order.
 
     Args:
-        fleets: block pools, as from ``BlockPools.of``.
+        pools: block pools, as from ``BlockPools.of``.
         slice_ns: time slice of a call of the kernels, ns.
     """
 
-    def __init__(self, run: Run, fleets: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
-        self.programs = programs(run.sim, run.timetable, tuple(fleets), slice_ns)
-        self.march = self.programs.march
-        self.workspace = self.march.workspace().block_until_ready()
+    def __init__(self, run: Run, pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
+        self.programs = programs(run.sim, run.timetable, tuple(pools), slice_ns)
+        self.launcher = self.programs.launcher
+        self.workspace = self.launcher.workspace().block_until_ready()
         self._slices: deque[Slice] = deque()
         self._last_end = 0.0
 
@@ -55,7 +55,7 @@ class Rollout:
 
     def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
         """Begin a time slice for all running worlds of a group, after the slices in flight."""
-        lanes = self.march.lanes
+        lanes = self.launcher.lanes
         if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
             group.frames = room_for(group, lanes)
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
@@ -90,13 +90,13 @@ class Rollout:
         looked_at = np.array(ended.looked_at)
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
         progress = group.run.progress
-        counts = dict(zip(LOOKED_AT, looked_at[-len(LOOKED_AT) :].tolist(), strict=True))
+        counts = dict(zip(READ_COUNTS, looked_at[-len(READ_COUNTS) :].tolist(), strict=True))
         progress.message = group.run.message
         progress.world_steps += counts["steps"]
         extra = progress.extra
         sums = {"seconds": self._last_end - began, "steps": counts["steps"], "iterations": counts["iterations"]}
         for quantity, amount in sums.items():
             extra[f"march {quantity}"] = extra.get(f"march {quantity}", 0) + amount
-        extra["march lanes"] = max(extra.get("march lanes", 0), self.march.lanes)
+        extra["march lanes"] = max(extra.get("march lanes", 0), self.launcher.lanes)
         extra["march contacts"] = max(extra.get("march contacts", 0), counts["contacts"])
         return looked_at[: len(group.jobs)], ended
