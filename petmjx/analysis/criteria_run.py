@@ -285,8 +285,8 @@ def criteria(
     if physics is not None:
         read = read.changed(articles=how_read(physics.info).articles)
     if plans is None and physics is not None:
-        plans, read = plans_of(physics), read.changed(articles=None)
-    plan_set = gather_plans(plans_in_place(plans), Simulation(), read)
+        plans, read = plans_of(physics, strict), read.changed(articles=None)
+    plan_set = gather_plans(plans_in_place(plans, strict), Simulation(), read)
     warn(plan_set.conventions)
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""

@@ -231,7 +231,7 @@ def kpis(
     orders = path_of(orders, "orders")
     if assume_stable and run:
         raise InputError(f"give either runs or {option('--assume-stable')}: a run already says which plans stand")
-    read = gather_plans(plans_in_place(plans), Simulation(), RunOptions(strict=strict))
+    read = gather_plans(plans_in_place(plans, strict), Simulation(), RunOptions(strict=strict))
     warn(read.conventions)
     by_id = {plan.plan_id: plan for plan in read.plans}
     skipped = [str(skipped_plan) for skipped_plan in read.skipped]

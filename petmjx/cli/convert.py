@@ -41,7 +41,7 @@ def convert(
     from petmjx.results.read_files import source_files
 
     check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
-    of_runs = plans_in_place(plans)
+    of_runs = plans_in_place(plans, bool(options.get("strict")))
     if isinstance(of_runs, PlanSet):
         plan_set = gather_plans(of_runs, Simulation(), RunOptions(**options))
     else:

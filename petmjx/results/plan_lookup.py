@@ -83,16 +83,17 @@ def find_plans(
     )
 
 
-def plans_in_place(plans: PlanSource | None) -> PlanSource | None:
+def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
     """The plans of a source; if that is the folder of a run, or several, the plans that the runs simulated.
 
     Raises:
-        InputError: a run cannot be read, or none of its plans is kept or in a file any more.
+        InputError: a run cannot be read, or none of its plans is kept or in a file any more; with ``strict``, a plan is
+            not.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
         return plans
-    sets = [plans_of(load_run(path)) for path in several]
+    sets = [plans_of(load_run(path), strict) for path in several]
     if len(sets) == 1:
         return sets[0]
     return PlanSet(
@@ -108,11 +109,11 @@ def is_run(source: object) -> bool:
         return False
 
 
-def plans_of(run: RunResults) -> PlanSet:
+def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
     """The plans that a run simulated. Those that are neither kept nor in a file any more are skipped.
 
     Raises:
-        InputError: the run lists no plans, or none is found.
+        InputError: the run lists no plans, or keeps none; with ``strict``, a plan would be skipped.
     """
     records = Manifest.read(run.parts, run.info).plans
     simulated = set(run.worlds["plan_id"])
@@ -125,6 +126,8 @@ def plans_of(run: RunResults) -> PlanSet:
         )
         for plan_id in plan_ids
     ]
+    if strict and skipped:
+        raise InputError(skipped[0].message)
     if not lookup.plans:
         first = f"; the first: {skipped[0].message}" if skipped else ""
         raise InputError(f"{run.path}: the run keeps none of its plans{first}")

@@ -93,7 +93,7 @@ def simulate(
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    plans = plans_in_place(plans)
+    plans = plans_in_place(plans, options.strict)
     with engine_warmup(options, plans) as ahead:
         plan_set = usable_plans(plans, sim, options)
         study = ask(plan_set.plans, options)
