@@ -100,8 +100,8 @@ def score(
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
-        plans: a file, a folder, several of these, a data frame with one row per box, a plan, a list of plans or a
-            ``PlanSet``; None: the bundled samples.
+        plans: a file, a folder, the folder of a run for its plans, several of these, a data frame with one row per
+            box, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
         watcher: follows the run. Without one, notebooks show a progress bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
         options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.

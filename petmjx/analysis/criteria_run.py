@@ -31,7 +31,7 @@ from petmjx.plans.convention_checks import warn
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans
 from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
-from petmjx.results.plan_lookup import how_read
+from petmjx.results.plan_lookup import how_read, plans_in_place, plans_of
 from petmjx.results.read_files import source_files
 from petmjx.results.run_folder import text
 from petmjx.results.run_reader import RunResults, load_run
@@ -254,7 +254,7 @@ def criteria(
     ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
 
     Args:
-        plans: as for ``petmjx.score``; None: the bundled samples.
+        plans: as for ``petmjx.score``; None: the plans of the run, or without one the bundled samples.
         run: a run of the same plans, or its folder. The criteria are compared with its verdicts. If a plan has several
             worlds, the nominal one counts.
         out: a folder for the tables, as Parquet and CSV.
@@ -284,7 +284,9 @@ def criteria(
     doubts = [] if physics is None else [*physics.doubts("the run"), *_other_carrier(chosen.carrier, physics)]
     if physics is not None:
         read = read.changed(articles=how_read(physics.info).articles)
-    plan_set = gather_plans(plans, Simulation(), read)
+    if plans is None and physics is not None:
+        plans, read = plans_of(physics, strict), read.changed(articles=None)
+    plan_set = gather_plans(plans_in_place(plans, strict), Simulation(), read)
     warn(plan_set.conventions)
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""

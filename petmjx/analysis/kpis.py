@@ -39,6 +39,7 @@ from petmjx.plans.order_matching import Matching, OddBoxes, counts_of, match, on
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PlanSource, gather_plans
+from petmjx.results.plan_lookup import plans_in_place
 
 
 class KpiColumn(NamedTuple):
@@ -230,7 +231,7 @@ def kpis(
     orders = path_of(orders, "orders")
     if assume_stable and run:
         raise InputError(f"give either runs or {option('--assume-stable')}: a run already says which plans stand")
-    read = gather_plans(plans, Simulation(), RunOptions(strict=strict))
+    read = gather_plans(plans_in_place(plans, strict), Simulation(), RunOptions(strict=strict))
     warn(read.conventions)
     by_id = {plan.plan_id: plan for plan in read.plans}
     skipped = [str(skipped_plan) for skipped_plan in read.skipped]

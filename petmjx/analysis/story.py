@@ -20,9 +20,9 @@ from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.common.text import box_in_words, count_text, printable_name
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY, FloatArray
 from petmjx.engines.engine_choice import ENGINES, has_option, make_engine
+from petmjx.engines.knife_edges import is_same_edge, kept_edges, nearest_edge
 from petmjx.engines.mujoco import box_motion
-from petmjx.engines.outcome_checks import NEAR_M as _NEAR_M
-from petmjx.engines.outcome_checks import contact_tilt_boxes
+from petmjx.engines.outcome_checks import contact_tilt_boxes, edges_again
 from petmjx.engines.protocol import Engine
 from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
@@ -407,21 +407,21 @@ def notes_in_words(story: Story) -> list[str]:
 def _knife_edge(story: Story) -> str:
     """A sentence on the load that is nearest to an edge, inside or outside: of which box, how near, and when."""
     outcome = story.outcome
-    nearest: list[tuple[float, int, str]] = []
-    for of_boxes, least_m, box, when in (
-        (outcome.boxes.plan_edge_m, outcome.plan_edge_m, outcome.plan_edge_box, "by the plan"),
-        (outcome.boxes.rest_edge_m, outcome.rest_edge_m, outcome.rest_edge_box, "at rest"),
-        (np.array([]), outcome.build_edge_m, outcome.build_edge_box, "while it is built"),
-    ):
-        nearest += [(abs(edge_m), number, when) for number, edge_m in enumerate(of_boxes.tolist())]
-        nearest.append((abs(least_m), box, when))
-    edge_m, box, when = min((edge for edge in nearest if not math.isnan(edge[0])), default=(math.nan, -1, ""))
-    load = f" of box {box} ({printable_name(story.plan.articles[box])})" if box >= 0 else ""
-    if not edge_m <= _NEAR_M:  # of a box's own weight, or after a placement, that is the nearest of none
+    kept = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
+    again = list(edges_again(story.scene, outcome))
+    nearest = nearest_edge(kept, outcome.verdict)
+    if nearest is None:  # of a box's own weight, or of a load while the plan is built that is not the least
+        nearest = nearest_edge(again, outcome.verdict) or nearest_edge([*kept, *again])
+    else:  # tables do not say whether it is the box's own weight
+        nearest = next((edge for edge in again if is_same_edge(edge, nearest)), nearest)
+    if nearest is None:
         return "A load acts at the edge of what bears it: a tenth of a millimetre may change the verdict."
+    when = nearest.when + (f", once {box_name(story, nearest.step)} is placed" if nearest.step >= 0 else "")
+    load = "own weight" if nearest.own_weight else "load"
+    of_box = f" (the {load} of {box_name(story, nearest.box)})" if nearest.box >= 0 else ""
     return (
-        f"A load acts at the edge of what bears it, within {MM_PER_M * edge_m:.2g} mm, {when}: "
-        f"a tenth of a millimetre may change the verdict{' (the load' + load + ')' if load else ''}."
+        f"A load acts at the edge of what bears it, within {MM_PER_M * abs(nearest.edge_m):.2g} mm, {when}: "
+        f"a tenth of a millimetre may change the verdict{of_box}."
     )
 
 

@@ -29,14 +29,23 @@ def convert(
     """Write packing plans in another form: BED-BPP's JSON, or a table with a row a box as CSV or Parquet.
 
     Plans that are read from the new file are the same to the last bit. Unusable plans are skipped, and the first ones
-    get a line each.
+    get a line each. The folder of a run stands for the plans that it simulated.
     """
+    from petmjx.options.run_options import RunOptions
+    from petmjx.options.simulation import Simulation
     from petmjx.plans.plan_reader import load_plans
+    from petmjx.plans.plan_set import PlanSet
+    from petmjx.plans.plan_sources import gather_plans
     from petmjx.plans.plan_writer import save_plans
+    from petmjx.results.plan_lookup import plans_in_place
     from petmjx.results.read_files import source_files
 
     check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
-    plan_set = load_plans(plans, **options)
+    of_runs = plans_in_place(plans, bool(options.get("strict")))
+    if isinstance(of_runs, PlanSet):
+        plan_set = gather_plans(of_runs, Simulation(), RunOptions(**options))
+    else:
+        plan_set = load_plans(plans, **options)
     print_skipped([str(skipped) for skipped in plan_set.skipped])
     for note in plan_set.notes:
         typer.echo(f"note: {printable(note)}", err=True)

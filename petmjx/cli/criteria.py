@@ -36,7 +36,11 @@ def criteria(
     plans: opt.PlanPaths = None,
     run: Annotated[
         Path | None,
-        typer.Option("--run", metavar="DIR", help="Results of petmjx score of these plans, to compare with."),
+        typer.Option(
+            "--run",
+            metavar="DIR",
+            help="Results of petmjx score of these plans, to compare with. Without PLANS: of its own.",
+        ),
     ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the tables, as Parquet and CSV.")

@@ -7,7 +7,7 @@ work of the process of the run.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_softness
+from petmjx.engines.knife_edges import AT_REST, BY_PLAN, KNIFE_EDGE_M, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when
 from petmjx.engines.mujoco.box_motion import tilt_deg
 from petmjx.engines.verdict import Flag, Outcome, Verdict, margin_of
 from petmjx.options.simulation import Check, Simulation
@@ -22,15 +23,6 @@ from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 from petmjx.world.supports import bearings_of, joined_bearing
-
-KNIFE_EDGE_M: Final = 0.0005
-"""Plans have whole millimetres, and boxes are smaller than planned by a tenth of one. All verdicts that other
-simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
-
-NEAR_M: Final = 0.001
-"""A load nearer than this to an edge sets the flag, too, if the verdict contradicts statics: a world stands with the
-load beyond the edge, or falls with it inside. (Small worlds that fall are also tried in stiffer contacts:
-petmjx.engines.contact_tilt.)"""
 
 LEANS_DEG: Final = 2.0
 """A box of a stable world leans if its tilt at rest is larger. A box of half a metre is then 17 mm lower on one side.
@@ -44,7 +36,7 @@ MOST_TOGETHER: Final = 128
 """Largest number of outcomes that are checked at once; 128 take a tenth of a second. One by one, checks took longer
 than the simulation on a GPU."""
 
-_NOT_BUILT: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan)
+_NOT_BUILT: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
 
 
 def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
@@ -99,8 +91,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
         plan, least_built = by_plan[scenes[k], outcome.n_placed, in_order and not jobs[k].has_errors]
         plan_edge_m, rest_edge_m = plan.least, outcome.boxes.rest_edge_m
         outcome.plan_edge_m, outcome.plan_edge_box = _least(plan_edge_m)
-        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step, nearest_m = least_built
-        near = [np.array([nearest_m]), *plan]
+        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step = least_built[:3]
+        near = [np.array([least_built.nearest_m]), *plan]
         edge_m = np.concatenate([[outcome.build_edge_m], *plan])
         if k in of_rest:
             rest_edge_m = of_rest[k].least
@@ -111,6 +103,22 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
         is_near = np.fmin.reduce(np.abs(np.concatenate(near))) <= KNIFE_EDGE_M
         if is_near or (contradicts & (np.abs(edge_m) <= NEAR_M)).any():
             outcome.flags |= Flag.KNIFE_EDGE
+
+
+def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
+    """All distances of loads from edges that ``note_edges`` looked at, also those that no table keeps: of own weights,
+    and the nearest one while the plan is built."""
+    in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
+    edges, (built,), resting = _all_edges(
+        [(scene, outcome.n_placed, in_order)], [scene] * at_rest, [outcome.boxes.pos] * at_rest
+    )
+    for when, of_boxes in ((BY_PLAN, edges), (AT_REST, resting)):
+        for by_weight, by_load in of_boxes:
+            yield from edges_when(by_load, when)
+            yield from edges_when(by_weight, when, own_weight=True)
+    if in_order:
+        yield KnifeEdge(built.edge_m, built.box, WHILE_BUILT, built.step)
+        yield KnifeEdge(built.nearest_m, built.nearest_box, WHILE_BUILT, built.nearest_step)
 
 
 def _all_edges(

@@ -120,6 +120,9 @@ nothing floats or overlaps after a swap even in a right plan. So a few odd boxes
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this come from sheets, rounded heights or careless packers, not from a convention."""
 
+_WALL: Final = Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_share=_MOST)
+"""A wall or a row of boxes of which all heights are given in y: nothing floats or overlaps, but it is too long."""
+
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), of_turned=True, of_some=True),
@@ -209,6 +212,8 @@ class _Search:
         way = way or self._layout_of(plan, odd, LAYOUTS)
         if way is not None:
             self._add(way, plan, _first_oddity(plan, odd, way))
+        elif odd.n_outside and self.extent_mm is not None and _is_wall_lying(plan, odd, self.extent_mm):
+            self._add(_WALL, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
         if odd.n_outside and self.extent_mm is not None and _from_the_middle(plan, way, self.extent_mm):
             self._add(MIDDLE, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
 
@@ -339,12 +344,31 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether at least this share of the boxes above the carrier floats or overlaps, one by more than ``_SMALL_MM``."""
+    """Whether at least this share of the boxes above the carrier floats or overlaps, one by more than ``_SMALL_MM``. If
+    all boxes stand on the carrier, all of them count."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
+    above |= not above.any()
     odd = np.maximum(gap, overlap)
     share = int((above & (odd > DEFAULT_TOLERANCE_MM)).sum()) / max(int(above.sum()), 1)
     return bool(share >= least_share and odd.max() > _SMALL_MM)
+
+
+def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
+    """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped: a box lies wholly beside the carrier in
+    y, and after a swap boxes lie on boxes, all are supported and none is outside. A layer that fits if it is turned is
+    none."""
+    if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
+        return False
+    length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM
+    far = (plan.corner_mm + plan.size_mm).max(axis=0)
+    if plan.corner_mm[:, 1].max() < width or (far[0] <= width and far[1] <= length):
+        return False
+    corner, size = _WALL.layout_of(plan)
+    bounds = (corner + size).max(axis=0) - corner.min(axis=0)
+    if corner[:, 2].max() <= DEFAULT_TOLERANCE_MM or size.prod(axis=1).sum() < _LEAST_FILLED * bounds.prod():
+        return False
+    return not check_layout(plan.plan_id, plan.source, corner, size, extent_mm).any
 
 
 def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:

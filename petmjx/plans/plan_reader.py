@@ -125,6 +125,10 @@ def read_plans(
     return loading.done()
 
 
+_OF_A_RUN: Final = "petmjx convert writes its plans to a file"
+"""What to do with the folder of a run, where only files of plans are read."""
+
+
 def _list_files(paths: list[Path]) -> list[Path]:
     """Files in the order of reading. All paths are checked before any file is read, so a typing error shows at once."""
     if not paths:
@@ -137,6 +141,8 @@ def _list_files(paths: list[Path]) -> list[Path]:
             if not path.is_dir():
                 files.append(path)
                 continue
+            if (path / "run.json").is_file() and (path / "worlds").is_dir():
+                raise InputError(f"{printable(str(path))}: the folder of a run, not of plans: {_OF_A_RUN}")
             members = plan_files_in(path)
         except (OSError, ValueError) as error:
             raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from error

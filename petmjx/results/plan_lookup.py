@@ -7,17 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_sources import PlanSource, gather_plans
 from petmjx.results.plan_table import kept_plans
-from petmjx.results.run_manifest import PlanRecord, plan_digest
-from petmjx.results.run_reader import RunResults
+from petmjx.results.run_folder import RUN_FILE
+from petmjx.results.run_manifest import Manifest, PlanRecord, plan_digest
+from petmjx.results.run_reader import RunResults, load_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +81,57 @@ def find_plans(
         changed=tuple(sorted(changed)),
         gone=tuple(gone),
     )
+
+
+def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
+    """The plans of a source; if that is the folder of a run, or several, the plans that the runs simulated.
+
+    Raises:
+        InputError: a run cannot be read, or none of its plans is kept or in a file any more; with ``strict``, a plan is
+            not.
+    """
+    several: Any = [plans] if isinstance(plans, str | PathLike) else plans
+    if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
+        return plans
+    sets = [plans_of(load_run(path), strict) for path in several]
+    if len(sets) == 1:
+        return sets[0]
+    return PlanSet(
+        [plan for plan_set in sets for plan in plan_set], [skip for plan_set in sets for skip in plan_set.skipped]
+    )
+
+
+def is_run(source: object) -> bool:
+    """Whether a source of plans is the folder of a run."""
+    try:
+        return isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file()
+    except (OSError, ValueError):  # the code that reads it reports the error
+        return False
+
+
+def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
+    """The plans that a run simulated. Those that are neither kept nor in a file any more are skipped.
+
+    Raises:
+        InputError: the run lists no plans, or keeps none; with ``strict``, a plan would be skipped.
+    """
+    records = Manifest.read(run.parts, run.info).plans
+    simulated = set(run.worlds["plan_id"])
+    lookup = find_plans(run, records, [plan_id for plan_id in records if plan_id in simulated])
+    skipped = [
+        Skipped(records[plan_id].source, plan_id, f"{run.path}: plan {printable_name(plan_id)} {why}")
+        for plan_ids, why in (
+            (lookup.missing, "is neither in the run nor in a file any more"),
+            (lookup.changed, "is no longer the one that the run simulated: its file changed"),
+        )
+        for plan_id in plan_ids
+    ]
+    if strict and skipped:
+        raise InputError(skipped[0].message)
+    if not lookup.plans:
+        first = f"; the first: {skipped[0].message}" if skipped else ""
+        raise InputError(f"{run.path}: the run keeps none of its plans{first}")
+    return PlanSet([lookup.plans[plan_id] for plan_id in records if plan_id in lookup.plans], skipped)
 
 
 def how_read(info: Mapping[str, Any]) -> RunOptions:

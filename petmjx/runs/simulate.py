@@ -27,6 +27,7 @@ from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files, usable_plans
 from petmjx.results.history_tables import Recording, recording_of
 from petmjx.results.part_order import LARGE, Places
+from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.plan_table import placements_table
 from petmjx.results.resume import engine_of_run
 from petmjx.results.run_manifest import Manifest, PlanRecord, records_of
@@ -92,6 +93,7 @@ def simulate(
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
+    plans = plans_in_place(plans, options.strict)
     with engine_warmup(options, plans) as ahead:
         plan_set = usable_plans(plans, sim, options)
         study = ask(plan_set.plans, options)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+import numpy as np
 import pandas as pd
 from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from petmjx.common.text import box_label, count_text, printable_name, three_digits
+from petmjx.engines.knife_edges import kept_edges, nearest_edge
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.results.run_reader import RunResults, split_warnings
 from petmjx.runs.confidence import contradiction_mask
@@ -220,23 +222,34 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
         table.add_row(f"{what}/s", three_digits(done / seconds), f"{seconds:,.1f} s")
 
 
-def _least_edge(row: Mapping[Any, Any]) -> tuple[str, str]:
-    """The smallest distance of a load from an edge, mm, and the box that it belongs to: by the plan, at rest or while
-    it is built."""
-    edges = [
-        (row[f"{when}_edge_m"], row.get(f"{when}_edge_box"))
-        for when in ("plan", "build", "rest")
-        if not pd.isna(row.get(f"{when}_edge_m"))
-    ]
-    if not edges:
+def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
+    """The distance of a load from an edge, mm, and the box that it belongs to: of the load that set the flag
+    ``knife-edge``; without the flag, of the load with the smallest distance.
+
+    Args:
+        row: the world.
+        of_boxes: its rows of ``boxes``; None: they are not kept.
+    """
+    flagged = bool(int(row["flags"]) & Flag.KNIFE_EDGE)
+    plan_edge_m, rest_edge_m = (
+        None if not flagged or of_boxes is None or name not in of_boxes
+        else of_boxes.sort_values("box")[name].to_numpy(float, na_value=np.nan)
+        for name in ("plan_edge_m", "rest_edge_m")
+    )  # fmt: skip
+    kept = kept_edges(row, plan_edge_m, rest_edge_m)
+    edge = (
+        nearest_edge(kept, Verdict(row["verdict"]))
+        if flagged
+        else min(kept, key=lambda edge: edge.edge_m, default=None)
+    )
+    if edge is None:
         return "", ""
-    edge_m, box = min(edges, key=lambda edge: edge[0])
-    return number(edge_m, ".1f", factor=1000.0), number(box, ".0f")
+    return number(edge.edge_m, "z.1f", factor=1000.0), "" if edge.box < 0 else str(edge.box)
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
     """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics. If a world is
-    on a knife's edge, the table also has the smallest distances of loads from edges, and their boxes.
+    on a knife's edge, the table also has distances of loads from edges, and their boxes.
 
     Args:
         worlds, boxes: tables of the run. Without boxes the article of the first box to fail is not known.
@@ -260,6 +273,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
     )
     left_out = {} if orders is None else orders.set_index("plan_id")["left_out"].to_dict()
     articles = boxes.set_index(["plan_id", "box"])["article"].to_dict()
+    by_plan = dict(iter(boxes.groupby("plan_id"))) if on_edge and len(boxes) else {}
     for row in worlds.to_dict("records"):
         culprit = row["culprit"]
         first = "" if pd.isna(culprit) else box_label(culprit, articles.get((row["plan_id"], culprit), ""))
@@ -276,7 +290,7 @@ def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame
             number(row["first_sign_s"], ".2f"),
             number(row["max_shift_m"], ".1f", factor=1000.0),
             number(row["max_tilt_deg"], ".1f"),
-            *(_least_edge(row) if on_edge else ()),
+            *(_edge_cells(row, by_plan.get(row["plan_id"])) if on_edge else ()),
             number(row["rest_top_force_n"], "z.1f"),
         )
     return table

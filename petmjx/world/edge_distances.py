@@ -166,13 +166,17 @@ class LeastBuildingEdge(NamedTuple):
         edge_m: distance from the edge, positive inside; NaN: there is no load.
         box: the box that has the load; -1: there is no load.
         step: the box after whose placement it has this load; -1: there is no load.
-        nearest_m: the least distance of a load from an edge, on either side.
+        nearest_m: distance of the load that is nearest to an edge, on either side.
+        nearest_box: the box that has that load.
+        nearest_step: the box after whose placement it has that load.
     """
 
     edge_m: float
     box: int
     step: int
     nearest_m: float
+    nearest_box: int
+    nearest_step: int
 
 
 def building_edges(
@@ -389,7 +393,7 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
         last, seen = balanced_after(bearing, built, step)
         if (seen < 0).any():
             box = int(np.nanargmin(seen))
-            return LeastBuildingEdge(float(seen[box]), box, step, float(np.nanmin(np.abs(edge))))
+            return LeastBuildingEdge(float(seen[box]), box, step, *_nearest(built._replace(edge_m=edge)))
         edge[last] = np.where(edge[last] < 0, seen[built.box[last]], edge[last])
     edge[edge < 0] = np.nan
     return _least(built._replace(edge_m=edge))
@@ -411,9 +415,17 @@ def _least(built: BuildingLoads) -> LeastBuildingEdge:
     """The least of one scene's edges."""
     known = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
     if not (known < np.inf).any():
-        return LeastBuildingEdge(np.nan, -1, -1, np.nan)
-    place, nearest = int(known.argmin()), float(np.abs(known).min())
-    return LeastBuildingEdge(float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), nearest)
+        return LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
+    place = int(known.argmin())
+    return LeastBuildingEdge(
+        float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), *_nearest(built)
+    )
+
+
+def _nearest(built: BuildingLoads) -> tuple[float, int, int]:
+    """Distance, box and step of the load of one scene that is nearest to an edge, on either side."""
+    place = int(np.nanargmin(np.abs(built.edge_m)))
+    return float(built.edge_m[place]), int(built.box[place]), int(built.step[place])
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:

@@ -303,3 +303,25 @@ def test_right_plans_whose_rows_are_flush_in_y_are_not_suspected(seed: int) -> N
     plan_set = gather_plans([plan], Simulation(carrier=Carrier.EURO_PALLET), RunOptions())
     assert plan_set.warnings
     assert plan_set.conventions == []
+
+
+def _columns_of(size: tuple[float, float, float], step: tuple[float, float, float], numbers: tuple[int, int]) -> Plan:
+    """``numbers``: boxes in x and in the direction of ``step``."""
+    corner = np.array([(x * size[0], 0, 0) + k * np.array(step) for k in range(numbers[1]) for x in range(numbers[0])])
+    return Plan.from_boxes("A", size_mm=np.tile(size, (len(corner), 1)), corner_mm=corner, mass_kg=[8.0] * len(corner))
+
+
+def test_heights_in_y_are_named_if_all_boxes_stand_on_the_carrier() -> None:
+    """Columns whose boxes overlap, and a wall whose boxes lie in a row that is longer than the carrier."""
+    sim = Simulation(carrier=Carrier.EURO_PALLET)
+    for plan in (_columns_of((400, 300, 200), (0, 200, 0), (2, 5)), _columns_of((400, 200, 300), (0, 200, 0), (3, 7))):
+        (line,) = gather_plans([plan], sim, RunOptions()).conventions
+        assert line.startswith("y and z look swapped: in plan A ")
+    right = (
+        _columns_of((400, 200, 300), (0, 200, 0), (3, 4)),  # fits
+        _columns_of((400, 200, 300), (0, 200, 0), (2, 6)),  # fits a carrier that is turned
+        _columns_of((300, 270, 200), (0, 270, 0), (4, 3)),  # hangs over by 10 mm
+        _columns_of((400, 300, 200), (0, 290, 0), (2, 2)),  # overlaps a little
+    )
+    for plan in right:
+        assert gather_plans([plan], sim, RunOptions()).conventions == []

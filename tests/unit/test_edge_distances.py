@@ -17,7 +17,8 @@ from test_fallback import Scripted, never, scored
 import petmjx
 from petmjx.analysis.story import headline, notes_in_words
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.outcome_checks import note_edges, outcome_checks
+from petmjx.engines.knife_edges import WHILE_BUILT, nearest_edge
+from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_checks
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.show.run_tables import worlds_table
@@ -228,3 +229,64 @@ def test_the_table_names_the_box_on_the_edge() -> None:
     assert [" ".join(row.split()[-3:-1]) for row in rows] == ["0.2 1", "49.9 0"]
     console.print(worlds_table(results.worlds[1:], results.boxes))
     assert "mm box" not in console.export_text()
+
+
+BESIDE: Sequence[Box] = (
+    ((400, 300, 200), (0, 0, 0), 10.0),
+    ((400, 300, 200), (199.7, 0, 200), 5.0),
+    ((400, 300, 200), (0, 600, 0), 10.0),
+    ((400, 300, 200), (230, 600, 200), 5.0),
+)
+"""A tower with a load 0.25 mm inside, and one beside it that hangs over by 30 mm."""
+HELD: Sequence[Box] = (
+    ((400, 300, 200), (0, 0, 0), 5.0),
+    ((400, 300, 194), (400, 0, 0), 5.0),
+    ((800, 300, 100), (0, 0, 200), 3.0),
+    ((400, 300, 100), (400, 0, 300), 8.0),
+)
+"""A lid whose own weight alone acts at the edge of its only support."""
+
+
+def test_the_box_that_sets_the_flag_is_named_and_not_the_one_that_is_furthest_beyond() -> None:
+    results = petmjx.score([make_plan("two", BESIDE)], engine="mujoco")
+    assert (results.worlds.build_edge_box[0], results.worlds.build_edge_m[0] < -0.03) == (3, True)
+    console = Console(width=140, record=True, file=StringIO())
+    console.print(worlds_table(results.worlds, results.boxes))
+    row = console.export_text().strip().splitlines()[-1].split()
+    assert row[-3:-1] == ["0.3", "1"]
+    note = notes_in_words(petmjx.tell("two", results))[0]
+    assert "within 0.25 mm, by the plan" in note
+    assert "(the load of box 1 (" in note
+
+
+def test_a_box_is_named_whose_own_weight_sets_the_flag() -> None:
+    """No table keeps the distance of its own weight alone: it is computed again."""
+    results = petmjx.score([make_plan("held", HELD)], engine="mujoco")
+    assert results.worlds["flags"][0] & Flag.KNIFE_EDGE
+    note = notes_in_words(petmjx.tell("held", results))[0]
+    assert "within 0.05 mm, by the plan" in note
+    assert "(the own weight of box 2 (" in note
+    console = Console(width=140, record=True, file=StringIO())
+    console.print(worlds_table(results.worlds, results.boxes))
+    assert "mm box" in " ".join(console.export_text().split())
+
+
+def test_the_nearest_load_while_a_plan_is_built_is_named() -> None:
+    """A beam whose end is 0.25 mm inside until a box moves the load inwards, beside a tower that hangs over."""
+    scene = make_scene(
+        (
+            ((400, 300, 200), (0, 0, 0), 10.0),
+            ((400, 300, 100), (199.7, 0, 200), 5.0),
+            ((150, 300, 100), (199.7, 0, 300), 5.0),
+            *BESIDE[2:],
+        ),
+        Simulation(),
+    )
+    fell = make_outcome(5, Verdict.UNSTABLE, Reason.DROP, culprit=4)
+    note_edges([fell], [Job(scene)])
+    assert fell.flags & Flag.KNIFE_EDGE
+    assert fell.build_edge_box == 4
+    nearest = nearest_edge((edge for edge in edges_again(scene, fell) if edge.when == WHILE_BUILT), fell.verdict)
+    assert nearest is not None
+    assert (nearest.box, nearest.step) == (1, 1)
+    assert nearest.edge_m == pytest.approx(0.25e-3, abs=1e-9)

@@ -11,6 +11,8 @@ import pytest
 from support.command_line import run
 
 import petmjx
+from petmjx.cli import main
+from petmjx.common.errors import InputError
 from petmjx.plans.plan import Plan
 from petmjx.results.plan_table import kept_plans, placements_table
 from petmjx.results.run_manifest import plan_digest, records_of
@@ -129,3 +131,21 @@ def test_resumed_runs_keep_them_once(tmp_path: Path) -> None:
     petmjx.score(plans()[:2], engine="mujoco", out=tmp_path / "run", resume=True)
     assert part.read_bytes() == before
     assert [file.name for file in part.parent.iterdir()] == ["part-00000.parquet"]
+
+
+def test_the_folder_of_a_run_stands_for_its_plans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also of plans that are in no file."""
+    folder, again, file = tmp_path / "R", tmp_path / "again", tmp_path / "plans.json"
+    given = plans()[:3]
+    names = [plan.plan_id for plan in given]
+    petmjx.score(given, engine="mujoco", check="static", duration_s=0.1, out=folder)
+    assert petmjx.score(folder, engine="mujoco", check="static", out=again).worlds.plan_id.tolist() == names
+    for options in ({"run": folder}, {"plans": str(folder)}, {"plans": [folder], "run": petmjx.load_run(folder)}):
+        asked = petmjx.criteria(**options, only=("support_75",))
+        assert asked.plans.plan_id.tolist() == names
+    assert main(["criteria", "--run", str(folder), "--only", "support_75", "--json"]) == 0
+    assert main(["convert", str(folder), "--out", str(file)]) == 0
+    assert [plan.plan_id for plan in petmjx.load_plans(file)] == names
+    capsys.readouterr()
+    with pytest.raises(InputError, match=r"R: the folder of a run, not of plans: petmjx convert writes"):
+        petmjx.load_plans(folder)
