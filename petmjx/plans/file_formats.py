@@ -44,8 +44,10 @@ def is_parquet(path: Path) -> bool:
         return is_parquet_name(path) or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
 
 
-_COLUMNS: Final = ("plan_id", "sequence", "article", "length", "width", "height", "weight", "x_mm", "y_mm", "z_mm")
-"""Column names by which text is recognised as a table if the file's name does not say so."""
+_N_NEEDED: Final = 5
+_COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|weight)[\w/ ()]*|[xyz]_mm)")
+"""Names of columns by which text is recognised as a table if the file's name does not say so: more than
+``_N_NEEDED`` of them."""
 
 _JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
 """The beginning of JSON. No header of a table begins so."""
@@ -77,9 +79,8 @@ def foreign_kind_of(path: Path) -> str | None:
 def looks_like_table(data: bytes | bytearray) -> bool:
     """Whether a text begins with the header of a table of placements, or with Excel's mark of the separator."""
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
-    if first[:1] in (b"{", b"["):
-        return False
-    return separator_mark(first) is not None or sum(name.encode() in first for name in _COLUMNS) > len(_COLUMNS) // 2
+    cells = [cell.strip(b'" ') for cell in re.split(rb"[,;\t]", first)]
+    return separator_mark(first) is not None or sum(_COLUMN.fullmatch(cell) is not None for cell in cells) > _N_NEEDED
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:

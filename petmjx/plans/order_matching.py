@@ -156,7 +156,9 @@ def match(plan: Plan, order: Order) -> Matching:
                 )
                 for box, item in pairs:
                     matched[box], resized[box], by_size[box] = item, not alike, not way.named
-    same_size = resized & _equal_measures(of_boxes[:, :_N_PLAIN], of_items[matched][:, :_N_PLAIN])
+    same_size = resized.copy()
+    if resized.any():
+        same_size &= _equal_measures(of_boxes[:, :_N_PLAIN], of_items[matched][:, :_N_PLAIN])
     return Matching(matched, resized, by_size, plan.sheets, len(items), same_size)
 
 
@@ -469,12 +471,10 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
         (matching.resized & ~matching.same_size, *_RESIZED),
         (matching.same_size, *_ALTERED),
     ):
-        if boxes := np.flatnonzero(some).tolist():
-            number = len(boxes)
-            names = [f"{_name_of_box(plan, box)}: {_pair(plan, order, matching, box)}" for box in boxes]
-            parts.append(
-                f"{count_text(number, 'box', 'boxes')} {one if number == 1 else many} ({_in_words(names, '; ')})"
-            )
+        if numbers := np.flatnonzero(some).tolist():
+            names = [f"{_name_of_box(plan, box)}: {_pair(plan, order, matching, box)}" for box in numbers]
+            verb = one if len(numbers) == 1 else many
+            parts.append(f"{count_text(len(numbers), 'box', 'boxes')} {verb} ({_in_words(names, '; ')})")
     return "; ".join(parts)
 
 

@@ -72,7 +72,7 @@ def _read_whole(path: Path, name: str) -> bytearray:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
     if data.startswith(PARQUET_MAGIC):
         raise InputError(f"{name}: is Parquet: {_ARE_JSON}")
-    if looks_like_table(data) or (is_csv(path) and data[:1].strip() not in (b"", b"{", b"[")):
+    if looks_like_table(data) or (is_csv(path) and data.strip() and data[:1] not in b" \t\r\n{["):
         raise InputError(f"{name}: is a table as text (CSV): {_ARE_JSON}")
     try:
         n_orders = sum(1 for _ in scan_plans(data, "order id → order", "order"))

@@ -27,7 +27,9 @@ Box = tuple[str, str, Sequence[float], float]
 
 
 def ordered(*boxes: Box, target: str = "euro-pallet") -> Order:
-    return Order(target, tuple(Item(article, item_id, "", *size, kg) for item_id, article, size, kg in boxes))
+    return Order(
+        target, tuple(Item(article, item_id, "", size[0], size[1], size[2], kg) for item_id, article, size, kg in boxes)
+    )
 
 
 def packed(*boxes: Box, corners: Sequence[Sequence[float]] | None = None, kinds: tuple[str, ...] = ()) -> Plan:
