@@ -62,7 +62,7 @@ COLUMNS: Final = (
     KpiColumn("n_ordered", "int64", "1", "boxes of the order"),
     KpiColumn("n_boxes", "int64", "1", "boxes of the plan"),
     KpiColumn("n_not_ordered", "int64", "1", "boxes of the plan that were not ordered, or not so often"),
-    KpiColumn("n_resized", "int64", "1", "boxes of the plan that were ordered with another size or mass"),
+    KpiColumn("n_resized", "int64", "1", "boxes of the plan that were ordered with another size, mass or property"),
     KpiColumn("kpi_1", "float64", "1", "share of the ordered boxes that is left out"),
     KpiColumn("kpi_2", "float64", "1", "volume of the boxes / (area of the target × greatest height)"),
     KpiColumn("kpi_3", "float64", "m", "greatest height"),

@@ -179,13 +179,18 @@ def compare_packers(
     return comparison_of(runs_by_packer(runs), confidence, None if orders is None else Path(orders))
 
 
-def comparison_of(runs: Mapping[str, RunResults], confidence: float, orders: Path | None) -> PackerComparison:
+def comparison_of(
+    runs: Mapping[str, RunResults], confidence: float, orders: Path | None, articles: Path | None = None
+) -> PackerComparison:
     """The comparison of packers by open runs. A single packer has no pairs.
+
+    Args:
+        articles: a table of articles, for properties that the orders do not give; None: the one that all runs name.
 
     Raises:
         InputError: unreadable orders, or SciPy is missing.
     """
-    against = None if orders is None else against_orders(runs, orders)
+    against = None if orders is None else against_orders(runs, orders, articles)
     plans = plans_of(runs, against)
     notes = doubts(runs, plans)
     if against is not None:

@@ -12,11 +12,12 @@ import pandas as pd
 
 from petmjx.analysis.kpis import kpis_of
 from petmjx.common.text import count_text, first_names, printable, printable_name
+from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.order_generator import Order
-from petmjx.plans.order_matching import OddBoxes, counts_of, match, on_target
+from petmjx.plans.order_matching import OddBoxes, counts_of, match, on_target, with_properties
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
-from petmjx.results.plan_lookup import find_plans
+from petmjx.results.plan_lookup import find_plans, how_read
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 
@@ -46,18 +47,23 @@ class OrderComparison:
     notes: tuple[str, ...] = ()
 
 
-def against_orders(runs: Mapping[str, RunResults], file: Path) -> OrderComparison:
+def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | None = None) -> OrderComparison:
     """Compare the plans of runs with the orders of a file. The plans are read again.
 
     Args:
         runs: name of each packer → its run.
         file: BED-BPP orders. An order belongs to the plans with its id.
+        articles: a table of articles, for properties that the orders do not give; None: the one that all runs name.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: a file cannot be read.
     """
     unusable: list[str] = []
-    orders = dict(read_orders(file, lambda error: unusable.append(str(error))))
+    table = _articles_of(runs) if articles is None else read_articles(articles)
+    orders = {
+        name: with_properties(order, table)
+        for name, order in read_orders(file, lambda error: unusable.append(str(error)))
+    }
     plans = {name: _plans_of(run, orders) for name, run in runs.items()}
     comparison = compare_with_orders(plans, orders)
     notes = list(comparison.notes)
@@ -116,6 +122,13 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
     table = pd.DataFrame(rows, columns=["plan_id", "packer", *GOODS, *KPIS])
     sizes = {order_id: len(order.items) for order_id, order in orders.items()}
     return OrderComparison(sizes, table.astype(dict.fromkeys((*GOODS, *KPIS), "float64")), tuple(notes))
+
+
+def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
+    """The table of articles that all runs name, if they were scored with the same; else None."""
+    named = {how_read(run.info).articles for run in runs.values()}
+    file = named.pop() if len(named) == 1 else None
+    return read_articles(file) if file is not None and file.is_file() else None
 
 
 def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:

@@ -21,6 +21,7 @@ from pydantic._internal._model_construction import ModelMetaclass  # has no publ
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
+from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
 
@@ -323,6 +324,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{printable(str(path))}: no such file") from None
     except (OSError, ValueError) as error:  # ValueError: no file can have this name
         raise InputError(f"{printable(str(path))}: cannot be read: {reason(error)}") from None
+    if (kind := foreign_kind(data)) is not None:
+        raise InputError(f"{printable(str(path))}: {kind.partition(':')[0]}, not TOML")
     if _MANY_PARTS.search(data):
         raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
     try:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,8 +27,9 @@ from petmjx.options.run_options import MOST_WORKERS
 from petmjx.packers.baseline_packer import PackRules, PlacedBox
 from petmjx.packers.packer_registry import BASELINE, WHY, packer_named
 from petmjx.plans.json_writer import Placement, write_plans
-from petmjx.plans.order_generator import PACKER_STREAM, TARGET_EXTENT_MM, Order, draw_order, stream
+from petmjx.plans.order_generator import PACKER_STREAM, TARGET_EXTENT_MM, Item, Order, draw_order, stream
 from petmjx.plans.order_reader import read_orders
+from petmjx.plans.plan_fields import COM_FIELDS_JSON
 
 DEFAULT_LOOSE_SHARE = 0.5
 """Share of a mixed set's plans that are packed loosely. Measured on the first 100 plans of seed 0 (one by one,
@@ -260,12 +262,20 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
                 "height/mm": _plain(box.item.height_mm),
                 "weight/kg": box.item.weight_kg,
                 "sequence": rank,
+                **_seldom(box.item),
             },
             "orientation": box.orientation,
             "flb_coordinates": [_plain(value) for value in box.corner_mm],
         }
         for rank, box in enumerate(placed, start=1)
     ]
+
+
+def _seldom(item: Item) -> dict[str, Any]:
+    """The properties of an item that few orders give."""
+    given: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
+    given |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
+    return given | ({"kind": item.kind} if item.kind else {})
 
 
 def _plain(value_mm: float) -> int | float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
@@ -25,12 +26,16 @@ from petmjx.common.checked_records import read_toml, reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import number_in, printable, printable_name
 from petmjx.plans.file_formats import (
+    COMMA_NUMBER,
     CSV_SUFFIXES,
     PARQUET_SUFFIX,
+    foreign_kind_of,
     is_csv,
     is_parquet_name,
+    looks_like_json,
     number_hint,
     other_encoding,
+    point_fault,
     separator_mark,
 )
 from petmjx.plans.json_reader import read_text_bytes
@@ -61,6 +66,7 @@ _LONGEST_MATERIAL: Final = 100
 MOST_ARTICLES: Final = 1_000_000
 """Largest number of articles of a table: more than any warehouse has. They take some 400 MB."""
 
+_COMMA_NUMBER: Final = re.compile(COMMA_NUMBER)
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
 
 
@@ -150,6 +156,9 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
+        named = is_csv(file) or file.suffix.lower() == ".toml"  # their readers name other kinds themselves
+        if not named and (foreign := foreign_kind_of(file)) is not None:
+            raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":
             rows = _toml_rows(read_toml(file), name)
         elif is_parquet_name(file):
@@ -253,6 +262,8 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
     data, fault = read_text_bytes(file)
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
+    if looks_like_json(data):
+        raise InputError(f"{name}: is JSON: a table of articles is TOML, CSV or Parquet")
     try:
         text = data.decode()
     except UnicodeDecodeError:
@@ -263,6 +274,7 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
     if (mark := separator_mark(header.encode())) is not None:
         raise InputError(f"{name}: {mark}")
     delimiter = max(",;\t", key=header.count)
+    commas = delimiter == ";" and _has_decimal_commas(text)
     number = 0
     try:
         rows = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
@@ -270,7 +282,7 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
             if number == 1:
                 names = row
             elif row:
-                yield f"row {number}", _cells(name, number, names, row, delimiter)
+                yield f"row {number}", _cells(name, number, names, row, commas)
     except csv.Error as error:
         unclosed = "unexpected end of data" in str(error)
         why = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
@@ -285,19 +297,32 @@ def _is_utf8(data: bytes | bytearray) -> bool:
     return True
 
 
-def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], delimiter: str) -> dict[str, Any]:
+def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], commas: bool) -> dict[str, Any]:
     if len(row) != len(names):
         raise InputError(f"{name}: row {number}: has {len(row)} fields instead of {len(names)}")
     values = dict(zip(names, row, strict=True))
     known = [field.strip().lower() for field in names]
     if twice := next((field for field in known if known.count(field) > 1), None):
         raise InputError(f"{name}: row 1: the column {printable_name(twice)} is repeated")
-    if delimiter == ";":
-        values = {
-            field: value.replace(",", ".") if field.strip().lower() in _NUMBERS else value
-            for field, value in values.items()
-        }
+    if commas:
+        for field, value in values.items():
+            if (plain := field.strip().lower()) in _NUMBERS:
+                if (fault := point_fault(plain, value)) is not None:
+                    raise InputError(f"{name}: row {number}: {fault}")
+                values[field] = value if "." in value else value.replace(",", ".")
     return values
+
+
+def _has_decimal_commas(text: str) -> bool:
+    """Whether a number of a table with semicolons has a decimal comma."""
+    if "," not in text:
+        return False
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter=";")
+    try:
+        numeric = [at for at, field in enumerate(next(rows, [])) if field.strip().lower() in _NUMBERS]
+        return any(_COMMA_NUMBER.match(row[at]) for row in rows for at in numeric if at < len(row))
+    except csv.Error:  # said of the row when the table is read
+        return False
 
 
 def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -6,8 +6,9 @@ import re
 from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
+from petmjx.common.file_kinds import LOOKED_AT_ARCHIVE, foreign_kind
 from petmjx.common.safe_read import open_regular
-from petmjx.common.text import shortened_text
+from petmjx.common.text import number_in, shortened_text
 
 PARQUET_MAGIC: Final = b"PAR1"
 PARQUET_SUFFIX: Final = ".parquet"
@@ -43,66 +44,48 @@ def is_parquet(path: Path) -> bool:
         return is_parquet_name(path) or file.read(len(PARQUET_MAGIC)) == PARQUET_MAGIC
 
 
-_SAVE: Final = "save the sheet as CSV"
+_N_NEEDED: Final = 5
+_COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|weight)[\w/ ()]*|[xyz]_mm)")
+"""Names of columns by which text is recognised as a table if the file's name does not say so: more than
+``_N_NEEDED`` of them."""
 
-_MAGIC: Final = (
-    (b"\x93NUMPY", "is a NumPy array (.npy): plans have names and several columns, as a table in CSV or Parquet has"),
-    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"is an Excel workbook of the old kind (.xls): {_SAVE}"),
-    (b"ARROW1", "is an Arrow file (Feather): save the table as Parquet"),
-    (b"FEA1", "is a Feather file: save the table as Parquet"),
-    (b"\x89HDF\r\n\x1a\n", "is an HDF5 file: save the table as Parquet or CSV"),
-    (b"SQLite format 3\0", "is an SQLite database: save the table as Parquet or CSV"),
-    (b"%PDF", "is a PDF document"),
-    (b"\x89PNG\r\n\x1a\n", "is a picture (PNG)"),
-    (b"\xff\xd8\xff", "is a picture (JPEG)"),
-    (b"BZh", "is packed with bzip2: unpack it, or pack it with gzip"),
-    (b"\xfd7zXZ\0", "is packed with xz: unpack it, or pack it with gzip"),
-    (b"\x28\xb5\x2f\xfd", "is packed with Zstandard: unpack it, or pack it with gzip"),
-    (b"7z\xbc\xaf\x27\x1c", "is a 7z archive: unpack it"),
-)
-"""First bytes of files that are no text, and the error text for each."""
-
-_MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]", re.IGNORECASE)
-_PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
-_LOOKED_AT: Final = 1 << 12
-"""Number of bytes at the beginning of a file by which its format is recognised."""
+_JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
+"""The beginning of JSON. No header of a table begins so."""
 
 _SEPARATOR_MARK: Final = re.compile(rb"\s*\"?sep=.\"?[\s;,]*", re.IGNORECASE)
 
 _LONGEST_NUMBER: Final = 40
 _DECIMAL_COMMA: Final = re.compile(r"[+-]?\d*,\d+")
+COMMA_NUMBER: Final = r"^\s*[+-]?(\d*,\d+|\d+,|\d{1,3}(\.\d{3})+,\d+)([eE][+-]?\d+)?\s*$"
+"""A number with a decimal comma, maybe with points between its thousands."""
+_POINTS: Final = re.compile(r"[+-]?\d{1,3}(\.\d{3})+")
 _GROUPED: Final = re.compile(
     r"[+-]?\d{1,3}(?P<mark>[.,'\u2019 \u00a0\u202f])\d{3}(?:(?P=mark)\d{3})*(?:(?P<decimal>[.,])\d+)?"
 )
 """Numbers with a mark between groups of three digits, and maybe a decimal mark."""
 
 
-def foreign_kind(data: bytes | bytearray) -> str | None:
-    """The format of a file that cannot be JSON or CSV, by its first bytes, as an error text. None: it may be JSON or
-    CSV.
+def foreign_kind_of(path: Path) -> str | None:
+    """The format of a file that is neither text nor Parquet, as :func:`foreign_kind` says it.
+
+    Raises:
+        OSError: the file cannot be read, or is no regular file.
+        ValueError: no file can have this name.
     """
-    begin = bytes(data[:_LOOKED_AT])
-    if begin.startswith(b"PK\x03\x04"):
-        return _zip_kind(bytes(data[: 1 << 16]))
-    kind = next((text for magic, text in _MAGIC if begin.startswith(magic)), None)
-    if kind is not None:
-        return kind
-    if _PICKLE.match(begin):
-        return "is a Python pickle, which is never read: save plans with petmjx.save_plans"
-    if (markup := _MARKUP.match(begin)) is not None:
-        html = markup[1].lower() in (b"!doctype html", b"html")
-        return "is a web page (HTML)" if html else "is XML: plans are JSON, or tables in CSV or Parquet"
-    return None
+    with open_regular(path) as file:
+        return foreign_kind(file.read(LOOKED_AT_ARCHIVE))
 
 
-def _zip_kind(begin: bytes) -> str:
-    if b"xl/" in begin or b"[Content_Types].xml" in begin:
-        return f"is an Excel workbook (.xlsx): {_SAVE}"
-    if b"opendocument.spreadsheet" in begin:
-        return f"is a workbook (.ods): {_SAVE}"
-    if b".npy" in begin:
-        return "holds NumPy arrays (.npz): plans have names and several columns, as a table in CSV or Parquet has"
-    return "is a ZIP archive: unpack it"
+def looks_like_table(data: bytes | bytearray) -> bool:
+    """Whether a text begins with the header of a table of placements, or with Excel's mark of the separator."""
+    first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
+    cells = [cell.strip(b'" ') for cell in re.split(rb"[,;\t]", first)]
+    return separator_mark(first) is not None or sum(_COLUMN.fullmatch(cell) is not None for cell in cells) > _N_NEEDED
+
+
+def looks_like_json(data: bytes | bytearray) -> bool:
+    """Whether a text begins as JSON does, and as no table does."""
+    return _JSON.match(data) is not None
 
 
 def separator_mark(header: bytes | bytearray) -> str | None:
@@ -144,3 +127,26 @@ def number_hint(text: str) -> str:
     if _DECIMAL_COMMA.fullmatch(plain):
         return f": it has a decimal comma; write {plain.replace(',', '.')}, or semicolons between the table's columns"
     return ""
+
+
+def point_fault(field: str, value: object) -> str | None:
+    """The error text for a number with a decimal point, or a point between thousands, in a table whose numbers have
+    decimal commas; None: the value has no point.
+    """
+    if not isinstance(value, str) or "." not in value or len(value) > _LONGEST_NUMBER or number_hint(value):
+        return None
+    plain = value.strip()
+    with_comma = plain.replace(".", ",")
+    if _POINTS.fullmatch(plain):
+        whole = plain.replace(".", "")
+        if plain.count(".") > 1:
+            return f'{field} must be a number, got "{plain}": it has marks between its thousands; write {whole}'
+        return (
+            f'{field} must be a number, got "{plain}": other numbers of this file have decimal commas; '
+            f"write {whole} or {with_comma}, whichever it is"
+        )
+    if number_in(plain) is None:
+        return None
+    return (
+        f'{field} must be a number, got "{plain}": other numbers of this file have decimal commas; write {with_comma}'
+    )

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from petmjx.common.errors import InputError
+from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, MOST_RATIO, read_regular, size
 from petmjx.common.text import printable_name
-from petmjx.plans.file_formats import foreign_kind
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"
 _GZIP_CHUNK: Final = 1 << 14

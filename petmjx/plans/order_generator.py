@@ -10,7 +10,7 @@ Order i depends only on (seed, i), so the orders of a smaller set are the first 
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -78,7 +78,13 @@ _FAMILIES = (
 
 @dataclass(frozen=True)
 class Item:
-    """One box of an order, with BED-BPP's fields."""
+    """One box of an order, with BED-BPP's fields.
+
+    Attributes:
+        com_mm: centre of mass relative to the item's middle, along length, width and height, mm; None: not given.
+        stiffness_n_mm: as in ``Plan``; None: not given.
+        kind: "box", "sheet" or "" (not given).
+    """
 
     article: str
     item_id: str
@@ -87,6 +93,9 @@ class Item:
     width_mm: float
     height_mm: float
     weight_kg: float
+    com_mm: tuple[float, float, float] | None = field(default=None, kw_only=True)
+    stiffness_n_mm: float | None = field(default=None, kw_only=True)
+    kind: str = field(default="", kw_only=True)
 
     @property
     def volume_m3(self) -> float:

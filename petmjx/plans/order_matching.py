@@ -1,9 +1,13 @@
 """Matching of plans with their orders (``match``, ``check_orders``).
 
 ``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by the one of them that is
-present, or, if a box has neither, by size and mass. An item matches one box at most: if an item is packed twice, the
-second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
+present, or, if a box has neither, by size, mass and properties. An item matches one box at most: if an item is packed
+twice, the second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
 orientation.
+
+Properties of goods are the order's, and no matter of a packer: a box whose centre of mass, stiffness or kind is another
+one than its item's differs like a box of another size. An item has the properties that the order gives, else those of
+the user's table of articles (:func:`with_properties`), else none: its centre of mass is in its middle, and it is rigid.
 
 ``check_orders`` compares plans with a file of orders: which items were left out, which boxes were not ordered, and
 which have another size or mass than ordered.
@@ -13,10 +17,11 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter, defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import permutations, product
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +32,10 @@ from petmjx.common.units import FloatArray
 from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import SHEET
+
+if TYPE_CHECKING:  # its module loads Arrow
+    from petmjx.plans.articles import Articles
 
 SIZE_TOLERANCE_MM: Final = 0.5
 """Tolerance of equal sizes: orders have whole millimetres, and packers may round to them."""
@@ -47,7 +56,8 @@ class Matching:
 
     Attributes:
         item: (n,) the item of each box; −1: the box was not ordered, or all its items are other boxes.
-        resized: (n,) whether the box has another size or mass than its item.
+        resized: (n,) whether the box has another size, mass, centre of mass, stiffness or kind than its item.
+        same_size: (n,) whether a box that is ``resized`` has its item's size and mass all the same.
         by_size: (n,) whether the box has neither id nor article, and was matched by size and mass.
         sheets: (n,) whether the box is an interlayer sheet, which orders need not have.
         n_items: m, the number of items.
@@ -58,10 +68,11 @@ class Matching:
     by_size: NDArray[np.bool_]
     sheets: NDArray[np.bool_]
     n_items: int
+    same_size: NDArray[np.bool_]
 
     @property
     def as_ordered(self) -> NDArray[np.bool_]:
-        """(n,) whether a box was ordered, with this size and mass."""
+        """(n,) whether a box was ordered, with this size and mass and these properties."""
         return (self.item >= 0) & ~self.resized
 
     @property
@@ -123,6 +134,9 @@ def match(plan: Plan, order: Order) -> Matching:
     boxes = [_Names(*names) for names in zip(plan.item_ids, plan.articles, strict=True)]
     items = [_Names(item.item_id, item.article) for item in order.items]
     of_boxes, of_items = _measures(plan.size_mm, plan.mass_kg), _measures_of(order.items)
+    if _has_properties(plan) or any(map(_item_has_properties, order.items)):
+        of_boxes = np.column_stack([of_boxes, _properties(plan, of_boxes[:, :3])])
+        of_items = np.column_stack([of_items, _properties_of(order.items, of_items[:, :3])])
     matched = np.full(plan.n_boxes, -1)
     resized, by_size = (np.zeros(plan.n_boxes, bool) for _ in range(2))
     _match_equal(boxes, of_boxes, items, of_items, matched)
@@ -142,7 +156,10 @@ def match(plan: Plan, order: Order) -> Matching:
                 )
                 for box, item in pairs:
                     matched[box], resized[box], by_size[box] = item, not alike, not way.named
-    return Matching(matched, resized, by_size, plan.sheets, len(items))
+    same_size = resized.copy()
+    if resized.any():
+        same_size &= _equal_measures(of_boxes[:, :_N_PLAIN], of_items[matched][:, :_N_PLAIN])
+    return Matching(matched, resized, by_size, plan.sheets, len(items), same_size)
 
 
 def _match_equal(
@@ -183,11 +200,91 @@ def _equal_pairs(
 
 
 def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether sizes and masses are equal within the tolerances."""
+    """Whether sizes and masses, and properties if they are there, are equal within the tolerances."""
     apart = np.abs(box - item)
     sizes = (apart[..., :3] <= SIZE_TOLERANCE_MM + _ROUNDING).all(axis=-1)
     masses = apart[..., 3] <= np.maximum(MASS_TOLERANCE * item[..., 3], MASS_TOLERANCE_KG) + _ROUNDING
-    return np.asarray(sizes & masses)
+    equal = np.asarray(sizes & masses)
+    if box.shape[-1] == _N_PLAIN:
+        return equal
+    box, item = box[..., _N_PLAIN:], item[..., _N_PLAIN:]
+    stiff = np.abs(box[..., 0] - item[..., 0]) <= MASS_TOLERANCE * item[..., 0] + _ROUNDING
+    equal &= stiff & (box[..., 1] == item[..., 1])
+    return np.asarray(equal & _equal_centres(box[..., 2:], item[..., 2:]))
+
+
+def _equal_centres(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
+    """Whether boxes have their centres of mass where the items have them, however they stand.
+
+    Args:
+        box, item: (…, 6) lengths, widths and heights, and centres of mass along them, mm.
+    """
+    equal = np.zeros(np.broadcast_shapes(box.shape[:-1], item.shape[:-1]), bool)
+    for axes, signs in _ROTATIONS:
+        turned = np.concatenate([box[..., axes], box[..., 3:][..., axes] * signs], axis=-1)
+        equal |= (np.abs(turned - item) <= SIZE_TOLERANCE_MM + _ROUNDING).all(axis=-1)
+    return equal
+
+
+def _parity(axes: tuple[int, ...]) -> int:
+    return 1 if axes in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1
+
+
+_ROTATIONS: Final = tuple(
+    (list(axes), np.array(signs, float))
+    for axes in permutations(range(3))
+    for signs in product((1, -1), repeat=3)
+    if _parity(axes) * signs[0] * signs[1] * signs[2] == 1
+)
+"""The 24 ways to turn a box: its axes in another order, and their signs. None of them is a mirror image."""
+
+_N_PLAIN: Final = 4
+"""Number of columns of :func:`_measures`."""
+
+
+def _has_properties(plan: Plan) -> bool:
+    return plan.mass_center_mm is not None or plan.stiffness_n_mm is not None or bool(plan.kinds)
+
+
+def _item_has_properties(item: Item) -> bool:
+    return item.com_mm is not None or item.stiffness_n_mm is not None or item.kind == SHEET
+
+
+def _properties(plan: Plan, sizes: FloatArray) -> FloatArray:
+    """(n, 8) stiffness (0: rigid), whether a sheet, and length, width, height and centre of mass along them."""
+    stiff = np.zeros(plan.n_boxes) if plan.stiffness_n_mm is None else np.nan_to_num(plan.stiffness_n_mm)
+    return _as_rows(stiff, plan.sheets, plan.item_size_mm, plan.item_com_mm, sizes)
+
+
+def _properties_of(items: tuple[Item, ...], sizes: FloatArray) -> FloatArray:
+    stiff = np.array([item.stiffness_n_mm or 0.0 for item in items])
+    sheets = np.array([item.kind == SHEET for item in items])
+    extents = np.array([(item.length_mm, item.width_mm, item.height_mm) for item in items], float)
+    return _as_rows(stiff, sheets, extents, np.array([item.com_mm or (0.0, 0.0, 0.0) for item in items]), sizes)
+
+
+def _as_rows(
+    stiff: FloatArray, sheets: NDArray[np.bool_], extents: FloatArray, com_mm: FloatArray, sizes: FloatArray
+) -> FloatArray:
+    """Properties in rows. Where the centre of mass is in the middle, sides are in ascending order, so that equal boxes
+    have equal rows however they stand.
+    """
+    off = com_mm.any(axis=1, keepdims=True)
+    return np.column_stack([stiff, sheets, np.where(off, extents, sizes), com_mm])
+
+
+def with_properties(order: Order, articles: Articles | None) -> Order:
+    """The order with properties of its items from a table of articles, where the order itself gives none."""
+    if articles is None:
+        return order
+    return replace(order, items=tuple(_filled_up(item, articles) for item in order.items))
+
+
+def _filled_up(item: Item, articles: Articles) -> Item:
+    known = articles.find(item.article, item.product_group)
+    com_mm = known.com_mm if item.com_mm is None else item.com_mm
+    stiffness = known.stiffness_n_mm if item.stiffness_n_mm is None else item.stiffness_n_mm
+    return replace(item, com_mm=com_mm, stiffness_n_mm=stiffness)
 
 
 def _measures(size_mm: FloatArray, mass_kg: FloatArray) -> FloatArray:
@@ -214,7 +311,8 @@ class PlanOrderCounts(NamedTuple):
         ordered_boxes: boxes of the order.
         left_out: boxes that were ordered, but are not in the plan.
         not_ordered: boxes of the plan that were not ordered.
-        resized: boxes of the plan that were ordered with another size or mass.
+        resized: boxes of the plan that were ordered with another size or mass, or with another centre of mass,
+            stiffness or kind.
     """
 
     ordered_boxes: int
@@ -282,6 +380,7 @@ def check_orders(
     takes: Callable[[str], bool] = lambda plan_id: True,
     all_plans: bool = True,
     strict: bool = False,
+    articles: Articles | None = None,
 ) -> OrderCheck:
     """Compare plans with the orders of a BED-BPP orders file. A plan and its order have the same id.
 
@@ -291,6 +390,7 @@ def check_orders(
         takes: whether the plan or order with an id is in this shard.
         all_plans: whether ``plans`` has all plans. If not, orders without a plan are not counted.
         strict: raise at the first unusable order, instead of leaving it out of the comparison.
+        articles: the user's table of articles, for properties that orders do not give.
 
     Raises:
         InputError: the file cannot be read, is damaged or has no usable order; with ``strict`` an order is unusable.
@@ -311,6 +411,7 @@ def check_orders(
         plan, in_shard = by_id.get(order_id), takes(order_id)
         counts.orders += in_shard
         if plan is not None:
+            order = with_properties(order, articles)
             matching = match(plan, order)
             ordered = check.of_plan[order_id] = counts_of(matching)
             if in_shard:
@@ -345,6 +446,13 @@ def counts_of(matching: Matching) -> PlanOrderCounts:
     return PlanOrderCounts(matching.n_items, matching.left_out, not_ordered, resized)
 
 
+_RESIZED: Final = ("has another size or mass than ordered", "have other sizes or masses than ordered")
+_ALTERED: Final = (
+    "has another centre of mass, stiffness or kind than ordered",
+    "have other centres of mass, stiffnesses or kinds than ordered",
+)
+
+
 def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
     """The differences between a plan and its order: "2 of 9 ordered boxes are left out (2 × jam)"; empty: none."""
     ordered, parts = counts_of(matching), []
@@ -359,14 +467,14 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
         verb = "was" if ordered.not_ordered == 1 else "were"
         names = [_name_of_box(plan, box) for box in np.flatnonzero(matching.not_ordered).tolist()]
         parts.append(f"{count_text(ordered.not_ordered, 'box', 'boxes')} {verb} not ordered ({_in_words(names)})")
-    if ordered.resized:
-        verb = "has another size or mass" if ordered.resized == 1 else "have other sizes or masses"
-        names = []
-        for box in np.flatnonzero(matching.resized).tolist():
-            item = order.items[matching.item[box]]
-            names.append(f"{_name_of_box(plan, box)}: {_measures_of_box(plan, box)} for {_measures_of_item(item)}")
-        boxes = count_text(ordered.resized, "box", "boxes")
-        parts.append(f"{boxes} {verb} than ordered ({_in_words(names, '; ')})")
+    for some, one, many in (
+        (matching.resized & ~matching.same_size, *_RESIZED),
+        (matching.same_size, *_ALTERED),
+    ):
+        if numbers := np.flatnonzero(some).tolist():
+            names = [f"{_name_of_box(plan, box)}: {_pair(plan, order, matching, box)}" for box in numbers]
+            verb = one if len(numbers) == 1 else many
+            parts.append(f"{count_text(len(numbers), 'box', 'boxes')} {verb} ({_in_words(names, '; ')})")
     return "; ".join(parts)
 
 
@@ -396,7 +504,8 @@ class OddBoxes:
         """Add the boxes of one plan."""
         kinds = {
             "not_ordered": matching.not_ordered,
-            "resized": matching.resized,
+            "resized": matching.resized & ~matching.same_size,
+            "altered": matching.same_size,
             "by_size": matching.by_size,
             "off_target": ~on_target(plan, order) & (matching.item >= 0),
         }
@@ -406,9 +515,8 @@ class OddBoxes:
             self.counts[kind] += len(some)
             if kind not in self.first:
                 words = f"plan {printable_name(plan.plan_id)}, {_name_of_box(plan, some[0])}"
-                if kind == "resized":
-                    item = order.items[matching.item[some[0]]]
-                    words += f": {_measures_of_box(plan, some[0])} for {_measures_of_item(item)}"
+                if kind in ("resized", "altered"):
+                    words += f": {_pair(plan, order, matching, some[0])}"
                 self.first[kind] = words
 
     def lines(self, whose: str = "") -> Iterator[str]:
@@ -419,7 +527,8 @@ class OddBoxes:
         """
         for kind, one, many in (
             ("not_ordered", "was not ordered", "were not ordered"),
-            ("resized", "has another size or mass than ordered", "have other sizes or masses than ordered"),
+            ("resized", *_RESIZED),
+            ("altered", *_ALTERED),
             ("off_target", "is not on the order's target", "are not on their orders' targets"),
             ("by_size", "has neither id nor article", "have neither id nor article"),
         ):
@@ -430,7 +539,10 @@ class OddBoxes:
 
 
 def _ordered_goods(item: Item) -> tuple[object, ...]:
-    return (item.item_id, item.article, item.length_mm, item.width_mm, item.height_mm, item.weight_kg)
+    plain = (item.item_id, item.article, item.length_mm, item.width_mm, item.height_mm, item.weight_kg)
+    if not _item_has_properties(item):
+        return plain
+    return (*plain, item.com_mm or (), item.stiffness_n_mm or 0.0, item.kind)
 
 
 def _name_of_item(item: Item, with_id: bool) -> str:
@@ -456,6 +568,24 @@ def _measures_of_box(plan: Plan, box: int) -> str:
 
 def _measures_of_item(item: Item) -> str:
     return _measures_in_words((item.length_mm, item.width_mm, item.height_mm), item.weight_kg)
+
+
+def _pair(plan: Plan, order: Order, matching: Matching, box: int) -> str:
+    """A box and its item: "400 × 300 × 201 mm, 8 kg for 400 × 300 × 200 mm, 8 kg"."""
+    item = order.items[matching.item[box]]
+    measures = _measures_of_box(plan, box), _measures_of_item(item)
+    if not matching.same_size[box]:
+        return " for ".join(measures)
+    stiffness = 0.0 if plan.stiffness_n_mm is None else float(np.nan_to_num(plan.stiffness_n_mm[box]))
+    is_box = _in_words_of(plan.item_com_mm[box].tolist(), stiffness, bool(plan.sheets[box]))
+    return f"{is_box} for {_in_words_of(item.com_mm or (0, 0, 0), item.stiffness_n_mm or 0.0, item.kind == SHEET)}"
+
+
+def _in_words_of(com_mm: Sequence[float], stiffness_n_mm: float, sheet: bool) -> str:
+    """Properties in words: "a sheet, centre of mass -190, 0, 0 mm off its middle, 300 N/mm"."""
+    offset = f"{', '.join(f'{value:g}' for value in com_mm)} mm off" if any(com_mm) else "in"
+    stiffness = f"{stiffness_n_mm:g} N/mm" if stiffness_n_mm else "rigid"
+    return f"{'a sheet' if sheet else 'a box'}, centre of mass {offset} its middle, {stiffness}"
 
 
 def _measures_in_words(sizes_mm: Iterable[float], kg: float) -> str:

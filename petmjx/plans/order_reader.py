@@ -10,13 +10,26 @@ from typing import Any, Final
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import is_text, printable, printable_name
+from petmjx.plans.file_formats import PARQUET_MAGIC, is_csv, looks_like_table
 from petmjx.plans.json_reader import Entry, read_text_bytes, scan_plans
 from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
-from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM
+from petmjx.plans.plan_fields import (
+    COM_FIELDS_JSON,
+    LARGEST_KG,
+    LARGEST_MM,
+    LONGEST_NAME,
+    SMALLEST_KG,
+    SMALLEST_MM,
+    com_fault,
+    kind_fault,
+    sparse_fault,
+)
 
 MOST_ITEMS: Final = 512
 """Largest number of items of an order: twice the boxes of the largest plan. The packer's time grows with its third
 power."""
+_SIZES: Final = ("length/mm", "width/mm", "height/mm")
+_ARE_JSON: Final = "orders are JSON, order id → item_sequence and properties"
 _MOST_DIGITS: Final = 18
 """Largest number of digits of a sequence number."""
 
@@ -57,6 +70,10 @@ def _read_whole(path: Path, name: str) -> bytearray:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
+    if data.startswith(PARQUET_MAGIC):
+        raise InputError(f"{name}: is Parquet: {_ARE_JSON}")
+    if looks_like_table(data) or (is_csv(path) and data.strip() and data[:1] not in b" \t\r\n{["):
+        raise InputError(f"{name}: is a table as text (CSV): {_ARE_JSON}")
     try:
         n_orders = sum(1 for _ in scan_plans(data, "order id → order", "order"))
     except InputError as error:
@@ -97,15 +114,36 @@ def _order(entry: Entry, where: str) -> Order:
 def _item(raw: object, where: str) -> Item:
     if not isinstance(raw, dict):
         raise InputError(f"{where}: must be a JSON object, {_kind(raw)}")
+    sizes = {field: _number(raw, field, SMALLEST_MM, LARGEST_MM, where) for field in _SIZES}
+    offsets = [
+        _optional(raw, field, com_fault, size, where)
+        for field, size in zip(COM_FIELDS_JSON, sizes.values(), strict=True)
+    ]
+    com_mm = None if offsets == [None] * 3 else (offsets[0] or 0.0, offsets[1] or 0.0, offsets[2] or 0.0)
+    if (fault := kind_fault(raw.get("kind"))) is not None:
+        raise InputError(f"{where}: {fault}")
     return Item(
         article=_text(raw, "article", where),
         item_id=_text(raw, "id", where),
         product_group=_text({"product_group": "", **raw}, "product_group", where),
-        length_mm=_number(raw, "length/mm", SMALLEST_MM, LARGEST_MM, where),
-        width_mm=_number(raw, "width/mm", SMALLEST_MM, LARGEST_MM, where),
-        height_mm=_number(raw, "height/mm", SMALLEST_MM, LARGEST_MM, where),
+        **{field.replace("/", "_"): size for field, size in sizes.items()},
         weight_kg=_number(raw, "weight/kg", SMALLEST_KG, LARGEST_KG, where),
+        com_mm=com_mm,
+        stiffness_n_mm=_optional(raw, "stiffness_n_mm", lambda field, value, _: sparse_fault(field, value), 0.0, where),
+        kind=raw.get("kind") or "",
     )
+
+
+def _optional(
+    raw: dict[str, Any], field: str, fault_of: Callable[[str, Any, float], str | None], size: float, where: str
+) -> float | None:
+    """A number that an item may lack."""
+    value = raw.get(field)
+    if value is None:
+        return None
+    if (fault := fault_of(field, value, size)) is not None:
+        raise InputError(f"{where}: {fault}")
+    return float(value)
 
 
 def _text(raw: dict[str, Any], field: str, where: str) -> str:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, is_text, number_in, printable_name
 from petmjx.common.units import FloatArray
+from petmjx.plans.file_formats import point_fault
 from petmjx.plans.input_conventions import USUAL, InputConventions, Limits
 from petmjx.plans.plan_fields import (
     COM_FIELDS,
@@ -57,7 +58,7 @@ class InputColumn:
     Attributes:
         values: an Arrow array; or Python objects, if they are of several types.
         is_text: whether numbers are texts, as in CSV. Empty text is then a missing value.
-        decimal: the decimal mark of numbers that are texts.
+        decimal: the decimal mark of numbers that are texts. If it is a comma, they have no point.
     """
 
     values: pa.Array | Sequence[Any]
@@ -180,7 +181,7 @@ def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
     """The numbers in texts, as float64; null where a text is no number."""
     text = _trimmed_text(array)
     if decimal != ".":
-        text = pc.replace_substring(text, decimal, ".")
+        text = pc.if_else(pc.match_substring(text, "."), "", pc.replace_substring(text, decimal, "."))
     try:
         return pc.cast(text, pa.float64())
     except pa.ArrowInvalid:
@@ -193,7 +194,7 @@ def _as_number(text: str, decimal: str) -> Any:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:
         return int(text)
-    number = number_in(text.replace(decimal, "."))
+    number = None if decimal != "." and "." in text else number_in(text.replace(decimal, "."))
     return text if number is None else number
 
 
@@ -238,7 +239,8 @@ OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", 
 """Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order;
 without this column ``sequence`` is used."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
-_NAMES: Final = ("plan_id", *_TEXTS)
+NAMES: Final = ("plan_id", *_TEXTS)
+"""Columns with names; all others have numbers."""
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
 """Columns in which a row may lack a value."""
 _ALIASES: Final = {
@@ -370,7 +372,7 @@ class _TableReader:
 
     @cached_property
     def _texts(self) -> dict[str, tuple[NDArray[np.object_], NDArray[np.bool_]]]:
-        return {name: self.table.columns[name].texts() for name in _NAMES if name in self.table.columns}
+        return {name: self.table.columns[name].texts() for name in NAMES if name in self.table.columns}
 
     @cached_property
     def _numbers(self) -> dict[str, FloatArray]:
@@ -441,7 +443,7 @@ class _TableReader:
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
         """Name of a column → (n,) whether a row has no value in it."""
         names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
-        return {name: self.table.columns[name].missing(number=name not in _NAMES) for name in names}
+        return {name: self.table.columns[name].missing(number=name not in NAMES) for name in names}
 
     @cached_property
     def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
@@ -550,7 +552,9 @@ class _TableReader:
         columns = self.table.columns
         raw = {name: self._raw(name, row) for name in (*NEEDED, *OPTIONAL) if name in columns}
         texts = {name: raw[name] for name in _TEXTS if raw.get(name) is not None and type(raw[name]) is not int}
+        numbers = [name for name in raw if name not in NAMES and columns[name].decimal == ","]
         faults = (
+            *(point_fault(name, raw[name]) for name in numbers),
             *(integer_fault(name, _integer_value(raw[name])) for name in ("sequence", "order_sequence") if name in raw),
             *(text_fault(name, value) for name, value in texts.items()),
             *(positive_fault(name, raw[name], *self._limits[name]) for name in (*_SIZE, "weight_kg")),
@@ -567,7 +571,7 @@ class _TableReader:
         return next(filter(None, faults), None)
 
     def _raw(self, name: str, row: np.int64) -> Any:
-        return self.table.columns[name].raw(int(row), number=name not in _NAMES)
+        return self.table.columns[name].raw(int(row), number=name not in NAMES)
 
     # Rows and plans that are refused.
 

@@ -20,7 +20,15 @@ from petmjx.common.text import count_text, printable, printable_name
 from petmjx.common.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
 from petmjx.plans.convention_checks import warn, with_conventions
-from petmjx.plans.file_formats import CSV_SUFFIXES, PARQUET_SUFFIX, SupportsArrow, is_csv, is_parquet, separator_mark
+from petmjx.plans.file_formats import (
+    CSV_SUFFIXES,
+    PARQUET_SUFFIX,
+    SupportsArrow,
+    is_csv,
+    is_parquet,
+    looks_like_json,
+    looks_like_table,
+)
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans
 from petmjx.plans.parallel_json import WORTH_BYTES, PieceOptions, ReadEntry, read_in_pieces
@@ -41,8 +49,6 @@ MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further ones are counted."""
 FRAME: Final = "data frame"
 """Name of a data frame in messages."""
-_COLUMNS: Final = ("plan_id", "sequence", "article", "length", "width", "height", "weight", "x_mm", "y_mm", "z_mm")
-"""Column names by which text is recognised as a table if the file's name does not say so."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
 
 
@@ -237,6 +243,9 @@ class _PlanLoader:
             if not data:
                 return
         if is_csv(path):
+            if looks_like_json(data):
+                self._skip(source, None, f"{source}: is JSON: it is read as such if its name ends in .json")
+                return
             from petmjx.plans.table_files import parse_csv
 
             self._read_table(source, lambda: parse_csv(data, cut_off=fault is not None))
@@ -280,7 +289,7 @@ class _PlanLoader:
                 self._take_all(source, entries)
                 return
         named = source.lower().endswith((".json", ".json.gz"))
-        if not damaged and not named and (kind := _kind_of_text(data)) is not None:
+        if not damaged and (kind := _kind_of_text(data, named)) is not None:
             self._skip(source, None, f"{source}: {kind}")
             return
         try:
@@ -360,15 +369,20 @@ class _PlanLoader:
         self.found.skipped.append(Skipped(source, plan_id, message, number))
 
 
-def _kind_of_text(data: bytearray) -> str | None:
-    """The error text for a text that does not begin like JSON, in a file with no known suffix; None: it begins so."""
+def _kind_of_text(data: bytearray, named: bool) -> str | None:
+    """The error text for a text that does not begin like JSON; None: it begins so, or is damaged JSON.
+
+    Args:
+        named: whether the file's name is that of JSON. Then only a table is told from damaged JSON.
+    """
+    if looks_like_table(data):
+        return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
-    if not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null")):
+    begins_so = not first or first[:1] in b'{["-0123456789' or first.startswith((b"true", b"false", b"null"))
+    if named or begins_so:
         return None
     if b"\0" in data[: 1 << 12]:
         return "is no text: plans are JSON, or tables in CSV or Parquet"
-    if separator_mark(first) is not None or sum(name.encode() in first for name in _COLUMNS) > len(_COLUMNS) // 2:
-        return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"
     return "is text of another kind: plans are JSON, or tables whose names end in .csv, .tsv or .parquet"
 
 

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from petmjx.common.arrow_files import OversizedFile, open_for_arrow, read_within
 from petmjx.common.checked_records import reason
 from petmjx.common.text import count_text, is_text, printable_name
-from petmjx.plans.file_formats import other_encoding, separator_mark
-from petmjx.plans.placement_table import LostRow, Table, TableError, as_column, sorted_columns
+from petmjx.plans.file_formats import COMMA_NUMBER, other_encoding, separator_mark
+from petmjx.plans.placement_table import NAMES, LostRow, Table, TableError, as_column, sorted_columns
 
 _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
 _LINE_ENDS: Final = (b"\n", b"\r")
@@ -30,7 +32,7 @@ _MOST_LOST: Final = 100_000
 def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     """The table of a CSV text with a header. The separator is the most frequent of comma, semicolon and tab in it.
 
-    With semicolons, numbers may have a decimal comma.
+    With semicolons, numbers may have a decimal comma. If one has, no number may have a point.
 
     Args:
         data: UTF-8 text.
@@ -60,7 +62,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
         raise TableError("holds no plan")
     reader = _CsvReader(delimiter, names, where["plan_id"])
     rows, numbers = reader.read(data)
-    decimal = "," if delimiter == ";" else "."
+    decimal = "," if delimiter == ";" and b"," in data and _has_decimal_commas(rows, where) else "."
     columns = {name: as_column(rows.column(index), True, decimal) for name, index in where.items()}
     lost = reader.lost
     last = max(numbers[-1:].tolist(), default=1)
@@ -68,6 +70,12 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
         # the text ends within a row, and the row's plan id may be cut too
         lost, cut_off = lost[:-1], True
     return Table(columns, unread, numbers, lost, cut_off)
+
+
+def _has_decimal_commas(rows: pa.Table, where: Mapping[str, int]) -> bool:
+    """Whether a number of a table has a decimal comma."""
+    columns = (rows.column(index) for name, index in where.items() if name not in NAMES)
+    return any(pc.any(pc.match_substring_regex(column, COMMA_NUMBER)).as_py() for column in columns)
 
 
 class _CsvReader:

@@ -185,7 +185,7 @@ _ORDER_COLUMNS = _counts(
     ordered_boxes="boxes of the plan's order; null where it has none",
     left_out="boxes that were ordered, but are not in the plan",
     not_ordered="boxes in the plan that were not ordered",
-    resized="boxes of the plan that were ordered with another size or mass",
+    resized="boxes of the plan that were ordered with another size, mass, centre of mass, stiffness or kind",
 )
 """Columns of ``plans``."""
 

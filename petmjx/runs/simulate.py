@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from petmjx.common.machine import package_versions
 from petmjx.common.text import count_text, printable_name
@@ -37,6 +37,9 @@ from petmjx.results.to_json import to_json
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.world.option_lint import notes_about
 from petmjx.world.scene import Scene
+
+if TYPE_CHECKING:
+    from petmjx.plans.articles import Articles
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
 """Computes (n, 2) least and largest force on the top of each box at rest, N; None if a world has none."""
@@ -101,7 +104,12 @@ def simulate(
         if options.orders is not None:
             all_plans, strict = options.limit is None, options.strict
             orders = check_orders(
-                options.orders, study.everything, takes=options.takes, all_plans=all_plans, strict=strict
+                options.orders,
+                study.everything,
+                takes=options.takes,
+                all_plans=all_plans,
+                strict=strict,
+                articles=_articles(options),
             )
         late = (
             replace(skipped_plan, number=plan_set.numbers.get(skipped_plan.plan_id or ""))
@@ -117,6 +125,15 @@ def simulate(
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
         return run.results(watcher, {} if are_files(plans) else {plan.plan_id: plan for plan in study.everything})
+
+
+def _articles(options: RunOptions) -> Articles | None:
+    """The table of articles of the options."""
+    if options.articles is None:
+        return None
+    from petmjx.plans.articles import read_articles  # not at the top of the module: it loads Arrow
+
+    return read_articles(options.articles)
 
 
 @dataclass(eq=False)

@@ -36,7 +36,7 @@ def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
         verb = _verb(counts["not_ordered"], "was", "were")
         odd.append(f"{count_text(counts['not_ordered'], 'box', 'boxes')} in plans {verb} not ordered")
     if resized := counts.get("resized", 0):  # runs of petmjx 0.2 do not have it
-        differ = "has another size or mass" if resized == 1 else "have other sizes or masses"
+        differ = "has another size, mass or property" if resized == 1 else "have other sizes, masses or properties"
         odd.append(f"{count_text(resized, 'box', 'boxes')} {differ} than ordered")
     if counts["plans_without_order"]:
         odd.append(

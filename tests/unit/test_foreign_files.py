@@ -12,10 +12,12 @@ import openpyxl
 import pytest
 
 import petmjx
+from petmjx.common.checked_records import read_toml
 from petmjx.common.errors import InputError
 from petmjx.packers.sample_plans import pack_orders
 from petmjx.plans.articles import read_articles
 from petmjx.plans.file_formats import number_hint
+from petmjx.plans.order_reader import read_orders
 
 COLUMNS = ("plan_id", "sequence", "article", "x_mm", "y_mm", "z_mm", "length_mm", "width_mm", "height_mm", "weight_kg")
 
@@ -67,11 +69,63 @@ KINDS = {
     "words.txt": (b"hello\nworld\n", "is text of another kind: plans are JSON, or tables whose names end in .csv"),
     "table.txt": (table().encode(), "looks like a table as text: it is read as one if its name ends in .csv or .tsv"),
     "table.dat": (b"sep=;\n" + table(";").encode(), "looks like a table as text: "),
+    "table.json": (table().encode(), "looks like a table as text: it is read as one if its name ends in .csv or .tsv"),
+    "plans.csv": (b'{\n "a": []}', "is JSON: it is read as such if its name ends in .json"),
     "x.bin": (bytes(range(256)), "is no text: plans are JSON, or tables in CSV or Parquet"),
     "x.bz2": (b"BZh91AY", "is packed with bzip2: unpack it, or pack it with gzip"),
     "x.pdf": (b"%PDF-1.7", "is a PDF document"),
     "x.db": (b"SQLite format 3\0" + bytes(99), "is an SQLite database"),
 }
+
+
+MIXED = {
+    "one group": ("1.200", "write 1200 or 1,200, whichever it is"),
+    "a decimal point": ("1.5", "other numbers of this file have decimal commas; write 1,5"),
+    "several groups": ("1.234.567", "it has marks between its thousands; write 1234567"),
+}
+
+
+@pytest.mark.parametrize("name", MIXED)
+def test_points_beside_decimal_commas_are_refused(name: str, tmp_path: Path) -> None:
+    """Also if the comma is in another row and column. Without a comma in the file a point is a point."""
+    number, message = MIXED[name]
+    rows = table(";", x_mm=number), table(";", plan_id="b", weight_kg="5,5").split("\n")[1]
+    (tmp_path / "plans.csv").write_text("".join(rows))
+    plan_set = petmjx.load_plans(tmp_path / "plans.csv")
+    (skipped,) = plan_set.skipped
+    assert f'plan a, row 2: x_mm must be a number, got "{number}"' in skipped.message
+    assert message in skipped.message
+    assert [plan.plan_id for plan in plan_set.plans] == ["b"]
+    file = tmp_path / "articles.csv"
+    file.write_text(f"article;strength_n;com_height_mm\na;{number};0\nb;400;-1,5\n")
+    with pytest.raises(InputError, match="row 2: strength_n must be a number") as refused:
+        read_articles(file)
+    assert message in str(refused.value)
+    if number.count(".") == 1:
+        (tmp_path / "plans.csv").write_text(table(";", x_mm=number, article="1,5"))
+        (plan,) = petmjx.load_plans(tmp_path / "plans.csv").plans
+        assert plan.corner_mm[0, 0] == float(number)
+        file.write_text(f"article;strength_n\na,5;{number}\n")
+        strength = read_articles(file).by_article["a,5"].strength
+        assert strength is not None
+        assert strength.strength_n == float(number)
+
+
+def test_workbooks_and_tables_in_place_of_other_files(tmp_path: Path) -> None:
+    for name in ("book.xlsx", "book.toml", "book.parquet"):
+        (tmp_path / name).write_bytes(workbook())
+    for name, message in (("book.xlsx", "save the sheet as CSV"), ("book.parquet", "save "), ("book.toml", "not TOML")):
+        with pytest.raises(InputError, match=rf"{name}: is an Excel workbook \(.xlsx\).*{message}"):
+            read_articles(tmp_path / name)
+    with pytest.raises(InputError, match=r"book.xlsx: is an Excel workbook \(.xlsx\), not TOML"):
+        read_toml(tmp_path / "book.xlsx")
+    for name, content in (("o.json", table()), ("o.csv", table()), ("p.csv", "id;n\na;1\n")):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(InputError, match=f"{name}: is a table as text \\(CSV\\): orders are JSON"):
+            list(read_orders(tmp_path / name))
+    (tmp_path / "a.csv").write_text('{"articles": {}}')
+    with pytest.raises(InputError, match="is JSON: a table of articles is TOML, CSV or Parquet"):
+        read_articles(tmp_path / "a.csv")
 
 
 @pytest.mark.parametrize("name", KINDS)

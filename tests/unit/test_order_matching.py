@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from petmjx.plans.articles import Article, Articles, with_articles
 from petmjx.plans.order_generator import Item, Order
 from petmjx.plans.order_matching import (
     MASS_TOLERANCE,
@@ -16,6 +18,7 @@ from petmjx.plans.order_matching import (
     difference_in_words,
     match,
     on_target,
+    with_properties,
 )
 from petmjx.plans.plan import Plan
 
@@ -24,7 +27,9 @@ Box = tuple[str, str, Sequence[float], float]
 
 
 def ordered(*boxes: Box, target: str = "euro-pallet") -> Order:
-    return Order(target, tuple(Item(article, item_id, "", *size, kg) for item_id, article, size, kg in boxes))
+    return Order(
+        target, tuple(Item(article, item_id, "", size[0], size[1], size[2], kg) for item_id, article, size, kg in boxes)
+    )
 
 
 def packed(*boxes: Box, corners: Sequence[Sequence[float]] | None = None, kinds: tuple[str, ...] = ()) -> Plan:
@@ -113,8 +118,11 @@ def test_sheets_are_no_boxes_that_nobody_ordered() -> None:
     sheet: Box = ("", "tie", (1200, 800, 2), 0.4)
     plan = packed(A, sheet, kinds=("box", "sheet"))
     assert said(plan, ordered(A)) == (0, 0, 0)
-    assert said(plan, ordered(A, sheet)) == (0, 0, 0)
-    assert said(plan, ordered(A, sheet, sheet)) == (1, 0, 0)
+    assert said(plan, ordered(A, sheet)) == (0, 0, 1)  # a box was ordered
+    order = ordered(A, sheet)
+    order = replace(order, items=(order.items[0], *[replace(order.items[1], kind="sheet")] * 2))
+    assert said(plan, order) == (1, 0, 0)
+    assert said(packed(A, kinds=("sheet",)), ordered(A)) == (0, 0, 1)
 
 
 def test_of_drawn_plans_every_count_is_that_of_their_making() -> None:
@@ -166,3 +174,60 @@ def test_lines_name_the_first_box_of_each_kind() -> None:
         "2 boxes of x are not on their orders' targets; the first: plan o, oil (2)",
         "1 box of x has neither id nor article; matched by size and mass",
     ]
+
+
+# Properties of goods are the order's.
+
+
+def with_com(plan: Plan, *com_mm: Sequence[float], **fields: object) -> Plan:
+    return replace(plan, mass_center_mm=np.array(com_mm, float) if com_mm else None, **fields)  # type: ignore[arg-type]
+
+
+def order_with(order: Order, **fields: object) -> Order:
+    return replace(order, items=tuple(replace(item, **fields) for item in order.items))  # type: ignore[arg-type]
+
+
+def test_a_box_with_properties_that_nobody_ordered_differs() -> None:
+    for entered in (
+        with_com(packed(A), (-190, 0, 0)),
+        with_com(packed(A), (0, 0, -99)),
+        replace(packed(A), stiffness_n_mm=np.array([0.02])),
+        packed(A, kinds=("sheet",)),
+    ):
+        matching = match(entered, ordered(A))
+        assert counts_of(matching)[1:] == (0, 0, 1)
+        assert matching.same_size.all()
+        assert not matching.as_ordered.any()
+        nameless = replace(entered, item_ids=("",), articles=("",))
+        assert not match(nameless, ordered(A)).as_ordered.any()
+    plan = with_com(packed(A), (-190, 0, 0))
+    assert difference_in_words(plan, ordered(A), match(plan, ordered(A))) == (
+        "1 box has another centre of mass, stiffness or kind than ordered (1 × jam (1): a box, centre of mass "
+        "-190, 0, 0 mm off its middle, rigid for a box, centre of mass in its middle, rigid)"
+    )
+    assert said(with_com(packed(A, B), (0.3, 0, 0), (0, 0, 0)), ordered(A, B)) == (0, 0, 0)
+
+
+def test_the_properties_of_an_order_are_asked_for() -> None:
+    order = order_with(ordered(A), com_mm=(60.0, 20.0, -50.0), stiffness_n_mm=300.0)
+    stiff = {"stiffness_n_mm": np.array([300.0])}
+    assert said(packed(A), order) == (0, 0, 1)
+    assert said(with_com(packed(A), (60, 20, -50)), order) == (0, 0, 1)
+    assert said(with_com(packed(A), (60, 20, -50), **stiff), order) == (0, 0, 0)
+    # a box that stands otherwise has its centre of mass elsewhere; its mirror image is another box
+    assert said(with_com(packed(A), (-60, -20, -50), **stiff), order) == (0, 0, 0)
+    assert said(with_com(packed(A), (60, -20, -50), **stiff), order) == (0, 0, 1)
+    on_end = packed(("1", "jam", (300, 200, 400), 8))
+    assert said(with_com(on_end, (20, -50, 60), **stiff), order) == (0, 0, 0)
+    assert said(with_com(on_end, (20, 60, -50), **stiff), order) == (0, 0, 1)
+    turned = packed(("1", "jam", (300, 400, 200), 8))
+    along_y = with_com(turned, (-20, 60, -50), orientation=np.array([1]), **stiff)
+    assert said(along_y, order) == (0, 0, 0)
+
+
+def test_articles_of_the_user_fill_up_the_order() -> None:
+    articles = Articles({"jam": Article(com_mm=(0.0, 0.0, -50.0), stiffness_n_mm=300.0)}, {})
+    plan = with_articles(packed(A, B), articles)
+    assert said(plan, ordered(A, B)) == (0, 0, 1)
+    assert said(plan, with_properties(ordered(A, B), articles)) == (0, 0, 0)
+    assert said(packed(A, B), with_properties(ordered(A, B), articles)) == (0, 0, 1)

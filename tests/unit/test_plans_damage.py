@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from support.plan_files import placement
 
 from petmjx.common.errors import InputError
-from petmjx.plans.file_formats import foreign_kind
+from petmjx.common.file_kinds import foreign_kind
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet

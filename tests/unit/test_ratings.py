@@ -304,11 +304,21 @@ STRANGERS: dict[str, dict[str, Any]] = {
         name: [placement((30 * k, 0, 0), (20, 20, 20), **{"weight/kg": 0.005}) for k in range(2)] for name in ORDERS
     },
     "heavy": {name: [placement((400 * k, 0, 0), SIZE, **{"weight/kg": 6.0}) for k in range(2)] for name in ORDERS},
+    "weighted": {name: [box | {"item": box["item"] | {"com_length/mm": -190.0}} for box in FALLS] for name in ORDERS},
     "spread": {name: [placement((2000 * k, 0, 0), SIZE) for k in range(2)] for name in ORDERS},
     "half": {"o0": GOOD, "o1": GOOD},
     "elsewhere": {"p": GOOD, "o0": GOOD},
 }
-RATED = {"foreign": 0.0, "twice": 1.0, "tiny": 0.0, "heavy": 0.0, "spread": 0.5, "half": 0.5, "elsewhere": 0.25}
+RATED = {
+    "foreign": 0.0,
+    "twice": 1.0,
+    "tiny": 0.0,
+    "heavy": 0.0,
+    "weighted": 0.0,
+    "spread": 0.5,
+    "half": 0.5,
+    "elsewhere": 0.25,
+}
 
 
 def test_strangers_of_all_kinds_on_one_board_and_by_kpis(made: Path, tmp_path: Path) -> None:
@@ -329,6 +339,7 @@ def test_strangers_of_all_kinds_on_one_board_and_by_kpis(made: Path, tmp_path: P
         "8 boxes of twice were not ordered",
         "8 boxes of tiny have other sizes or masses than ordered; the first: plan o0, ",
         "8 boxes of heavy have other sizes or masses than ordered",
+        "8 boxes of weighted have other centres of mass, stiffnesses or kinds than ordered; the first: plan o0, ",
         "4 boxes of spread are not on their orders' targets",
         "no KPIs of 1 plan of elsewhere: without an order (p)",
     ):

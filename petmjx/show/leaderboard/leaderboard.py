@@ -168,7 +168,9 @@ def _rated_entries(
         if not left:
             lines = "; ".join(sample.refusal for sample in samples.values())
             raise InputError(f"no packer is left to rate: {lines}")
-        comparison = comparison_of({entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders)
+        comparison = comparison_of(
+            {entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders, run_options.articles
+        )
         board_stories, seen = _stories(left, comparison, folder / STORIES, stories)
         samples |= {name: samples[name].with_replays(more) for name, more in seen.items()}
         if not any(samples[entry.name].refusal for entry in left):

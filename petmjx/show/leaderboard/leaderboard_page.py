@@ -32,7 +32,7 @@ MOST_SENTENCES: Final = 15
 RATING: Final = (
     "Rating: boxes on plans that stand in the simulation, as a share of all boxes ordered. Plans that fall, orders "
     "without a plan, plans without a valid simulation, and boxes that were left out score nothing, nor do boxes that "
-    "were not ordered, or not so often, or with another size or mass, or that are not on the order's target."
+    "were not ordered, or not so often, or with another size, mass or property, or that are not on the order's target."
 )
 
 _MEANS: Final = {

@@ -1,0 +1,60 @@
+"""Kinds of files that petmjx does not read, recognised by their first bytes, with an error text for each."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+_SAVE: Final = "save the sheet as CSV"
+
+_MAGIC: Final = (
+    (b"\x93NUMPY", "is a NumPy array (.npy): plans have names and several columns, as a table in CSV or Parquet has"),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"is an Excel workbook of the old kind (.xls): {_SAVE}"),
+    (b"ARROW1", "is an Arrow file (Feather): save the table as Parquet"),
+    (b"FEA1", "is a Feather file: save the table as Parquet"),
+    (b"\x89HDF\r\n\x1a\n", "is an HDF5 file: save the table as Parquet or CSV"),
+    (b"SQLite format 3\0", "is an SQLite database: save the table as Parquet or CSV"),
+    (b"%PDF", "is a PDF document"),
+    (b"\x89PNG\r\n\x1a\n", "is a picture (PNG)"),
+    (b"\xff\xd8\xff", "is a picture (JPEG)"),
+    (b"BZh", "is packed with bzip2: unpack it, or pack it with gzip"),
+    (b"\xfd7zXZ\0", "is packed with xz: unpack it, or pack it with gzip"),
+    (b"\x28\xb5\x2f\xfd", "is packed with Zstandard: unpack it, or pack it with gzip"),
+    (b"7z\xbc\xaf\x27\x1c", "is a 7z archive: unpack it"),
+)
+"""First bytes of files that are no text, and the error text for each."""
+
+_MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]", re.IGNORECASE)
+_PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
+_LOOKED_AT: Final = 1 << 12
+"""Number of bytes at the beginning of a file by which its format is recognised."""
+LOOKED_AT_ARCHIVE: Final = 1 << 16
+"""Number of bytes at the beginning of a ZIP archive by which its content is recognised."""
+
+
+def foreign_kind(data: bytes | bytearray) -> str | None:
+    """The format of a file that cannot be JSON or CSV, by its first bytes, as an error text. None: it may be JSON or
+    CSV.
+    """
+    begin = bytes(data[:_LOOKED_AT])
+    if begin.startswith(b"PK\x03\x04"):
+        return _zip_kind(bytes(data[:LOOKED_AT_ARCHIVE]))
+    kind = next((text for magic, text in _MAGIC if begin.startswith(magic)), None)
+    if kind is not None:
+        return kind
+    if _PICKLE.match(begin):
+        return "is a Python pickle, which is never read: save plans with petmjx.save_plans"
+    if (markup := _MARKUP.match(begin)) is not None:
+        html = markup[1].lower() in (b"!doctype html", b"html")
+        return "is a web page (HTML)" if html else "is XML: plans are JSON, or tables in CSV or Parquet"
+    return None
+
+
+def _zip_kind(begin: bytes) -> str:
+    if b"xl/" in begin or b"[Content_Types].xml" in begin:
+        return f"is an Excel workbook (.xlsx): {_SAVE}"
+    if b"opendocument.spreadsheet" in begin:
+        return f"is a workbook (.ods): {_SAVE}"
+    if b".npy" in begin:
+        return "holds NumPy arrays (.npz): plans have names and several columns, as a table in CSV or Parquet has"
+    return "is a ZIP archive: unpack it"
