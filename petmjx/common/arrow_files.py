@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, MOST_RATIO, open_regular, size
+from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, open_regular, size
 from petmjx.common.text import printable_name
 
 _WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
@@ -66,11 +66,6 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
             if chosen is None or column.path_in_schema in chosen or column.path_in_schema.split(".")[0] in chosen:
                 n_bytes += max(column.num_values, rows.num_rows) * _WIDTHS.get(column.physical_type, 16)
     return n_bytes
-
-
-def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:
-    """Bytes that a file of this size may take when it is unpacked. The rule is the same for gzip and Parquet."""
-    return min(most, max(free, MOST_RATIO * file_bytes))
 
 
 def read_within(

@@ -79,3 +79,8 @@ def _too_large(most: int) -> OSError:
 def size(n_bytes: int) -> str:
     """A number of bytes in messages: "4 GiB", "16 MiB"."""
     return f"{n_bytes >> 30} GiB" if n_bytes >= 1 << 30 else f"{n_bytes >> 20} MiB"
+
+
+def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:
+    """Bytes that a file of this size may take when it is unpacked. The rule is the same for gzip and Parquet."""
+    return min(most, max(free, MOST_RATIO * file_bytes))

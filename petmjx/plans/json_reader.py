@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind
-from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, MOST_RATIO, read_regular, size
+from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, read_regular, size
 from petmjx.common.text import printable_name
 
 _GZIP_MAGIC: Final = b"\x1f\x8b\x08"
@@ -44,7 +44,7 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
     """Unpack the sound part of a gzip stream, which may have several members. Also returns the error; None: none."""
-    most = min(MOST_BYTES, max(FREE_BYTES, MOST_RATIO * len(packed)))
+    most = allowed_bytes(len(packed), FREE_BYTES)
     view = memoryview(packed)
     plain = bytearray()
     position = 0

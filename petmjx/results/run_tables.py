@@ -12,10 +12,10 @@ from typing import Any, Final, Self
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from petmjx.common.arrow_files import OversizedFile, allowed_bytes, decoded_bytes, open_for_arrow, read_within
+from petmjx.common.arrow_files import OversizedFile, decoded_bytes, open_for_arrow, read_within
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
-from petmjx.common.safe_read import open_regular, size
+from petmjx.common.safe_read import allowed_bytes, open_regular, size
 from petmjx.results.run_folder import MOST_AT_ONCE, OF_WORLDS, digest_of, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
 
