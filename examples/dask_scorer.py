@@ -37,8 +37,8 @@ def main() -> None:
     with Client(n_workers=arguments.workers, threads_per_worker=1, dashboard_address=None) as client:
         made = [client.submit(ScorerActor, actor=True, engine="mujoco", threads=1, pure=False) for _ in range(2)]
         actors = [future.result() for future in made]
-        asked = [actor.worlds(plans[number :: len(actors)]) for number, actor in enumerate(actors)]
-        worlds = pd.concat([answer.result() for answer in asked], ignore_index=True)
+        futures = [actor.worlds(plans[number :: len(actors)]) for number, actor in enumerate(actors)]
+        worlds = pd.concat([answer.result() for answer in futures], ignore_index=True)
     print(worlds[["plan_id", "verdict", "reason", "margin"]].to_string(index=False))
 
 

@@ -41,8 +41,8 @@ def main() -> None:
         ray.remote(ScorerActor).options(num_cpus=1).remote(engine="mujoco", threads=1) for _ in range(arguments.actors)
     ]
     shares = [plans[number :: len(actors)] for number in range(len(actors))]
-    asked: list[Any] = [actor.worlds.remote(share) for actor, share in zip(actors, shares, strict=True) if share]
-    worlds = pd.concat(ray.get(asked), ignore_index=True)
+    futures: list[Any] = [actor.worlds.remote(share) for actor, share in zip(actors, shares, strict=True) if share]
+    worlds = pd.concat(ray.get(futures), ignore_index=True)
     print(worlds[["plan_id", "verdict", "reason", "margin"]].to_string(index=False))
     ray.shutdown()
 

@@ -88,12 +88,12 @@ def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, po
         moves = [game.next() for game in games]
         if fresh := [number for number, game in enumerate(games) if game.is_new]:
             world.reset(np.array(fresh))
-        told = world.place(
+        report = world.place(
             size_mm=np.array([move.size_mm for move in moves]),
             corner_mm=np.array([move.corner_mm for move in moves]),
             mass_kg=np.array([move.mass_kg for move in moves]),
         )
-        for game, move, verdict in zip(games, moves, told.verdict.tolist(), strict=True):
+        for game, move, verdict in zip(games, moves, report.verdict.tolist(), strict=True):
             if verdict != "invalid":
                 rows.append((move.features, float(verdict == "stable"), game.number, float(move.usual)))
             game.placed(verdict == "stable")

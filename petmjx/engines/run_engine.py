@@ -148,13 +148,15 @@ def resolve_engine(
     Raises:
         InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
     """
-    asked = options.engine
-    if not isinstance(asked, str):
-        if isinstance(asked, type) or not isinstance(asked, MinimalEngine):
-            raise InputError(f"engine must be a name or an object with a name and a method run, {shown_value(asked)}")
+    requested_engine = options.engine
+    if not isinstance(requested_engine, str):
+        if isinstance(requested_engine, type) or not isinstance(requested_engine, MinimalEngine):
+            raise InputError(
+                f"engine must be a name or an object with a name and a method run, {shown_value(requested_engine)}"
+            )
         if options.asked_workers is not None:
             raise InputError("workers need an engine by name: each of them builds its own")
-        return UserEngine(asked, options.threads), Choice(asked.name, "given")
+        return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
         from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have none
 
@@ -162,12 +164,12 @@ def resolve_engine(
     threads = options.threads or cpu_threads()
     costs = costs or costs_here(work, threads)
     seconds = costs.seconds(work, threads)
-    if asked == AUTO and earlier in ENGINES:
+    if requested_engine == AUTO and earlier in ENGINES:
         name, reason = earlier, "as before"
     else:
-        name, reason = choose(seconds, threads) if asked == AUTO else (asked, "as asked for")
+        name, reason = choose(seconds, threads) if requested_engine == AUTO else (requested_engine, "as asked for")
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
-    if hands_over and asked == AUTO and name == "mujoco" and options.world_timeout_s is None:
+    if hands_over and requested_engine == AUTO and name == "mujoco" and options.world_timeout_s is None:
         from petmjx.engines.engine_handover import HandoverEngine
         from petmjx.engines.mujoco.engine import MujocoEngine  # it imports MuJoCo
 

@@ -48,12 +48,21 @@ def empty_results(m: int, k: int) -> list[NDArray[Any]]:
     return columns
 
 
-def write_results(into: list[NDArray[Any]], rows: NDArray[np.int64], told: HostResults) -> None:
+def write_results(into: list[NDArray[Any]], rows: NDArray[np.int64], results: HostResults) -> None:
     """Write results into these rows."""
-    k = told.top_force_n.shape[1]
-    reasons = np.array([REASONS.index(reason) for reason in told.reason], np.int32)
-    margin = np.nan_to_num(told.margin, nan=-1.0)
-    one = (told.stable, reasons, told.culprit, margin, told.shift_mm, told.tilt_deg, told.n_boxes, told.ended)
+    k = results.top_force_n.shape[1]
+    reasons = np.array([REASONS.index(reason) for reason in results.reason], np.int32)
+    margin = np.nan_to_num(results.margin, nan=-1.0)
+    one = (
+        results.stable,
+        reasons,
+        results.culprit,
+        margin,
+        results.shift_mm,
+        results.tilt_deg,
+        results.n_boxes,
+        results.ended,
+    )
     for table, values in zip(into, one, strict=False):
         table[rows] = values
-    into[8][rows, :k], into[9][rows, :k] = np.nan_to_num(told.top_force_n), np.nan_to_num(told.middle_mm)
+    into[8][rows, :k], into[9][rows, :k] = np.nan_to_num(results.top_force_n), np.nan_to_num(results.middle_mm)

@@ -33,13 +33,13 @@ class BoxTable:
         self.mass_kg: FloatArray = np.full((n, FIRST_COLUMNS), np.nan)
         self._points = Points(n)
 
-    def add(self, asked: Placements) -> None:
+    def add(self, placements: Placements) -> None:
         """Put one box on each of some pallets."""
-        rows, at = asked.pallet, self.count[asked.pallet]
+        rows, at = placements.pallet, self.count[placements.pallet]
         for name in ("size_mm", "corner_mm", "mass_kg"):
             setattr(self, name, widened_table(getattr(self, name), int(at.max(initial=0)) + 1, np.nan))
-        self.size_mm[rows, at], self.corner_mm[rows, at] = asked.size_mm, asked.corner_mm
-        self.mass_kg[rows, at] = asked.mass_kg
+        self.size_mm[rows, at], self.corner_mm[rows, at] = placements.size_mm, placements.corner_mm
+        self.mass_kg[rows, at] = placements.mass_kg
         self.count[rows] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:

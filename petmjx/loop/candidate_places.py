@@ -45,7 +45,7 @@ class Places(NamedTuple):
 
 def free_places(
     stock: BoxTable,
-    asked: Placements,
+    placements: Placements,
     extent_mm: tuple[float, float],
     max_height_mm: float,
     grid: FloatArray | None = None,
@@ -60,12 +60,12 @@ def free_places(
         least_support: smallest supported share of a box's base.
         hulls: whether to find ``centred``.
     """
-    count = stock.count[asked.pallet]
+    count = stock.count[placements.pallet]
     if grid is None:
-        points = stock.find_points(asked.pallet)
-        of_each = points.count(asked.pallet)
+        points = stock.find_points(placements.pallet)
+        of_each = points.count(placements.pallet)
     else:
-        of_each = np.full(len(asked), len(grid))
+        of_each = np.full(len(placements), len(grid))
     order = np.argsort(count, kind="stable")  # pallets with few boxes are cheap if they come together
     done = np.cumsum((of_each * (count + 1))[order])
     share = int(done[-1] // (2 * MOST_THREADS)) if len(order) else 0
@@ -73,8 +73,8 @@ def free_places(
     chunks = np.split(order, np.flatnonzero(np.diff(done // at_once)) + 1) if len(order) else []
 
     def lowered(rows: NDArray[np.intp]) -> _Lowered:
-        pallets, k = asked.pallet[rows], int(count[rows].max())
-        low, size = stock.corner_mm[pallets, :k], asked.size_mm[rows]
+        pallets, k = placements.pallet[rows], int(count[rows].max())
+        low, size = stock.corner_mm[pallets, :k], placements.size_mm[rows]
         high = low + stock.size_mm[pallets, :k]
         at = points.of(pallets) if grid is None else np.tile(grid[:, 0] + 1j * grid[:, 1], (len(pallets), 1))
         limits = extent_mm, max_height_mm, least_support
@@ -84,11 +84,11 @@ def free_places(
     parts = on_threads(lowered, chunks[::-1])
     if not parts:
         nothing = np.zeros(0, np.intp)
-        return Places(nothing, asked.pallet, np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool) if hulls else None)
+        return Places(nothing, placements.pallet, np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool) if hulls else None)
     row, corner, support, centred = (np.concatenate(values) for values in zip(*parts, strict=True))
     given = np.argsort(row, kind="stable")
     row, corner, support = row[given], corner[given], support[given]
-    return Places(row, asked.pallet[row], corner, support, centred[given] if hulls else None)
+    return Places(row, placements.pallet[row], corner, support, centred[given] if hulls else None)
 
 
 def _lowered_boxes(

@@ -36,34 +36,38 @@ def check_open(sim: Simulation) -> None:
         raise InputError(f"schedule: pallets that stay open need adaptive, got {sim.schedule}")
 
 
-def open_engine(asked: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:
+def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:
     """The engine of n pallets, and whether it was made by this call."""
-    if not isinstance(asked, str) and not hasattr(asked, "open"):
-        raise InputError(f"engine must be a name or an engine that has open worlds, {shown_value(asked)}")
-    return ready_engine(asked, of_run, gpu=n >= MANY_PALLETS)
+    if not isinstance(requested_engine, str) and not hasattr(requested_engine, "open"):
+        raise InputError(f"engine must be a name or an engine that has open worlds, {shown_value(requested_engine)}")
+    return ready_engine(requested_engine, of_run, gpu=n >= MANY_PALLETS)
 
 
-def ready_engine(asked: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
+def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
     """The engine with this name, or the given engine, and whether it was made by this call.
 
     Args:
         gpu: whether ``auto`` takes ``mjx-warp`` if that can run.
 
     Raises:
-        InputError: ``asked`` is neither a name nor an engine, or the engine lacks an option.
+        InputError: ``requested_engine`` is neither a name nor an engine, or the engine lacks an option.
         EngineUnavailable: the engine cannot run here.
     """
-    if not isinstance(asked, str):
-        if isinstance(asked, type) or not isinstance(asked, MinimalEngine):
-            raise InputError(f"engine must be a name or an engine, {shown_value(asked)}")
-        engine = asked if Engine in type(asked).__mro__ else UserEngine(asked, of_run.get("threads"))
+    if not isinstance(requested_engine, str):
+        if isinstance(requested_engine, type) or not isinstance(requested_engine, MinimalEngine):
+            raise InputError(f"engine must be a name or an engine, {shown_value(requested_engine)}")
+        engine = (
+            requested_engine
+            if Engine in type(requested_engine).__mro__
+            else UserEngine(requested_engine, of_run.get("threads"))
+        )
         return engine, False
-    name = asked
+    name = requested_engine
     if name == AUTO:
         name = "mjx-warp" if gpu and why_no_warp() is None else "mujoco"
     elif name not in ENGINES:
-        raise InputError(f"engine: there are {', '.join(ENGINES)} and {AUTO}, {shown_value(asked)}")
-    return make_engine(name, **options_of(name, RunOptions(engine=asked, **of_run))), True
+        raise InputError(f"engine: there are {', '.join(ENGINES)} and {AUTO}, {shown_value(requested_engine)}")
+    return make_engine(name, **options_of(name, RunOptions(engine=requested_engine, **of_run))), True
 
 
 class Closable:

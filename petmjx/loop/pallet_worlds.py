@@ -35,18 +35,18 @@ class PalletWorlds:
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
 
-    def next_boxes(self, asked: Placements) -> NextBoxes:
+    def next_boxes(self, placements: Placements) -> NextBoxes:
         """The requested boxes, in the form for open worlds."""
-        return NextBoxes.of(asked.size_mm, asked.corner_mm, asked.mass_kg, self._sim)
+        return NextBoxes.of(placements.size_mm, placements.corner_mm, placements.mass_kg, self._sim)
 
-    def place(self, asked: Placements, meanwhile: Callable[[], object] | None) -> PlacementResults:
+    def place(self, placements: Placements, meanwhile: Callable[[], object] | None) -> PlacementResults:
         """Put one box each onto pallets, and wait until these rest. ``meanwhile`` is called during the wait."""
-        rows = asked.pallet
+        rows = placements.pallet
         if len(rows):
             self.worlds.fork(rows.tolist(), (self._n + rows).tolist())
             self._before[rows] = self.boxes.count[rows]
-            self.worlds.put_next(rows.tolist(), self.next_boxes(asked))
-            self.boxes.add(asked)
+            self.worlds.put_next(rows.tolist(), self.next_boxes(placements))
+            self.boxes.add(placements)
         if meanwhile is None:
             return self._rested(rows)
         self.placing = True

@@ -141,8 +141,8 @@ def test_the_folder_of_a_run_stands_for_its_plans(tmp_path: Path, capsys: pytest
     petmjx.score(given, engine="mujoco", check="static", duration_s=0.1, out=folder)
     assert petmjx.score(folder, engine="mujoco", check="static", out=again).worlds.plan_id.tolist() == names
     for options in ({"run": folder}, {"plans": str(folder)}, {"plans": [folder], "run": petmjx.load_run(folder)}):
-        asked = petmjx.criteria(**options, only=("support_75",))
-        assert asked.plans.plan_id.tolist() == names
+        criteria_results = petmjx.criteria(**options, only=("support_75",))
+        assert criteria_results.plans.plan_id.tolist() == names
     assert main(["criteria", "--run", str(folder), "--only", "support_75", "--json"]) == 0
     assert main(["convert", str(folder), "--out", str(file)]) == 0
     assert [plan.plan_id for plan in petmjx.load_plans(file)] == names
