@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from functools import partial
-from typing import Final, Generic
+import sys
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, Generic, cast
 
 from petmjx.common.errors import PetmjxError
 from petmjx.common.text import one_line
 from petmjx.engines.attempts import AttemptRecipe, Engines, ready_for
 from petmjx.engines.failed_world import failed_outcome
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.outcome_checks import MOST_TOGETHER, outcome_checks
-from petmjx.engines.protocol import Engine, GrowingJobs, JobsInParts
+from petmjx.engines.protocol import Capability, Engine, Progress, StreamEngine
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Attempt, Flag, Outcome
 from petmjx.engines.world_results import AnyWorld
@@ -23,6 +23,10 @@ from petmjx.world.job import Job, KeptState
 
 def _never() -> bool:
     return False
+
+
+def _no_more() -> None:
+    return None
 
 
 Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
@@ -40,47 +44,45 @@ class _End:
 _END: Final = _End()
 
 
-@dataclass(eq=False)
-class _PendingJobs(Generic[AnyWorld]):
-    """The jobs of one run of an engine: their number, and the worlds without an outcome by the number of their job."""
+def run_engine(
+    engine: Engine, stream: JobStream[Any], sim: Simulation, progress: Progress, most: int
+) -> Generator[Outcome]:
+    """Simulate the jobs of a stream. Engines that take no stream get lists of jobs, one after the other.
 
-    count: int = 0
-    unanswered: dict[int, Pending[AnyWorld]] = field(default_factory=dict)
-
-    def add(self, batch: Sequence[Pending[AnyWorld]]) -> None:
-        """Add jobs to the run. After an error of the engine none are added."""
-        try:
-            self.unanswered.update(enumerate(batch, self.count))
-        except BaseException:
-            for number in range(self.count, self.count + len(batch)):
-                self.unanswered.pop(number, None)
-            raise
-        self.count += len(batch)
+    Args:
+        most: largest number of jobs in a list.
+    """
+    stream.begin()
+    if getattr(engine, "streams", False):
+        yield from cast(StreamEngine, engine).run(stream, sim, progress)
+        return
+    while jobs := stream.take(most, least=most):
+        first = stream.taken - len(jobs)
+        for outcome in engine.run(jobs, sim, progress):
+            if first and outcome is not None:
+                outcome.job += first
+            yield outcome
 
 
 @dataclass(eq=False)
 class AttemptRunner(Generic[AnyWorld]):
-    """One attempt at a batch of worlds.
+    """One attempt at many worlds.
 
     Attributes:
         sim: the run's options with the attempt's changes.
-        more: worlds that follow from the results so far, if they may be added to the batch.
-        next_chunk: makes further worlds that may be added; None while they are being made, and no worlds at the end.
-        aside: receives the worlds that another engine simulates.
+        put_following: puts jobs that follow from results into the stream, after each outcome.
         check_pool: pool that checks outcomes in other processes, if there is one.
+        most: largest number of jobs in a list, for engines that take no stream.
     """
 
     attempt: AttemptRecipe
     sim: Simulation
     engines: Engines
-    more: Callable[[], Iterable[AnyWorld]] | None
-    aside: list[AnyWorld]
+    put_following: Callable[[], None] = _no_more
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
-    next_chunk: Callable[[], list[AnyWorld] | None] | None = None
+    most: int = sys.maxsize
     _message: str = ""
     """Text of the last error of an engine."""
-    _put_back: list[AnyWorld] | None = None
-    """The chunk for which jobs could not be made while an engine had others."""
 
     def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
         """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
@@ -91,48 +93,47 @@ class AttemptRunner(Generic[AnyWorld]):
         engine = self.engines.own
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
         for pending in batch:
-            (left if self._engine_for(pending[0]) is engine else others).append(pending)
+            (left if self.engine_for(pending[0]) is engine else others).append(pending)
         batch.clear()
         if left:
-            left = yield from self._run_on(engine, left)
-        self.aside += self._put_back or ()
+            left = yield from self.run_stream(engine, self._stream_of(left, engine))
         yield from self.had_fallback(left + others)
+
+    def _stream_of(self, batch: list[Pending[AnyWorld]], engine: Engine) -> JobStream[Pending[AnyWorld]]:
+        """A stream of these worlds alone. The batch is emptied."""
+        stream = JobStream[Pending[AnyWorld]]()
+        for job, pending in zip(self.jobs_of([world for world, _, _ in batch], engine), batch, strict=True):
+            stream.put(job, pending)
+        stream.close()
+        batch.clear()
+        return stream
 
     def had_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
         """Run the worlds that an engine left unanswered on its fallback, if it has one; yields as ``run``."""
         maker = self.engines.own
         if left and self.engines.fallback is not None:
             maker = self.engines.fallback
-            left = yield from self._run_on(maker, left)
+            left = yield from self.run_stream(maker, self._stream_of(left, maker))
         failed = [failed_outcome(0, pending[0].job, self.sim, self._message) for pending in left]
         yield from self.made(list(zip(left, failed, strict=True)), maker.name)
 
-    def _engine_for(self, world: AnyWorld) -> Engine:
+    def engine_for(self, world: AnyWorld) -> Engine:
+        """The engine of the run, or its fallback."""
         return self.engines.for_job(world.job, self.sim, doubles=self.attempt.doubles, soft=self.is_soft(world))
 
     def is_soft(self, world: AnyWorld) -> bool:
         """Whether boxes of a world are soft at this attempt."""
         return self.attempt.soft or world.job.scene.soft is not None
 
-    def _run_on(
-        self, engine: Engine, batch: list[Pending[AnyWorld]]
+    def run_stream(
+        self, engine: Engine, stream: JobStream[Pending[AnyWorld]]
     ) -> Generator[Made[AnyWorld] | None, None, list[Pending[AnyWorld]]]:
-        """Yield the worlds with the outcomes of an engine; return the worlds that an error left unanswered.
-
-        Args:
-            batch: is emptied, as of ``run``.
-        """
-        ledger, maker = _PendingJobs[AnyWorld](), "" if engine.names_engines else engine.name
-        jobs = self._jobs_of(batch, ledger, engine)
-        batch.clear()
-        takes_more = self.more is not None and engine.takes_more
-        if takes_more:
-            jobs = GrowingJobs(jobs)
-        elif self.next_chunk is not None and engine is self.engines.own:
-            jobs = JobsInParts(jobs, partial(self._next_part, ledger, engine))
+        """Yield the worlds with the outcomes of an engine; return the worlds that an error left unanswered."""
+        maker = "" if Capability.MIXED in engine.capabilities else engine.name
+        checked = Capability.CHECKS in engine.capabilities
         progress, tells = self.engines.progress, getattr(engine, "tells", False)
         progress.at_hand, progress.pauses = None, tells
-        answers: Iterator[Outcome | _End | None] = iter(engine.run(jobs, self.sim, progress))
+        answers = run_engine(engine, stream, self.sim, progress, self.most)
         arrivals: list[tuple[Pending[AnyWorld], Outcome]] = []
         while True:
             try:
@@ -140,87 +141,56 @@ class AttemptRunner(Generic[AnyWorld]):
             except BaseException as error:  # even ctrl-C loses no outcome that has arrived
                 if self.check_pool is not None and not isinstance(error, Exception):
                     self.check_pool.hurry()
-                yield from self.made(arrivals, maker, looks=engine.looks)
+                yield from self.made(arrivals, maker, checked=checked)
                 if not isinstance(error, Exception):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
                     raise  # the user can change it: worlds that the engine refuses, or the user's own engine
+                if not stream.taken:  # it would refuse them again
+                    stream.take(sys.maxsize, least=1)
+                unanswered = list(stream.in_flight.values())
                 self._message = one_line(error)
-                self.engines.note_failure(engine.name, self.attempt.number, len(ledger.unanswered), self._message)
-                return list(ledger.unanswered.values())
+                self.engines.note_failure(engine.name, self.attempt.number, len(unanswered), self._message)
+                return unanswered
             if answer is None and tells:
-                yield from self.made([], maker, looks=engine.looks, wait=False)
+                yield from self.made([], maker, checked=checked, wait=False)
                 yield None
                 continue
             if answer is _END:
                 break
             assert isinstance(answer, Outcome)
-            if answer.job not in ledger.unanswered:
-                raise RuntimeError(f"engine {engine.name} answered job {answer.job} twice, or it was never asked")
-            arrivals.append((ledger.unanswered.pop(answer.job), answer))
+            try:
+                arrivals.append((stream.answered(answer.job), answer))
+            except KeyError:
+                raise RuntimeError(
+                    f"engine {engine.name} answered job {answer.job} twice, or it was never asked"
+                ) from None
             # up to MOST_TOGETHER outcomes are checked together, but none is held back: further ones must be at hand
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
-                yield from self.made(arrivals, maker, looks=engine.looks, wait=idle, until=until)
+                yield from self.made(arrivals, maker, checked=checked, wait=idle, until=until)
                 arrivals = []
-            if takes_more:
-                assert self.more is not None
-                jobs += self._more_jobs(self.more(), ledger, engine)
-        yield from self.made(arrivals, maker, looks=engine.looks)
-        if ledger.unanswered:
-            raise RuntimeError(f"engine {engine.name} did not answer {len(ledger.unanswered)} of {ledger.count} jobs")
+            self.put_following()
+        yield from self.made(arrivals, maker, checked=checked)
+        if stream.in_flight:
+            raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")
         return []
 
-    def _next_part(self, ledger: _PendingJobs[AnyWorld], engine: Engine) -> Sequence[Job] | None:
-        """The next part for ``JobsInParts``. The engine would take an error here for its own, and a lack of memory on
-        the host for one on its device. So a chunk with an error is put back, and no other one follows. It is tried
-        again once the engine has finished its jobs. If the error comes again, it ends the run."""
-        assert self.next_chunk is not None
-        if self._put_back:
-            return ()
-        chunk: list[AnyWorld] | None = None
-        try:
-            chunk = self.next_chunk()
-            return None if chunk is None else self._more_jobs(chunk, ledger, engine)
-        except Exception as error:
-            self._put_back = chunk  # needs no memory
-            with suppress(Exception):
-                self.engines.note(f"worlds were made again after an error: {one_line(error)}")
-            return ()
-
-    def _more_jobs(self, worlds: Iterable[AnyWorld], ledger: _PendingJobs[AnyWorld], engine: Engine) -> list[Job]:
-        """Jobs of the worlds that this engine simulates, added to the ledger. Other worlds are put aside."""
-        batch, others = list[Pending[AnyWorld]](), list[AnyWorld]()
-        for world in worlds:
-            if self._engine_for(world) is engine:
-                batch.append((world, None, ()))
-            else:
-                others.append(world)
-        before = len(self.aside)
-        self.aside += others
-        try:
-            return self._jobs_of(batch, ledger, engine)
-        except BaseException:
-            del self.aside[before:]
-            raise
-
-    def _jobs_of(self, batch: Sequence[Pending[AnyWorld]], ledger: _PendingJobs[AnyWorld], engine: Engine) -> list[Job]:
-        """Jobs of these worlds, added to the ledger. After an error of the engine there are none."""
-        jobs = [pending[0].job for pending in batch]
-        jobs = self.attempt.apply_to_jobs(
-            jobs if engine.names_engines else [ready_for(engine.name, job) for job in jobs]
-        )
-        ledger.add(batch)
-        return jobs
+    def jobs_of(self, worlds: Sequence[AnyWorld], engine: Engine) -> list[Job]:
+        """The jobs of these worlds at this attempt, for an engine."""
+        jobs = [world.job for world in worlds]
+        if Capability.MIXED not in engine.capabilities:
+            jobs = [ready_for(engine.name, job) for job in jobs]
+        return self.attempt.apply_to_jobs(jobs)
 
     def made(
         self,
         arrivals: list[tuple[Pending[AnyWorld], Outcome]],
         engine: str,
         *,
-        looks: bool = False,
+        checked: bool = False,
         wait: bool = True,
         until: Callable[[], bool] = _never,
     ) -> Iterator[Made[AnyWorld]]:
@@ -228,11 +198,11 @@ class AttemptRunner(Generic[AnyWorld]):
 
         Args:
             engine: the engine that made them; empty if each outcome names its engine.
-            looks: True: the engine has already checked them.
+            checked: whether the engine has checked them.
             wait: True: wait for outcomes that are checked in the pool; else some of them follow in later calls.
             until: as in ``CheckPool.exchanged``.
         """
-        if looks:
+        if checked:
             answered = arrivals
         elif self.check_pool is not None:
             jobs = [world.job for (world, _, _), _ in arrivals]

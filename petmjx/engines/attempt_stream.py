@@ -5,10 +5,12 @@ The attempts are listed in petmjx/engines/attempts.py.
 
 from __future__ import annotations
 
+import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 from typing import Any, Final, Generic
 
@@ -16,9 +18,10 @@ from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_runner import AttemptRunner, Made, Pending
-from petmjx.engines.attempts import ATTEMPTS, BESIDE, FALLBACKS, AttemptRecipe, Engines, ready_for
+from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, ready_for
 from petmjx.engines.contact_penetration import may_penetrate
-from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress
+from petmjx.engines.job_stream import JobStream
+from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import READY, Answer, Task
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
 from petmjx.engines.verdict import Verdict
@@ -27,23 +30,27 @@ from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
-DEFAULT_CHUNK_WORLDS: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Largest number of worlds made at once: two groups of mjx-warp, less the part that each may still have of the one
-before (``LEFT_SHARE`` and ``READY_SHARE`` in petmjx/engines/warp/engine.py)."""
+MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
+"""Largest number of worlds of a list for an engine that takes no stream, and of worlds that wait for another attempt or
+engine before the source waits."""
 
-CHUNK_BOXES: Final = 1 << 20
-"""Number of boxes from which on no more worlds are added to a chunk: 130 MB of scenes, and as much for the next
-chunk."""
+PENDING_BOXES: Final = 1 << 20
+"""Number of boxes of pending jobs from which on the source waits: 130 MB of scenes."""
 
-FIRST_WORLDS, GROWTH = 2048, 8
-"""Worlds of the first chunk for an engine that takes parts, and the factor by which each next chunk is larger. So a GPU
-begins after half a second, and works on most chunks for as long as it takes to make the next one. 2,048 worlds fill its
-blocks for few boxes."""
+FIRST_WORLDS: Final = 2048
+"""Number of worlds with which a GPU begins. They fill its blocks for few boxes, and are made in half a second."""
+
+PAUSE_S: Final = 0.02
+"""Time between two looks of a source that waits for other attempts, s."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
     """A pool that checks outcomes beside an engine with this many worlds; None if it is not worthwhile."""
-    return CheckPool.here() if engine.name in BESIDE and not engine.looks and worlds >= LARGE else None
+    return (
+        CheckPool.here()
+        if engine.name in BESIDE and Capability.CHECKS not in engine.capabilities and worlds >= LARGE
+        else None
+    )
 
 
 def score_worlds(
@@ -52,22 +59,24 @@ def score_worlds(
     engine: Engine,
     *,
     progress: Progress | None = None,
-    chunk_worlds: int = DEFAULT_CHUNK_WORLDS,
-    first_worlds: int = FIRST_WORLDS,
+    begin_with: int = FIRST_WORLDS,
+    most_pending: int = MOST_PENDING,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
-    more: Callable[[], Iterable[AnyWorld]] | None = None,
+    following: Callable[[], Iterable[AnyWorld]] | None = None,
     check_pool: CheckPool[Any] | None = None,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
 
-    A device is given ``chunk_worlds`` worlds at a time, and the next chunk is made meanwhile. An engine may take the
-    next chunk before the worlds of this one have ended (``JobsInParts``); its first chunk then has ``first_worlds``.
-    Invalid worlds are collected and simulated again together, when they fill a chunk or at the end. So memory does not
-    grow with the number of worlds. Attempts that CPU threads make beside a GPU (petmjx/engines/attempts.py) begin at
-    once.
+    A thread makes the worlds and puts their jobs into a ``JobStream``, from which the engine takes them. The thread
+    waits while ``PENDING_BOXES`` are pending. Invalid worlds are collected and simulated again together, when
+    ``most_pending`` wait or at the end. So memory does not grow with the number of worlds. Attempts that CPU threads
+    make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
-    ``more`` gives worlds that follow from the results so far, each world once. An engine with ``takes_more`` simulates
-    them beside the worlds that still run, any other engine after these have ended.
+    ``following`` gives worlds that follow from the results so far, each world once. It is asked after each outcome. An
+    engine that takes a stream simulates them beside the worlds that still run, any other engine after these have
+    ended.
+
+    ``begin_with``: number of worlds for which a GPU waits at first.
 
     ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
@@ -78,19 +87,32 @@ def score_worlds(
         RuntimeError: the engine did not answer every job exactly once.
         InputError: the options ask for soft boxes, which the engine does not have.
         PetmjxError: the engine refuses the worlds at the first attempt.
-        Exception: an error of an engine without a fallback at the first attempt.
+        Exception: an error of an engine without a fallback at the first attempt, or of ``worlds``.
     """
-    if sim.has_soft and engine.name != "mujoco" and engine.name not in FALLBACKS:
-        raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     progress = progress or Progress()
     engines = Engines(engine, progress)
+    if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
+        raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     first, *retries = attempts
-    chunk_worlds *= engine.devices
-    begins_with = min(first_worlds, chunk_worlds) if engine.takes_parts and more is None else chunk_worlds
-    source = Chunks[AnyWorld](iter(worlds), begins_with, chunk_worlds, CHUNK_BOXES * engine.devices)
+    most_pending *= engine.devices
+    stream = JobStream[Pending[AnyWorld]](most_boxes=PENDING_BOXES * engine.devices, feedback=following is not None)
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
-    aside: list[AnyWorld] = []
+    aside = deque[Pending[AnyWorld]]()  # the thread of the source appends
     besides = _SideTasks[AnyWorld](sim, engines, check_pool)
+    first_runner = AttemptRunner[AnyWorld](first, first.apply_to_sim(sim), engines, most=most_pending)
+
+    def deliver(world: AnyWorld, *, bounded: bool) -> bool:
+        """Put the job of a new world into the stream, or set the world aside for the fallback."""
+        pending: Pending[AnyWorld] = (world, None, ())
+        if first_runner.engine_for(world) is not engine:
+            aside.append(pending)
+            return True
+        (job,) = first_runner.jobs_of([world], engine)
+        return stream.put(job, pending, bounded=bounded)
+
+    def put_following() -> None:
+        for world in following() if following is not None else ():
+            deliver(world, bounded=False)
 
     def went_on(attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
@@ -101,30 +123,27 @@ def score_worlds(
         world, outcome, records = pending
         assert outcome is not None
         later = attempts[attempts.index(attempt) + 1 :]
-        following = next((recipe for recipe in later if recipe.is_for(outcome, sim)), None)
-        if following is None:
+        next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, sim)), None)
+        if next_attempt is None:
             yield WorldResult(world, outcome, records)
-        elif not besides.begin(following, pending):
-            waiting.append((following, pending))
+        elif not besides.begin(next_attempt, pending):
+            waiting.append((next_attempt, pending))
 
     def from_beside(wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
         for attempt, pending in besides.ended(wait=wait):
             yield from went_on(attempt, pending)
 
-    def next_chunk() -> list[AnyWorld] | None:
-        """The next chunk for an engine that still has the one before; none if a chunk's worth of worlds waits for other
-        attempts or engines."""
-        return source.take_made() if len(waiting) + len(aside) < chunk_worlds else []
-
-    def attempt_at(batch: list[Pending[AnyWorld]], attempt: AttemptRecipe) -> Iterator[WorldResult[AnyWorld]]:
-        making = AttemptRunner(attempt, attempt.apply_to_sim(sim), engines, more if attempt is first else None, aside)
-        if attempt is first and more is None:
-            making.check_pool, besides.making = besides.check_pool, making
-            making.next_chunk = next_chunk if source.more else None
-        for pending in making.run(batch):
+    def results_of(attempt: AttemptRecipe, made: Iterator[Made[AnyWorld] | None]) -> Iterator[WorldResult[AnyWorld]]:
+        for pending in made:
             if pending is not None:  # None: the engine pauses
                 yield from went_on(attempt, pending)
             yield from from_beside()
+
+    def first_attempt() -> Iterator[Made[AnyWorld] | None]:
+        left = yield from first_runner.run_stream(engine, stream)
+        while aside:
+            left.append(aside.popleft())
+        yield from first_runner.had_fallback(left)
 
     def retry() -> Iterator[WorldResult[AnyWorld]]:
         for attempt in retries:
@@ -132,24 +151,31 @@ def score_worlds(
             waiting[:] = [entry for entry in waiting if entry[0] is not attempt]
             if chosen:
                 progress.message = f"{len(chosen)} again, attempt {attempt.number}"
-                yield from attempt_at(chosen, attempt)
+                runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(sim), engines)
+                yield from results_of(attempt, runner.run(chosen))
 
+    source = WorldSource(
+        worlds, partial(deliver, bounded=True), stream, lambda: len(waiting) + len(aside) < most_pending
+    )
+    first_runner.put_following = put_following
     try:
+        source.start()
         while True:
-            next_worlds = aside or source.take() or (more() if more else ())
-            batch: list[Pending[AnyWorld]] = [(world, None, ()) for world in next_worlds]
-            del next_worlds  # finished worlds take memory
-            aside.clear()
-            ended = not batch
-            if batch:
-                besides.prepare([world for world, _, _ in batch], retries)
-                yield from attempt_at(batch, first)
+            put_following()
+            closed = stream.closed  # before the looks at what it has delivered
+            ready = stream.wait_for(LARGE if engine.name in BESIDE else 1)
+            if ready or aside:
+                besides.prepare(stream.peek(LARGE), retries)
+                if following is None:
+                    first_runner.check_pool, besides.first = besides.check_pool, first_runner
+                yield from results_of(first, first_attempt())
             elif not waiting and besides.unanswered:
                 progress.message = f"{count_text(besides.unanswered, 'world')} again on CPU threads"
                 yield from from_beside(wait=True)
-            elif not waiting:
+            elif not waiting and closed:
+                source.raise_error()
                 return
-            if len(waiting) >= chunk_worlds or ended:
+            if len(waiting) >= most_pending or not ready:
                 yield from retry()  # more worlds may follow from its results
     except GeneratorExit:
         raise
@@ -157,7 +183,7 @@ def score_worlds(
         if besides.check_pool is not None and not isinstance(error, Exception):
             besides.check_pool.hurry()
         yield from from_beside()
-        for answered in besides.making.made([], engine.name) if besides.making is not None else ():
+        for answered in besides.first.made([], engine.name) if besides.first is not None else ():
             yield from went_on(first, answered)
         raise
     finally:
@@ -166,57 +192,55 @@ def score_worlds(
             closing.callback(besides.close)
 
 
-@dataclass(eq=False)
-class Chunks(Generic[AnyWorld]):
-    """Worlds in chunks. A thread makes the next chunk while an engine has this one, so that a device need not wait.
+class WorldSource(Generic[AnyWorld]):
+    """A thread that makes worlds ahead of the engine.
 
     Args:
-        size: number of worlds of the next chunk. The chunk after it has ``GROWTH`` times as many.
-        most: largest number of worlds of a chunk.
-        most_boxes: number of boxes from which on no more worlds are added to a chunk.
+        deliver: puts a world's job into the stream, and waits while that is full. False: the stream is closed.
+        has_room: whether few enough worlds wait for other attempts or engines. Else the source pauses.
     """
 
-    source: Iterator[AnyWorld]
-    size: int
-    most: int
-    most_boxes: int = CHUNK_BOXES
-    _ended: bool = False
-    _maker: ThreadPoolExecutor = field(default_factory=lambda: ThreadPoolExecutor(1, "petmjx-worlds"))
-    _next: Future[list[AnyWorld]] | None = None
+    def __init__(
+        self,
+        worlds: Iterable[AnyWorld],
+        deliver: Callable[[AnyWorld], bool],
+        stream: JobStream[Any],
+        has_room: Callable[[], bool],
+    ) -> None:
+        self._worlds, self._deliver, self._stream, self._has_room = worlds, deliver, stream, has_room
+        self._error: BaseException | None = None
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="petmjx-worlds", daemon=True)
 
-    @property
-    def more(self) -> bool:
-        """Whether the next chunk is being made, or is ready."""
-        return self._next is not None
+    def start(self) -> None:
+        self._thread.start()
 
-    def take(self) -> list[AnyWorld]:
-        """The next worlds; an empty list at the end."""
-        chunk = self._made() if self._next is None else self._next.result()
-        self._next = None if self._ended else self._maker.submit(self._made)
-        return chunk
-
-    def take_made(self) -> list[AnyWorld] | None:
-        """As ``take``, but None while the worlds are being made. An error of the source is raised by ``take`` alone:
-        here it means no more worlds."""
-        if self._next is not None and not self._next.done():
-            return None
-        return self.take() if self._next is not None and self._next.exception() is None else []
-
-    def _made(self) -> list[AnyWorld]:
-        chunk, boxes, size = list[AnyWorld](), 0, self.size
-        self.size = min(GROWTH * size, self.most)
-        for world in self.source:
-            chunk.append(world)
-            boxes += world.job.scene.n_boxes
-            if self._ended or len(chunk) == size or boxes >= self.most_boxes:
-                return chunk
-        self._ended = True
-        return chunk
+    def raise_error(self) -> None:
+        """Raise the error that ended the worlds early, if there was one."""
+        if self._error is not None:
+            raise self._error
 
     def close(self) -> None:
         """Make no more worlds, and wait for the one that is being made."""
-        self._ended = True
-        self._maker.shutdown()
+        self._stop.set()
+        self._stream.close()
+        if self._thread.ident is not None:
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            for world in self._worlds:
+                if not self._deliver(world) or self._stop.is_set():
+                    return
+                if not self._has_room():
+                    self._stream.pause()
+                    while not self._has_room() and not self._stop.wait(PAUSE_S):
+                        pass
+                    self._stream.pause(False)
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._stream.close()
 
 
 @dataclass(eq=False)
@@ -228,7 +252,7 @@ class _SideTasks(Generic[AnyWorld]):
     lent: CheckPool[Pending[AnyWorld]] | None = None
     """A pool that is kept after this run."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
-    making: AttemptRunner[AnyWorld] | None = None
+    first: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""
     _numbers: Iterator[int] = field(default_factory=count)
     _asked: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
@@ -239,16 +263,16 @@ class _SideTasks(Generic[AnyWorld]):
         """Number of worlds that are being simulated."""
         return len(self._asked)
 
-    def prepare(self, worlds: Sequence[AnyWorld], retries: Sequence[AttemptRecipe]) -> None:
+    def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. That
         process simulates one box first: it may have to compile a kernel, which takes as long as many worlds."""
-        self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.own, len(worlds))
+        self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.own, len(jobs))
         name = BESIDE.get(self.engines.own.name)
-        if name is None or len(worlds) < LARGE:
+        if name is None or len(jobs) < LARGE:
             return
         if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
             return
-        scene = next((world.job.scene for world in worlds if not world.job.settles), None)
+        scene = next((job.scene for job in jobs if not job.settles), None)
         for attempt in retries if self.sim.solver is not Solver.CG else ():
             if attempt.few and scene is not None:
                 job, sim = Job(scene.first(1)), attempt.apply_to_sim(self.sim)
@@ -256,7 +280,7 @@ class _SideTasks(Generic[AnyWorld]):
 
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
-        making = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines, None, [])
+        making = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
         world, before, _ = pending
         # if boxes of a plan may sink, they do in all its worlds with errors
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID

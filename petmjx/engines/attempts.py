@@ -31,7 +31,7 @@ import numpy as np
 from petmjx.common.text import count_text
 from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.engine_choice import make_engine
-from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.protocol import Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_host import SideSimulator, SubprocessSimulator
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.physics import Cone
@@ -156,6 +156,14 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
 FALLBACKS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
 """Engine → its fallback engine."""
 
+_FALLBACK_NOTES: Final = {
+    Capability.SOFT: "worlds with soft boxes were simulated on {}",
+    Capability.SHEETS: "worlds with interlayer sheets were simulated on {}",
+    Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
+    Capability.CG: "worlds were simulated on {}: only it has the solver cg",
+}
+"""What the engine of a run lacks → the note about worlds that its fallback simulates."""
+
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
 """Engine → the engine that makes further attempts on CPU threads beside it, if few worlds need them."""
 
@@ -167,6 +175,11 @@ class Engines:
     own: Engine
     progress: Progress
 
+    @property
+    def has_fallback(self) -> bool:
+        """Whether the engine of the run has a fallback. It is not built for this answer."""
+        return self.own.name in FALLBACKS
+
     @cached_property
     def fallback(self) -> Engine | None:
         name = FALLBACKS.get(self.own.name)
@@ -174,21 +187,22 @@ class Engines:
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
         """The engine of a job; ``doubles``: the attempt wants double precision; ``soft``: it has soft boxes."""
-        if soft and self.fallback is not None:
-            self.note(f"worlds with soft boxes were simulated on {self.fallback.name}")
-            return self.fallback
-        cut = bool(job.scene.pieces) and self.own.name == "mjx-jax"
-        if cut and self.fallback is not None:
-            self.note(f"worlds with interlayer sheets were simulated on {self.fallback.name}")
-            return self.fallback
+        if not self.has_fallback:
+            return self.own
+        needs = {
+            Capability.SOFT: soft,
+            Capability.SHEETS: bool(job.scene.pieces),
+            Capability.FLOAT64: doubles,
+            Capability.CG: sim.solver is Solver.CG,
+        }
+        missing = [need for need, needed in needs.items() if needed and need not in self.own.capabilities]
         foreign = isinstance(job.start, KeptState) and job.start.engine != self.own.name
-        if (doubles or foreign or sim.solver is Solver.CG) and self.fallback is not None:
-            if doubles:
-                self.note(f"worlds were simulated again on {self.fallback.name}, in double precision")
-            elif sim.solver is Solver.CG:
-                self.note(f"worlds were simulated on {self.fallback.name}: only it has the solver cg")
-            return self.fallback
-        return self.own
+        if not missing and not foreign:
+            return self.own
+        assert self.fallback is not None
+        if missing:
+            self.note(_FALLBACK_NOTES[missing[0]].format(self.fallback.name))
+        return self.fallback
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
         """The engine that makes a further attempt at a job beside the engine of the run; None: no engine does.

@@ -8,19 +8,22 @@ take them.
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from typing import Final, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.common.text import count_text, one_line, three_digits
 from petmjx.common.units import FloatArray
+from petmjx.engines.attempt_runner import run_engine
 from petmjx.engines.attempts import ready_for
 from petmjx.engines.cost_model import Costs
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
-from petmjx.engines.protocol import Engine, GrowingJobs, Progress, says_at_hand
+from petmjx.engines.protocol import PHYSICS, Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.free_bodies import FreeBodies
@@ -39,6 +42,10 @@ GAIN: Final = 1.5
 Faster = TypeVar("Faster", bound=Engine)
 
 
+_Numbered = tuple[int, Job]
+"""A job, with its number in the run."""
+
+
 class HandoverEngine(Engine, Generic[Faster]):
     """C MuJoCo until its worlds take longer than expected; then the kernels, for all that has not begun.
 
@@ -53,8 +60,7 @@ class HandoverEngine(Engine, Generic[Faster]):
     """
 
     name = MujocoEngine.name
-    takes_more = True
-    names_engines = True
+    capabilities = PHYSICS["mujoco"] | Capability.MIXED
 
     def __init__(self, mujoco: MujocoEngine, make_faster: Callable[[], Faster], costs: Costs) -> None:
         self._mujoco, self._make_faster, self._costs = mujoco, make_faster, costs
@@ -90,12 +96,16 @@ class HandoverEngine(Engine, Generic[Faster]):
             self._faster.close()
 
     @says_at_hand
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
         """As in the protocol. Jobs begin with the states that they start from (``KeptState``), of either engine."""
         progress = progress if progress is not None else Progress()
         self._sim = self._sim or sim
-        run = _Shared(self, jobs, sim, progress, first_attempt=sim == self._sim and sim.solver is Solver.NEWTON)
-        while run.take():
+        first_attempt = sim == self._sim and sim.solver is Solver.NEWTON
+        run = _Shared(self, JobStream.of(jobs), sim, progress, first_attempt=first_attempt)
+        while run.take(wait=True):
             yield from run.on_mujoco() if run.next_is_mujoco else run.on_faster()
 
     def _slower(self) -> float:
@@ -137,7 +147,7 @@ class _Shared(Generic[Faster]):
     def __init__(
         self,
         engine: HandoverEngine[Faster],
-        jobs: Sequence[Job],
+        jobs: JobStream[Any],
         sim: Simulation,
         progress: Progress,
         *,
@@ -146,13 +156,18 @@ class _Shared(Generic[Faster]):
         self._engine, self._jobs, self._sim, self._progress = engine, jobs, sim, progress
         self._first_attempt = first_attempt
         self._taken = 0
-        self._mujoco, self._faster = deque[int](), deque[int]()
+        self._mujoco, self._faster = deque[_Numbered](), deque[_Numbered]()
 
-    def take(self) -> bool:
-        """Take jobs that have been added; returns whether any job is left."""
-        for number in range(self._taken, len(self._jobs)):
-            (self._mujoco if self._is_for_mujoco(number) else self._faster).append(number)
-        self._taken = len(self._jobs)
+    def take(self, *, wait: bool = False) -> bool:
+        """Take the jobs that are ready; returns whether any job is left.
+
+        Args:
+            wait: wait for jobs if none is left.
+        """
+        left = self.next_is_mujoco or bool(self._faster)
+        for job in self._jobs.take(sys.maxsize, least=2 * self._engine.threads, wait=wait and not left):
+            (self._mujoco if self._is_for_mujoco(job) else self._faster).append((self._taken, job))
+            self._taken += 1
         return self.next_is_mujoco or bool(self._faster)
 
     @property
@@ -160,29 +175,29 @@ class _Shared(Generic[Faster]):
         """Whether C MuJoCo has jobs."""
         return bool(self._mujoco)
 
-    def _is_for_mujoco(self, number: int) -> bool:
-        soft = self._jobs[number].scene.soft is not None
-        return self._engine._faster is None or self._engine._stays or soft or not self._first_attempt
+    def _is_for_mujoco(self, job: Job) -> bool:
+        stays = self._engine._faster is None or self._engine._stays
+        return stays or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
         """Run jobs on C MuJoCo. It is given only as many as it begins, so that the remaining ones can be taken back."""
-        mujoco, numbers = self._engine._mujoco, list[int]()
-        jobs = GrowingJobs()
-        answered = 0
+        mujoco = self._engine._mujoco
+        stream = JobStream[_Numbered]()
 
         def feed() -> None:
-            while self._mujoco and len(jobs) - answered < 2 * mujoco.threads:
-                numbers.append(self._mujoco.popleft())
-                jobs.append(ready_for(mujoco.name, self._jobs[numbers[-1]]))
+            while self._mujoco and len(stream.in_flight) + stream.ready < 2 * mujoco.threads:
+                number, job = self._mujoco.popleft()
+                stream.put(ready_for(mujoco.name, job), (number, job))
 
         feed()
+        stream.close()  # further jobs are put between outcomes
         spent_s = self._progress.thread_s
-        with closing(mujoco.run(jobs, self._sim, self._progress)) as outcomes:  # type: ignore[type-var]  # a generator
+        with closing(mujoco.run(stream, self._sim, self._progress)) as outcomes:  # type: ignore[type-var]  # a generator
             for outcome in outcomes:
                 if outcome is not None:
-                    answered += 1
-                    outcome.job, outcome.engine = numbers[outcome.job], mujoco.name
-                    self._count(outcome.job, self._progress.thread_s - spent_s)
+                    outcome.job, job = stream.answered(outcome.job)
+                    outcome.engine = mujoco.name
+                    self._count(job, self._progress.thread_s - spent_s)
                     spent_s = self._progress.thread_s
                 yield outcome
                 self.take()
@@ -190,22 +205,21 @@ class _Shared(Generic[Faster]):
                     self._reconsider()
                 feed()
 
-    def _count(self, number: int, seconds: float) -> None:
+    def _count(self, job: Job, seconds: float) -> None:
         """Count the time of a finished world. A world that should start from a state but was placed anew is not
         counted."""
         engine = self._engine
         if self._first_attempt:
             engine._worlds += 1
             engine._spent_s += seconds
-            engine._expected_s += float(engine._costs.of_jobs([self._jobs[number]], self._sim)[0])
+            engine._expected_s += float(engine._costs.of_jobs([job], self._sim)[0])
 
     def _reconsider(self) -> None:
         if self._engine._faster is None and self._engine._hands_over(
-            [self._jobs[number] for number in self._mujoco], self._sim, self._progress
+            [job for _, job in self._mujoco], self._sim, self._progress
         ):
-            others = [number for number in self._mujoco if not self._is_for_mujoco(number)]
-            self._faster += others
-            left = [number for number in self._mujoco if self._is_for_mujoco(number)]
+            left = [numbered for numbered in self._mujoco if self._is_for_mujoco(numbered[1])]
+            self._faster += [numbered for numbered in self._mujoco if not self._is_for_mujoco(numbered[1])]
             self._mujoco.clear()
             self._mujoco += left
 
@@ -213,29 +227,29 @@ class _Shared(Generic[Faster]):
         """Run jobs on the other engine. After an error of it C MuJoCo takes the unanswered ones."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
-        numbers, jobs = list[int](), GrowingJobs()
+        stream = JobStream[_Numbered](feedback=self._jobs.feedback)
 
         def feed() -> None:
             while self._faster:
-                numbers.append(self._faster.popleft())
-                jobs.append(ready_for(faster.name, self._jobs[numbers[-1]]))
+                number, job = self._faster.popleft()
+                stream.put(ready_for(faster.name, job), (number, job))
 
         feed()
-        unanswered = dict.fromkeys(numbers)
+        stream.close()  # further jobs are put between outcomes
         try:
-            with closing(faster.run(jobs, self._sim, progress)) as outcomes:  # type: ignore[type-var]  # a generator
+            with closing(run_engine(faster, stream, self._sim, progress, sys.maxsize)) as outcomes:
                 for outcome in outcomes:
                     if outcome is not None:
-                        outcome.job, outcome.engine = numbers[outcome.job], faster.name
-                        del unanswered[outcome.job]
+                        outcome.job, _ = stream.answered(outcome.job)
+                        outcome.engine = faster.name
                     yield outcome
                     self.take()
-                    if faster.takes_more:
-                        unanswered |= dict.fromkeys(self._faster)
-                        feed()
+                    feed()
         except Exception as error:
             self._engine._stays = True
+            stream.take(sys.maxsize)
+            unanswered = stream.in_flight.values()
             left = count_text(len(unanswered), "world")
             progress.notes[f"{faster.name} failed ({one_line(error)}); {left}: went to {self._engine.name}"] = None
-            self._mujoco += [*unanswered, *(number for number in self._faster if number not in unanswered)]
+            self._mujoco += [*unanswered, *self._faster]
             self._faster.clear()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import enum
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Any, Final, Protocol, TypeVar, runtime_checkable
 
 from petmjx.common.errors import InputError
 from petmjx.common.machine import device_name
 from petmjx.common.units import FloatArray
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
@@ -58,6 +60,13 @@ def says_at_hand(run: Run) -> Run:
     return run
 
 
+def takes_stream(run: Run) -> Run:
+    """Mark a ``run`` that takes its jobs from a ``JobStream`` while it simulates others (``StreamEngine``). Other ones
+    are given lists of jobs. The method is marked, as by ``says_at_hand``."""
+    run.takes_stream = True  # type: ignore[attr-defined]  # a function has room for it
+    return run
+
+
 class RunLock:
     """Allows one run at a time of an engine that keeps data between runs, such as compiled programs.
 
@@ -84,28 +93,32 @@ class RunLock:
         self._lock.release()
 
 
-class GrowingJobs(list[Job]):
-    """Jobs to which more are appended while an engine simulates them, whenever it has yielded an outcome.
+class Capability(enum.Flag):
+    """What an engine can do."""
 
-    Only engines with ``takes_more`` are given this list. They simulate the added jobs in the same run, as soon as they
-    have capacity. A run ends when no job is left.
-    """
+    FLOAT64 = enum.auto()
+    """It steps in double precision."""
+    CG = enum.auto()
+    """It has the solver ``cg``."""
+    SHEETS = enum.auto()
+    """It has interlayer sheets."""
+    SOFT = enum.auto()
+    """It has boxes that are flex bodies."""
+    CHECKS = enum.auto()
+    """It checks its outcomes itself (petmjx/engines/outcome_checks.py)."""
+    MIXED = enum.auto()
+    """It consists of several engines. Its outcomes name the engine that made them. Start states of its jobs are
+    ``KeptState``, which names the engine that made the state."""
 
 
-class JobsInParts(list[Job]):
-    """The first part of a run's jobs. An engine may take the next part while it has this one, so that a device is busy
-    up to the end of the run; job numbers continue. Else the next part is given to it in another run. An engine may
-    clear the list, since finished worlds would take memory.
-
-    Args:
-        next_part: returns the next part; see the attribute.
-    """
-
-    def __init__(self, jobs: Sequence[Job], next_part: Callable[[], Sequence[Job] | None]) -> None:
-        super().__init__(jobs)
-        self.next_part = next_part
-        """Returns the next part, once; None while it is being made, and no jobs if none follows now. May be called from
-        a thread of the engine. It raises nothing: an engine could take an exception for its own error."""
+_PHYSICS: Final = Capability.FLOAT64 | Capability.CG | Capability.SHEETS
+PHYSICS: Final[Mapping[str, Capability]] = {
+    "mujoco": _PHYSICS | Capability.SOFT,
+    "mjx-jax": Capability(0),
+    "mjx-warp": Capability.SHEETS,
+    "mjx-warp-cpu": Capability.SHEETS,
+}
+"""Engine → what it can simulate, also in workers. An engine of another name is trusted with all but soft boxes."""
 
 
 @runtime_checkable
@@ -120,6 +133,20 @@ class MinimalEngine(Protocol):
         ...
 
 
+class StreamEngine(Protocol):
+    """An engine whose ``run`` is marked with ``takes_stream``."""
+
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
+        """As of ``MinimalEngine``. The number of a job is its place among the jobs that the run takes.
+
+        A run takes jobs while it has capacity. It ends when it has no job in flight and waits for more in vain
+        (``JobStream.take``).
+        """
+        ...
+
+
 class Engine(MinimalEngine, Protocol):
     """The full interface of an engine. A class that inherits from it gets defaults for all that it does not define.
 
@@ -127,20 +154,15 @@ class Engine(MinimalEngine, Protocol):
     other threads wait (``RunLock``).
 
     Attributes:
-        takes_more: whether jobs may be appended while it runs (``GrowingJobs``).
-        takes_parts: whether it takes the next part of a run's jobs while it has this one (``JobsInParts``). Then the
-            first part is small, so that it begins soon.
-        looks: whether it checks its outcomes itself (petmjx/engines/outcome_checks.py).
         devices: number of GPUs that simulate at the same time. The engine is given as many times more worlds at once.
-        names_engines: whether it consists of several engines. Its outcomes then name the engine that made them, and
-            start states of its jobs are ``KeptState``, which names the engine that made the state.
     """
 
-    takes_more: bool = False
-    takes_parts: bool = False
-    looks: bool = False
     devices: int = 1
-    names_engines: bool = False
+
+    @property
+    def capabilities(self) -> Capability:
+        """What it can do. By default the physics of its name."""
+        return PHYSICS.get(self.name, _PHYSICS)
 
     @property
     def device(self) -> str:
@@ -151,6 +173,11 @@ class Engine(MinimalEngine, Protocol):
     def tells(self) -> bool:
         """Whether its ``run`` is marked with ``says_at_hand``."""
         return getattr(self.run, "says_at_hand", False)
+
+    @property
+    def streams(self) -> bool:
+        """Whether its ``run`` is marked with ``takes_stream``."""
+        return getattr(self.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
         """Worlds that stay open.

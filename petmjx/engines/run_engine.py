@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from os import PathLike
@@ -18,7 +19,7 @@ from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, o
 from petmjx.engines.gpu_start import start_gpu
 from petmjx.engines.machine_speed import costs_here
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
-from petmjx.engines.protocol import Engine, MinimalEngine, Progress
+from petmjx.engines.protocol import Capability, Engine, MinimalEngine, Progress
 from petmjx.engines.verdict import Outcome
 from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Simulation
@@ -27,6 +28,9 @@ from petmjx.world.scene import Scene
 
 if TYPE_CHECKING:
     from petmjx.engines.remote.worker_choice import WorkerStartup
+
+_OLD_FLAGS: Final = ("takes_more", "takes_parts", "looks", "names_engines")
+"""Attributes that ``Engine.capabilities`` replaces."""
 
 WORTH_A_GPU: Final = 4 << 20
 """Bytes of plan files from which on ``auto`` will take an available GPU: some 400 plans."""
@@ -41,15 +45,21 @@ class UserEngine(Engine):
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
         self.name, self._own, self._threads = engine.name, engine, threads
-        self.takes_more = bool(getattr(engine, "takes_more", False))
-        self.takes_parts = bool(getattr(engine, "takes_parts", False))
-        self.looks = bool(getattr(engine, "looks", False))
         self.devices = int(getattr(engine, "devices", 1))
-        self.names_engines = bool(getattr(engine, "names_engines", False))
+        if dated := [name for name in _OLD_FLAGS if getattr(engine, name, False)]:
+            warnings.warn(f"engine {self.name}: {', '.join(dated)} has no effect; say capabilities", stacklevel=2)
+
+    @property
+    def capabilities(self) -> Capability:
+        return getattr(self._own, "capabilities", super().capabilities)
 
     @property
     def tells(self) -> bool:
         return getattr(self._own.run, "says_at_hand", False)
+
+    @property
+    def streams(self) -> bool:
+        return getattr(self._own.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
         """The open worlds of the engine, if it has them; else the default of ``Engine``."""

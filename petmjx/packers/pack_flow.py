@@ -111,7 +111,7 @@ class Flow:
         """Each packed order, in the order of the input."""
         if isinstance(engine, TableEngine):
             engine.least_rows, engine.granule = self._at_a_time.rows, GRANULE
-        for result in score_worlds((), self._worlds.sim, engine, more=self._more):
+        for result in score_worlds((), self._worlds.sim, engine, following=self._more):
             world = result.world
             assert isinstance(world, _PackingWorld)
             self._unanswered -= 1

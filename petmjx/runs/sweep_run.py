@@ -13,7 +13,7 @@ from functools import cached_property
 from itertools import chain, islice
 from typing import Any
 
-from petmjx.engines.attempt_stream import DEFAULT_CHUNK_WORLDS, FIRST_WORLDS, check_pool_for, score_worlds
+from petmjx.engines.attempt_stream import FIRST_WORLDS, MOST_PENDING, check_pool_for, score_worlds
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import CheckPool
@@ -45,7 +45,7 @@ class Batching:
         histories: most settled states that are kept together with their histories. A history with 43 boxes takes 1 MB.
     """
 
-    undriven: int = DEFAULT_CHUNK_WORLDS
+    undriven: int = MOST_PENDING
     placements: int = 4096
     worlds: int = 65_536
     drives: int = 16_384
@@ -255,35 +255,35 @@ class SweepRun:
     def _score(
         self,
         worlds: Iterable[AnyWorld],
-        chunk_worlds: int,
-        first_worlds: int = FIRST_WORLDS,
+        most_pending: int,
         *,
         forks: bool,
-        more: Callable[[], Iterable[AnyWorld]] | None = None,
+        begin_with: int = FIRST_WORLDS,
+        following: Callable[[], Iterable[AnyWorld]] | None = None,
     ) -> Iterator[WorldResult[AnyWorld]]:
         return score_worlds(
             worlds,
             self.sim,
             self.engine,
             progress=self.progress,
-            chunk_worlds=chunk_worlds,
-            first_worlds=first_worlds,
+            begin_with=begin_with,
+            most_pending=most_pending,
             attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
-            more=more,
+            following=following,
             check_pool=self._check_pool,
         )
 
     # Placements.
 
     def _place(
-        self, groups: Iterable[PlacementGroup], chunk_worlds: int, keep_state: bool
+        self, groups: Iterable[PlacementGroup], most_pending: int, keep_state: bool
     ) -> Iterator[SettledPlacement]:
         begin = time.perf_counter()
         worlds = (
             _PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
             for group, scene in self.plan.scenes(groups)
         )
-        for result in self._score(worlds, chunk_worlds, forks=keep_state):
+        for result in self._score(worlds, most_pending, forks=keep_state):
             self.tally.placements += 1
             self.tally.placement_steps += result.outcome.n_steps
             yield SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
@@ -351,12 +351,12 @@ class SweepRun:
         return _DriveWorld(plan, variant.index, job, start, variant, test)
 
     def _drive(
-        self, worlds: Iterable[_DriveWorld], more: Callable[[], Iterable[_DriveWorld]] | None = None
+        self, worlds: Iterable[_DriveWorld], following: Callable[[], Iterable[_DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
-        """Simulate forks; yield each world with its test. ``more`` gives the forks that follow from earlier results."""
+        """Simulate forks; yield each world with its test. ``following`` gives forks that follow from results."""
         begin = time.perf_counter()
         most = self.batching.drives  # all at once, since their scenes already exist
-        for result in self._score(worlds, most, most, forks=True, more=more):
+        for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
             world, outcome = result.world, result.outcome
             self.tally.drives += 1
             self.tally.drive_steps += outcome.n_steps
@@ -408,20 +408,21 @@ class SweepRun:
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
-        following: list[_DriveWorld] = []
+        next_ones: list[_DriveWorld] = []
 
-        def more() -> list[_DriveWorld]:
-            drives = following.copy()
-            following.clear()
+        def following() -> list[_DriveWorld]:
+            drives = next_ones.copy()
+            next_ones.clear()
             return drives
 
-        first = (drive for which in range(len(searches)) for drive in next_drives(which))
-        for test, world in self._drive(first, more):
+        # a list, since the thread of a source must not search
+        first = [drive for which in range(len(searches)) for drive in next_drives(which)]
+        for test, world in self._drive(first, following):
             which, _ = test
             tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
             missing[which].remove(test)
             if not missing[which]:
-                following += next_drives(which)
+                next_ones += next_drives(which)
             yield world
         self._answer([(start.group, number) for start, number in searches], bisection, tested)
 

@@ -7,22 +7,24 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
+from support.job_streams import feedback_stream, put
 from support.plans import falling, make_scene, stack
 from support.worlds import run_one
 
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco import live_world as mujoco_live
 from petmjx.engines.mujoco.box_motion import lowest_z, tilt_deg
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
 from petmjx.engines.mujoco.top_forces import contact_normal_and_tangents
-from petmjx.engines.protocol import GrowingJobs, Progress
+from petmjx.engines.protocol import Progress
 from petmjx.engines.step_clock import Clock
 from petmjx.engines.verdict import Flag, Reason, Verdict, judge
 from petmjx.options.carriers import Carrier
@@ -244,29 +246,13 @@ def test_outcomes_do_not_depend_on_the_number_of_threads() -> None:
         np.testing.assert_array_equal(outcome.boxes.max_top_force_n, together[job].boxes.max_top_force_n)
 
 
-class CountedJobs(Sequence[Job]):
-    """Many equal jobs that exist only when asked for, and remember how many were."""
-
-    def __init__(self, job: Job, count: int) -> None:
-        self._job, self._count, self.asked = job, count, 0
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, index: object) -> Job:  # type: ignore[override]  # slices are not asked for here
-        if not isinstance(index, int) or index >= self._count:
-            raise IndexError(index)
-        self.asked += 1
-        return self._job
-
-
 def test_closing_the_run_stops_it_and_jobs_are_taken_as_needed() -> None:
     before = threading.active_count()
-    jobs = CountedJobs(Job(leaning(2)), 10_000)
-    outcomes = MujocoEngine(2).run(jobs, Simulation())
+    stream = JobStream.of([Job(leaning(2))] * 10_000)
+    outcomes = MujocoEngine(2).run(stream, Simulation())
     assert isinstance(outcomes, Generator)
     next(outcomes)
-    assert jobs.asked <= 8
+    assert stream.taken <= 8
     outcomes.close()
     assert threading.active_count() == before
 
@@ -292,11 +278,13 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("threads", [1, 3])
 def test_jobs_that_are_appended_while_it_runs_are_simulated_too(threads: int) -> None:
     job, sim = Job(make_scene(1)), Simulation(check="static", duration_s=0.2)
-    jobs, numbers = GrowingJobs([job]), []
-    for outcome in MujocoEngine(threads).run(jobs, sim):
+    stream, numbers, n_jobs = feedback_stream([job]), [], 1
+    for outcome in MujocoEngine(threads).run(stream, sim):
         numbers.append(outcome.job)
-        jobs += [job] * (len(jobs) if len(jobs) < 6 else 0)
-    assert sorted(numbers) == list(range(len(jobs))) == list(range(8))
+        more = n_jobs if n_jobs < 6 else 0
+        put(stream, *[job] * more)
+        n_jobs += more
+    assert sorted(numbers) == list(range(n_jobs)) == list(range(8))
 
 
 def test_ctrl_c_ends_long_worlds_at_once(repository: Path) -> None:

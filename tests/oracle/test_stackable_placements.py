@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.job_streams import feedback_stream, put
 from support.plans import Box, make_scene
 from support.tiny_worlds import shared_engine
 
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.protocol import GrowingJobs
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.placing import EXACT
 from petmjx.options.simulation import Simulation
@@ -93,11 +93,11 @@ def test_only_a_box_that_finds_no_room_could_not_be_placed() -> None:
 def test_a_world_with_a_hand_does_not_join_kernels_without_one() -> None:
     """As in a score with confidence: the exact world comes first, and worlds with errors follow."""
     scene, sim = scenes("hand")[2], simulation("auto")
-    growing, outcome_by_job = GrowingJobs([Job(replace(scene, placing=EXACT))]), {}
-    for outcome in shared_engine().run(growing, sim):
+    stream, outcome_by_job = feedback_stream([Job(replace(scene, placing=EXACT))]), {}
+    for outcome in shared_engine().run(stream, sim):
         outcome_by_job[outcome.job] = outcome
         if outcome.job == 0:
-            growing.append(Job(scene))
+            put(stream, Job(scene))
     assert outcome_by_job[0].n_steps < outcome_by_job[1].n_steps == on_mujoco("hand")[2].n_steps
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -14,7 +13,6 @@ import pytest
 
 from petmjx.engines.mjx.scene_rows import Rows
 from petmjx.engines.mjx.world_state import SOFT_START_BEGIN, State
-from petmjx.engines.protocol import GrowingJobs, JobsInParts
 from petmjx.engines.verdict import Outcome
 from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
@@ -22,6 +20,7 @@ from petmjx.world.job import Drive, Excitation, Job
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from support.fake_stepper import assert_same, run_all
+from support.job_streams import LateStream, feedback_stream, put
 from support.plans import heap, make_scene
 from support.tiny_worlds import (
     LONG_NS,
@@ -83,7 +82,7 @@ def test_the_next_slice_is_under_way_where_nothing_can_come_between(
     monkeypatch.setattr(Rollout, "wait", watched)
     record = Record(0.05) if kind == "a recorded world" else None
     jobs = [Job(scene, record=record) for scene in tiny_scenes(TINY[:2]).values()]
-    outcomes = run_all(engine(slice_ns=STEP_NS), GrowingJobs(jobs) if "more" in kind else jobs, SHORT)
+    outcomes = run_all(engine(slice_ns=STEP_NS), feedback_stream(jobs) if "more" in kind else jobs, SHORT)
     assert_equal_worlds(dict(zip(TINY[:2], outcomes, strict=True)), crowd)
     assert len(under_way) > 3
     assert set(under_way[:-1]) == ({2} if kind == "a list" else {1})
@@ -111,12 +110,6 @@ def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, cr
 @pytest.mark.slow
 def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
     assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
-
-
-def in_parts(*parts: list[Job], polls: int = 3) -> JobsInParts:
-    """Each next part is made when it has been asked for so many times."""
-    left = deque(made for part in parts[1:] for made in [None] * polls + [part])
-    return JobsInParts(parts[0], lambda: left.popleft() if left else [])
 
 
 @pytest.mark.slow
@@ -161,7 +154,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     monkeypatch.setattr(RowPrefetcher, "take", taken)
     scenes = tiny_scenes(TINY[:3])
     jobs = [Job(scene) for scene in scenes.values()]
-    run = engine(group_size=16, slice_ns=STEP_NS).run(in_parts(jobs * 8, jobs), SHORT)
+    run = engine(group_size=16, slice_ns=STEP_NS).run(LateStream(jobs * 8, jobs), SHORT)
     outcome_by_job = {outcome.job: outcome for outcome in run}
     for first in range(0, 27, 3):
         assert_equal_worlds({name: outcome_by_job.pop(first + k) for k, name in enumerate(scenes)}, crowd)
@@ -177,7 +170,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
 def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
     polls: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Wider tables, in which the worlds that are left go on; or it comes too late to be taken."""
+    """Wider tables, in which the worlds that are left go on; or it comes when they have ended."""
     widths: list[tuple[int, int]] = []
     put_into = GroupHandover.put_into
 
@@ -196,13 +189,10 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
     wide, scenes = make_scene(9), tiny_scenes()
     alone = simulate(shared_engine(), {"nine": wide}, SHORT)
     jobs = [Job(scene) for scene in scenes.values()]
-    run = some.run(in_parts(jobs, [Job(wide), *jobs], jobs[:1], polls=polls), SHORT)
+    run = some.run(LateStream(jobs, [Job(wide), *jobs, jobs[0]], looks=polls), SHORT)
     outcome_by_job = dict(sorted((outcome.job, outcome) for outcome in run))
-    if polls == 10_000:
-        assert list(outcome_by_job) == list(range(len(jobs)))
-        return
     assert list(outcome_by_job) == list(range(2 * len(jobs) + 2))
-    assert widths[0] == (4, 12)
+    assert widths[:1] == ([] if polls == 10_000 else [(4, 12)])
     assert_equal_worlds({"nine": outcome_by_job[len(jobs)]}, alone)
     for first in (0, len(jobs) + 1):
         assert_equal_worlds({name: outcome_by_job[first + k] for k, name in enumerate(scenes)}, crowd)
@@ -304,23 +294,22 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         return load(run, group, *args)
 
     monkeypatch.setattr(some, "_load_group", watched)
-    growing, numbers = GrowingJobs([Job(jobs[names[0]])]), []
-    for outcome in some.run(growing, SHORT):
+    stream, numbers = feedback_stream([Job(jobs[names[0]])]), []
+    for outcome in some.run(stream, SHORT):
         numbers.append(outcome.job)
         if names[outcome.job] in crowd:
             assert_equal_worlds({names[outcome.job]: outcome}, crowd)
-        if len(growing) == 1:
-            growing += [Job(jobs[name]) for name in names[1:]]
+        if outcome.job == 0:
+            put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
     assert [len(group) for group in groups] == [3, 3]
     groups.clear()
     some.least_rows = some.granule = 16
-    growing = GrowingJobs([Job(jobs[names[0]])])
-    numbers = []
-    for outcome in some.run(growing, SHORT):
+    stream, numbers = feedback_stream([Job(jobs[names[0]])]), []
+    for outcome in some.run(stream, SHORT):
         numbers.append(outcome.job)
-        if len(growing) == 1:
-            growing += [Job(jobs[name]) for name in names[1:]]
+        if outcome.job == 0:
+            put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
     assert [len(group) for group in groups] == [len(names)]
 
@@ -336,10 +325,10 @@ def test_drives_that_come_later_are_as_those_that_were_there() -> None:
         for profile, scale in ((push, 1.0), (push, 0.2), (pull, 1.0))
     ]
     together = {outcome.job: outcome for outcome in shared_engine().run(jobs, SHORT)}
-    growing, outcome_by_job = GrowingJobs(jobs[:1]), {}
-    for outcome in shared_engine().run(growing, SHORT):
+    stream, outcome_by_job = feedback_stream(jobs[:1]), {}
+    for outcome in shared_engine().run(stream, SHORT):
         outcome_by_job[outcome.job] = outcome
-        growing += jobs[len(growing) :]
+        put(stream, *(jobs[1:] if outcome.job == 0 else []))
     assert together.keys() == outcome_by_job.keys()
     for job, outcome in outcome_by_job.items():
         assert_same(outcome, together[job])
@@ -354,10 +343,10 @@ def test_worlds_that_come_later_may_be_larger_than_all_before(schedule: str, mon
     scenes = {n: make_scene(n) for n in (5, 7, 9)}
     sim = SHORT.changed(schedule=schedule)
     alone = simulate(engine(), {str(n): scene for n, scene in scenes.items()}, sim)
-    growing, numbers = GrowingJobs([Job(scenes[5])]), []
-    for outcome in engine().run(growing, sim):
+    stream, numbers = feedback_stream([Job(scenes[5])]), []
+    for outcome in engine().run(stream, sim):
         numbers.append(outcome.job)
         assert_equal_worlds({str((5, 7, 9)[outcome.job]): outcome}, alone)
-        if len(growing) == 1:
-            growing += [Job(scenes[7]), Job(scenes[9])]
+        if outcome.job == 0:
+            put(stream, Job(scenes[7]), Job(scenes[9]))
     assert sorted(numbers) == [0, 1, 2]

@@ -10,7 +10,6 @@ import pytest
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.host_to_device import GRANULE
-from petmjx.engines.protocol import JobsInParts
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
@@ -18,6 +17,7 @@ from petmjx.world.job import Job
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from support.fake_stepper import assert_same
+from support.job_streams import LateStream
 from support.plans import make_scene
 from support.tiny_worlds import (
     SHORT,
@@ -161,9 +161,9 @@ def test_a_plan_that_is_refused_in_a_next_part_takes_no_outcome_from_the_part_be
 ) -> None:
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
     jobs, outcomes = [Job(scene) for scene in tiny_scenes().values()], list[Outcome]()
-    parts = [[jobs[0], Job(make_scene(TOO_MANY))]]
-    run = engine(group_size=8, slice_ns=STEP_NS).run(JobsInParts(jobs, lambda: parts.pop() if parts else []), SHORT)
+    stream = LateStream(jobs, [jobs[0], Job(make_scene(TOO_MANY))])
+    run = engine(group_size=8, slice_ns=STEP_NS).run(stream, SHORT)
     with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
         outcomes.extend(run)
     assert_equal_worlds({TINY[outcome.job]: outcome for outcome in outcomes}, crowd)
-    assert len(outcomes) == len(TINY)
+    assert len(outcomes) == 4  # a part of two groups, which leave room for four worlds of the group before

@@ -15,13 +15,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from petmjx.engines.protocol import GrowingJobs
 from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.world.job import Drive, Excitation, Job
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
 from support.fake_stepper import assert_same, run_all
+from support.job_streams import feedback_stream
 from support.plans import make_scene
 from support.tiny_worlds import (
     LONG_NS,
@@ -117,7 +117,7 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     small_device(monkeypatch, lambda _, nconmax: nconmax <= 12)
     drive = Drive(Excitation("still", "force", np.zeros((5, 3))), rest_s=0.1)
     one_box = tiny("hand-one-box")
-    jobs = (GrowingJobs if grows else list)([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
+    jobs = (feedback_stream if grows else list)([Job(tiny("brickwork")), Job(one_box, drive), Job(one_box)])
     large, waits, ended = run_all(MjxWarpEngine(allow_cpu=True, slice_ns=LONG_NS), jobs, SHORT)
     assert large.reason is Reason.OUT_OF_MEMORY
     assert (waits.reason is Reason.OUT_OF_MEMORY) == grows

@@ -14,12 +14,13 @@ A box's age is kept in its warm-start acceleration, so that it survives only if 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.batch_step import PaddedModel, StepResult
 from petmjx.engines.mjx.engine import MjxJaxEngine
 from petmjx.engines.mjx.padded_template import CARRIER_BODY, FIRST_BOX_BODY
@@ -117,10 +118,13 @@ def in_order(outcomes: Iterator[Outcome]) -> list[Outcome]:
     return listed
 
 
-def run_all(engine: Engine, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> list[Outcome]:
+def run_all(
+    engine: Engine, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+) -> list[Outcome]:
     """Every job's outcome, in order."""
-    outcomes = in_order(engine.run(jobs, sim, progress))
-    assert len(outcomes) == len(jobs)
+    count = jobs.ready if isinstance(jobs, JobStream) else len(jobs)
+    outcomes = in_order(engine.run(jobs, sim, progress))  # type: ignore[arg-type]  # a stream for engines that take one
+    assert len(outcomes) == count
     return outcomes
 
 

@@ -39,7 +39,8 @@ class Recorder(MujocoEngine):
         self.batches: list[tuple[list[Job], Simulation]] = []
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        self.batches.append((list(jobs), sim))
+        jobs = list(jobs)
+        self.batches.append((jobs, sim))
         return super().run(jobs, sim, progress)
 
 

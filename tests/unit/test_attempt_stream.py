@@ -15,8 +15,9 @@ from support.plans import make_plan, make_world
 import petmjx.engines.outcome_checks as looked_at
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.attempts import ATTEMPTS, CAREFUL_ITERATIONS, CAREFUL_TOLERANCE
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.protocol import Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import World
@@ -25,53 +26,55 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Drive, Excitation, Job
 
 
-@pytest.mark.parametrize("takes_more", [False, True])
-def test_worlds_that_follow_from_results_are_simulated_too(takes_more: bool) -> None:
-    """At once by an engine that takes more jobs while it runs, else when those before have ended. Of an invalid world
-    they follow when its last attempt has ended."""
+@pytest.mark.parametrize("streams", [False, True])
+def test_worlds_that_follow_from_results_are_simulated_too(streams: bool) -> None:
+    """At once by an engine that takes jobs while it runs, else when those before have ended. Of an invalid world they
+    follow when its last attempt has ended."""
 
     class Taking(FailingEngine):
-        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-            self.calls.append((sim, list(jobs)))
-            index = 0
-            while index < len(jobs):
-                failures = round(float(jobs[index].scene.mass[0])) - 1
-                yield outcome_of(index, Verdict.INVALID if len(self.calls) <= failures else Verdict.STABLE)
-                index += 1
+        @takes_stream
+        def run(
+            self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+        ) -> Iterator[Outcome]:
+            stream, number = JobStream.of(jobs), 0
+            self.calls.append((sim, stream.peek(9)))
+            while new := stream.take(1):
+                failures = round(float(new[0].scene.mass[0])) - 1
+                yield outcome_of(number, Verdict.INVALID if len(self.calls) <= failures else Verdict.STABLE)
+                number += 1
 
-    engine = Taking() if takes_more else FailingEngine()
-    engine.takes_more = takes_more
+    engine = Taking() if streams else FailingEngine()
     first, second, third, fourth = worlds_failing(0, 9, 0, 0)
     follow = {"p0": [second, third], "p1": [fourth]}
     queue: list[World] = []
 
-    def more() -> list[World]:
+    def following() -> list[World]:
         next_worlds = queue.copy()
         queue.clear()
         return next_worlds
 
     seen = []
-    for result in score_worlds([first], Simulation(), engine, more=more):
+    for result in score_worlds([first], Simulation(), engine, following=following):
         seen.append(result.world.plan.plan_id)
         queue += follow.get(seen[-1], [])
     assert sorted(seen) == ["p0", "p1", "p2", "p3"]
     assert seen[0] == "p0"
     assert seen.index("p3") > seen.index("p1")
-    assert [len(jobs) for _, jobs in engine.calls][:2] == ([1, 1] if takes_more else [1, 2])
+    assert [len(jobs) for _, jobs in engine.calls][:2] == ([1, 1] if streams else [1, 2])
 
 
 def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class InSlices(FailingEngine):
-        takes_more = True
-
         @says_at_hand
-        def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-            done = 0
-            while done < len(jobs):
-                ended = range(done, len(jobs))
-                done = len(jobs)
+        @takes_stream
+        def run(
+            self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+        ) -> Iterator[Outcome]:
+            stream = JobStream.of(jobs)
+            while new := stream.take(9, least=9):
+                ended = range(stream.taken - len(new), stream.taken)
                 for index in ended:
                     assert progress is not None
                     progress.at_hand = ended[-1] - index
@@ -81,12 +84,12 @@ def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_th
     monkeypatch.setattr(looked_at, "note_edges", lambda outcomes, jobs: together.append(len(outcomes)))
     queue, worlds = [], worlds_failing(0, 0, 0, 0, 0)
 
-    def more() -> list[World]:
+    def following() -> list[World]:
         next_worlds = queue.copy()
         queue.clear()
         return next_worlds
 
-    for result in score_worlds(worlds[:3], Simulation(), InSlices(), more=more):
+    for result in score_worlds(worlds[:3], Simulation(), InSlices(), following=following):
         queue += worlds[3:] if result.world is worlds[2] else []
     assert [number for number in together if number] == [3, 2]
 

@@ -237,7 +237,7 @@ def test_a_run_s_engine_and_why_it_was_taken() -> None:
     assert named.name == "mujoco"
     assert choice == Choice("mujoco", "as asked for", seconds)
     given_engine, choice = resolve_engine(RunOptions(engine=MujocoEngine(1)), work)
-    assert (given_engine.name, given_engine.takes_more) == ("mujoco", True)
+    assert (given_engine.name, given_engine.streams) == ("mujoco", True)
     assert given_engine.device.endswith(", 1 thread")
     assert choice == Choice("mujoco", "given", None)
 
@@ -252,14 +252,14 @@ def test_an_engine_of_the_user_s_own_needs_a_name_and_a_method_and_stays_open() 
             yield from MujocoEngine(1).run(jobs, sim, progress)
 
     class More(Least):
-        takes_more, device = True, "a tin can"
+        device = "a tin can"
 
         def close(self) -> None:
             closed.append(self.name)
 
-    for user_engine, takes_more, device in ((Least(), False, ", 3 threads"), (More(), True, "a tin can")):
+    for user_engine, device in ((Least(), ", 3 threads"), (More(), "a tin can")):
         with engine_for(RunOptions(engine=user_engine, threads=3), Work(SIM, [1])) as (engine, _):
-            assert (engine.name, engine.takes_more) == ("least", takes_more)
+            assert engine.name == "least"
             assert engine.device.endswith(device)
             (outcome,) = engine.run([Job(make_scene(1))], SIM)
             assert outcome.n_boxes == 1

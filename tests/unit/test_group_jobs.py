@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
+from support.job_streams import LateStream, feedback_stream, put
 from support.worlds import make_scene
 
 from petmjx.common.errors import InputError
-from petmjx.engines.protocol import GrowingJobs, JobsInParts, Progress
+from petmjx.engines.job_stream import JobStream
+from petmjx.engines.protocol import Progress
 from petmjx.engines.warp.group_jobs import Groups, GrowingGroups
 from petmjx.engines.warp.group_schedule import GroupSequence, RowPrefetcher
 from petmjx.engines.warp.kernel_features import KernelFeatures
@@ -23,8 +26,8 @@ REFUSED = Job(make_scene([((10, 10, 10), (20 * (k % 32), 20 * (k // 32), 0), 1.0
 BY_HAND = Job(replace(SMALL.scene, placing=Placing(name="hand")))
 
 
-def groups_of(jobs: list[Job], size: int = 8, left: int = 2) -> Groups:
-    return Groups.of(jobs, size, left, granule=4)
+def groups_of(jobs: list[Job] | JobStream[Any], size: int = 8, left: int = 2) -> Groups:
+    return Groups.of(JobStream.of(jobs), size, left, granule=4)
 
 
 def sizes_of(groups: Groups) -> list[tuple[int, int]]:
@@ -37,7 +40,7 @@ def sizes_of(groups: Groups) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize(
-    ("n_jobs", "groups"), [(1, [(0, 1)]), (8, [(0, 8)]), (9, [(0, 5), (5, 4)]), (13, [(0, 5), (5, 5), (10, 3)])]
+    ("n_jobs", "groups"), [(1, [(0, 1)]), (8, [(0, 8)]), (9, [(0, 5), (5, 4)]), (13, [(0, 6), (6, 6), (12, 1)])]
 )
 def test_groups_are_equal_and_leave_room_for_what_the_one_before_leaves(
     n_jobs: int, groups: list[tuple[int, int]]
@@ -46,20 +49,14 @@ def test_groups_are_equal_and_leave_room_for_what_the_one_before_leaves(
 
 
 def test_parts_follow_each_other_once_they_are_made() -> None:
-    parts = [None, [SMALL] * 3, None, None, [LARGE] * 2]
-    jobs = JobsInParts([SMALL] * 8, lambda: parts.pop(0) if parts else [])
-    groups = groups_of(jobs)
-    assert jobs == []  # what has ended is not kept
-    assert len(groups.take()) == 4
-    assert len(groups.following()) == 4
+    """The first part is small, so that a device begins soon; the next ones are as large as two groups."""
+    stream = LateStream([SMALL] * 3, [LARGE, *[SMALL] * 13], looks=2)
+    groups = groups_of(stream)
+    assert (len(groups.take()), groups.first, groups.needs) == (3, 0, KernelFeatures({96: 4}))
+    assert [len(groups.following()) for _ in range(3)] == [0, 0, 6]
     assert groups.following() is groups.following()
-    assert len(groups.take()) == 4
-    assert [len(groups.following()) for _ in range(2)] == [0, 3]
-    assert (len(groups.take()), groups.first) == (3, 8)
-    assert groups.needs == KernelFeatures({96: 4})
-    assert [len(groups.following()) for _ in range(3)] == [0, 0, 2]
     assert groups.needs == KernelFeatures({96: 12})
-    assert (len(groups.take()), groups.first) == (2, 11)
+    assert [(len(groups.take()), groups.first) for _ in range(3)] == [(6, 3), (6, 9), (2, 15)]
     assert not groups
 
 
@@ -78,31 +75,30 @@ def test_tables_are_made_once_their_rows_are_there_or_the_device_is_nearly_idle(
 
 def test_a_part_that_is_refused_is_so_once_the_group_before_has_ended() -> None:
     """Until then it is as one that is not made yet: the outcomes of that group come first."""
-    parts = [[SMALL], [SMALL, REFUSED]]
-    groups = groups_of(JobsInParts([SMALL] * 2, lambda: parts.pop(0) if parts else []))
-    assert [len(groups.take()), len(groups.following()), len(groups.take())] == [2, 1, 1]
+    groups = groups_of(LateStream([SMALL] * 2, [SMALL, REFUSED], looks=0))
+    assert len(groups.take()) == 2
     assert [groups.following() for _ in range(2)] == [(), ()]
-    assert (groups.first, groups.needs) == (2, KernelFeatures({96: 4}))
+    assert (groups.first, groups.needs) == (0, KernelFeatures({96: 4}))
     for ask in (groups.__bool__, groups.take, groups.__bool__):
         with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
             ask()
 
 
-def test_jobs_that_are_appended_join_the_group_whose_kernels_know_them() -> None:
-    jobs = GrowingJobs([SMALL])
-    groups = groups_of(jobs)
+def test_jobs_that_follow_join_the_group_whose_kernels_know_them() -> None:
+    stream = feedback_stream([SMALL])
+    groups = groups_of(stream)
     group = groups.take()
-    jobs += [SMALL, SMALL, BY_HAND, SMALL]
+    put(stream, SMALL, SMALL, BY_HAND, SMALL)
     assert groups.following() == ()
     assert groups.waiting(1) == [SMALL]
     assert groups.waiting(9) == [SMALL, SMALL]
-    group += groups.waiting(9)
+    group += groups.join(2)
     assert groups.waiting(9) == []
     assert groups
     assert [job is BY_HAND for job in groups.take()] == [True, False]
     assert groups.needs.hands
     assert not groups
-    jobs += [LARGE]
+    put(stream, LARGE)
     assert groups
     assert (groups.take(), groups.first) == ([LARGE], 5)
     assert groups.needs == KernelFeatures({96: 12})
@@ -127,13 +123,12 @@ def test_needs_of_both_and_of_some() -> None:
     assert not KernelFeatures({96: 12}).know(BY_HAND)
 
 
-def test_growing_jobs_that_could_not_be_looked_at_are_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    groups = groups_of(GrowingJobs([SMALL]))
+def test_jobs_whose_features_could_not_be_found_are_looked_at_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = feedback_stream([SMALL])
+    groups = groups_of(stream)
     assert isinstance(groups, GrowingGroups)
-    jobs = groups._jobs
-    assert isinstance(jobs, GrowingJobs)
     assert groups.take() == [SMALL]
-    jobs += [LARGE]
+    put(stream, LARGE)
     with monkeypatch.context() as short:
         short.setattr(KernelFeatures, "of", lambda *_: _no_memory())
         with pytest.raises(MemoryError):

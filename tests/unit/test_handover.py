@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.job_streams import feedback_stream, put
 from support.outcomes import make_outcome
 from support.plans import make_plan, make_scene, stack
 
@@ -16,8 +17,9 @@ from petmjx.common.errors import EngineUnavailable
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import Choice
 from petmjx.engines.engine_handover import LEAST_WORLDS, HandoverEngine
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
-from petmjx.engines.protocol import Engine, GrowingJobs, Progress
+from petmjx.engines.protocol import Engine, Progress, takes_stream
 from petmjx.engines.run_engine import resolve_engine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.run_options import RunOptions
@@ -39,34 +41,38 @@ class Slow(MujocoEngine):
         self.times = times
         self.starts: list[object] = []
 
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
         assert progress is not None
-        number = 0
-        while number < len(jobs):
-            self.starts.append(jobs[number].start)
+        stream = JobStream.of(jobs)
+        while new := stream.take(1):
+            self.starts.append(new[0].start)
             progress.thread_s += self.times * EXPECTED_S
-            yield answer(jobs[number], number)
-            number += 1
+            yield answer(new[0], stream.taken - 1)
 
 
 class Kernels(Engine):
     """Takes over; fails after so many worlds."""
 
-    name, takes_more = "mjx-warp-cpu", True
+    name = "mjx-warp-cpu"
 
     def __init__(self, fails_after: int | None = None) -> None:
         self.fails_after, self.asked, self.closed = fails_after, 0, False
         self.starts: list[object] = []
 
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        number = 0
-        while number < len(jobs):
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
+        stream = JobStream.of(jobs)
+        while new := stream.take(1):
             if self.asked == self.fails_after:
                 raise RuntimeError("no more memory")
             self.asked += 1
-            self.starts.append(jobs[number].start)
-            yield answer(jobs[number], number)
-            number += 1
+            self.starts.append(new[0].start)
+            yield answer(new[0], stream.taken - 1)
 
     def close(self) -> None:
         self.closed = True
@@ -154,13 +160,13 @@ def test_each_engine_starts_from_its_own_states() -> None:
     """A drive from a state of the other engine is placed again; jobs that follow from results are taken, too."""
     mujoco, kernels = Slow(5.0), Kernels()
     engine = HandoverEngine(mujoco, lambda: kernels, CHEAP)
-    growing = GrowingJobs(jobs(100))
-    outcomes = []
-    for outcome in engine.run(growing, SIM, Progress()):
+    some = jobs(100)
+    stream, outcomes = feedback_stream(some), []
+    for outcome in engine.run(stream, SIM, Progress()):
         outcomes.append(outcome)
         if outcome.job == 99:
-            scene = growing[0].scene
-            growing += [Job(scene, start=KeptState(name, name)) for name in ("mujoco", "mjx-warp-cpu")]  # type: ignore[arg-type]
+            scene = some[0].scene
+            put(stream, *[Job(scene, start=KeptState(name, name)) for name in ("mujoco", "mjx-warp-cpu")])  # type: ignore[arg-type]
     assert sorted(outcome.job for outcome in outcomes) == list(range(102))
     assert kernels.starts[-2:] == [None, "mjx-warp-cpu"]
     assert not any(mujoco.starts)

@@ -72,13 +72,7 @@ class OnItsOwn:
                 self.hold(index + 1)
 
 
-class TakingMore(InTheMidst):
-    """The same of jobs that grow, in a search."""
-
-    takes_more = True
-
-
-@pytest.mark.parametrize("kind", [FromAList, InTheMidst, OnItsOwn, TakingMore])
+@pytest.mark.parametrize("kind", [FromAList, InTheMidst, OnItsOwn])
 def test_what_has_ended_is_shown_while_the_engine_is_silent(kind: type[Any]) -> None:
     heard, late = threading.Semaphore(0), []
     count = 0

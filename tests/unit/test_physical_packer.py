@@ -19,6 +19,8 @@ from support.plans import make_plan, stack
 
 import petmjx
 from petmjx.common.errors import InputError
+from petmjx.engines.job_stream import JobStream
+from petmjx.engines.protocol import takes_stream
 from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.packers import beam_search as beam_module
@@ -241,46 +243,58 @@ class SmallestFirst:
 
     name = "smallest-first"
 
-    def __init__(self, takes_more: bool) -> None:
-        self.takes_more = takes_more
+    def __init__(self) -> None:
         self.boxes: list[int] = []
         self.jobs: list[Job] = []
 
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Any = None) -> Iterator[Outcome]:
-        done: set[int] = set()
-        while left := set(range(len(jobs))) - done:
-            number = min(left, key=lambda job: (jobs[job].scene.n_boxes, job))
-            done.add(number)
-            n = jobs[number].scene.n_boxes
+    def run(self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Any = None) -> Iterator[Outcome]:
+        stream, left, n_jobs = JobStream.of(jobs), dict[int, Job](), 0
+        while True:
+            new = stream.take(1000, wait=not left)
+            left |= enumerate(new, n_jobs)
+            n_jobs += len(new)
+            if not left:
+                return
+            number = min(left, key=lambda job: (left[job].scene.n_boxes, job))
+            job = left.pop(number)
+            n = job.scene.n_boxes
             self.boxes.append(n)
-            self.jobs.append(jobs[number])
+            self.jobs.append(job)
             falls = {"reason": Reason.DROP, "culprit": n - 1, "first_sign_s": 0.5}
             outcome = make_outcome(n, Verdict.UNSTABLE, **falls) if n == 2 else make_outcome(n)
             yield replace(outcome, job=number)
 
 
-@pytest.mark.parametrize("takes_more", [True, False])
-def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, takes_more: bool) -> None:
+class Streaming(SmallestFirst):
+    """The same, which takes a stream of jobs."""
+
+    @takes_stream
+    def run(self, jobs: Any, sim: Simulation, progress: Any = None) -> Iterator[Outcome]:
+        yield from super().run(jobs, sim, progress)
+
+
+@pytest.mark.parametrize("streams", [True, False])
+def test_no_order_waits_for_another(monkeypatch: pytest.MonkeyPatch, streams: bool) -> None:
     """The second order's packing of two boxes falls, and that of one box is tried. The engine still has the worlds of
-    the first order then, if it takes more while it runs."""
+    the first order then, if it takes jobs while it runs."""
     large = Order(ORDER.target, (JAM,) * 3)
     three = finalists(large, PhysicalOptions(width=1))[:1]
     packings_by_order = {large: three, ORDER: [finalist(0.7), finalist(0.6, boxes=1)]}
     monkeypatch.setattr(physical_module, "finalists", lambda order, options: packings_by_order[order])
-    engine = SmallestFirst(takes_more)
+    engine = Streaming() if streams else SmallestFirst()
     packed = list(pack_physical([("a", large), ("b", ORDER)], OPTIONS, {"engine": engine}, workers=1))
     assert [(packed_order.order_id, len(packed_order.taken.finalist.placed)) for packed_order in packed] == [
         ("a", 3),
         ("b", 1),
     ]
     several = [2] * 5 + [1] * 17 + [3] * 17
-    assert engine.boxes == (several if takes_more else [2] * 5 + [3] * 5 + [1] * 5 + [3] * 12 + [1] * 12)
+    assert engine.boxes == (several if streams else [2] * 5 + [3] * 5 + [1] * 5 + [3] * 12 + [1] * 12)
 
 
 def test_worlds_are_those_of_a_score() -> None:
     """With errors, and without; those with errors end when a box is lost."""
     plan = make_plan("p", 3)
-    engine = SmallestFirst(takes_more=False)
+    engine = SmallestFirst()
     petmjx.score([plan], confidence=4, engine=engine)
     worlds = [world.job for world in WorldsOfPlans(4, {"engine": engine}).of(plan, range(5))]
     assert [job.has_errors for job in worlds] == [False, True, True, True, True]

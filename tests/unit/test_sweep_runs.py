@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,7 +19,7 @@ from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 import petmjx
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.running_metrics import OracleMetrics
-from petmjx.engines.protocol import Progress
+from petmjx.engines.protocol import Progress, takes_stream
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.runs.sweep_file import load_sweep
@@ -206,30 +207,38 @@ def test_a_search_finds_the_largest_level_survived(tmp_path: Path) -> None:
 
 
 class _Rounds:
-    """An engine that counts its runs, and takes more jobs while it runs or not."""
+    """An engine that counts its runs, and takes lists of jobs."""
 
     name = "mujoco"
 
-    def __init__(self, takes_more: bool) -> None:
-        self.takes_more, self.runs = takes_more, 0
+    def __init__(self) -> None:
+        self.runs = 0
 
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+    def run(self, jobs: Any, sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         self.runs += 1
         yield from MujocoEngine(2).run(jobs, sim, progress)
 
 
+class _OneRun(_Rounds):
+    """The same, which takes a stream of jobs."""
+
+    @takes_stream
+    def run(self, jobs: Any, sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        yield from super().run(jobs, sim, progress)
+
+
 def test_the_searches_of_a_sweep_do_not_wait_for_one_another(tmp_path: Path) -> None:
-    """All tests are in one run of an engine that takes more while it runs; answers and worlds are those of rounds."""
+    """All tests are in one run of an engine that takes a stream; answers and worlds are those of rounds."""
     plans = [leaning("a"), leaning("b", 2, -100.0)]
     tables = {}
-    for takes_more in (True, False):
-        engine = _Rounds(takes_more)
+    for streams in (True, False):
+        engine = _OneRun() if streams else _Rounds()
         results = petmjx.sweep(write_sweep(tmp_path, SEARCH), plans, engine=engine)
         assert results.summary is not None
         # one for the placements; of a search in rounds one for each of them
-        assert (engine.runs == 2) == takes_more
+        assert (engine.runs == 2) == streams
         order = ["plan_id", "variant"]
-        tables[takes_more] = results.worlds.sort_values(order).reset_index(drop=True), results.summary
+        tables[streams] = results.worlds.sort_values(order).reset_index(drop=True), results.summary
     for one, other in zip(*tables.values(), strict=True):
         pd.testing.assert_frame_equal(
             one.drop(columns="wall_s", errors="ignore"), other.drop(columns="wall_s", errors="ignore")

@@ -12,10 +12,10 @@ from support.failing_engine import FailingEngine, worlds_failing
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.engines import attempt_stream
-from petmjx.engines.attempt_stream import Chunks, score_worlds
+from petmjx.engines.attempt_stream import WorldSource, score_worlds
 from petmjx.engines.cost_model import Work
 from petmjx.engines.engine_choice import make_engine
-from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.protocol import Capability, Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.run_engine import engine_for
 from petmjx.engines.verdict import Outcome
 from petmjx.loop import candidate_trials
@@ -28,12 +28,13 @@ class Full:
     """An engine that inherits nothing and has everything."""
 
     name = "full"
-    takes_more = takes_parts = looks = True
+    capabilities = Capability.FLOAT64 | Capability.CHECKS
     devices = 3
     device = "three of mine"
     closed = False
 
     @says_at_hand
+    @takes_stream
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         return iter(())
 
@@ -59,32 +60,42 @@ def lent(user_engine: Any) -> Engine:
 def test_a_lent_engine_keeps_what_it_has() -> None:
     user_engine = Full()
     engine = lent(user_engine)
-    for name in ("name", "takes_more", "takes_parts", "looks", "devices", "device"):
+    for name in ("name", "capabilities", "devices", "device"):
         assert getattr(engine, name) == getattr(user_engine, name), name
     assert engine.tells
+    assert engine.streams
     assert engine.open([], Simulation(), 7) == ("open", [], Simulation(), 7)  # type: ignore[comparison-overlap]
     assert not user_engine.closed, "it stays the user's"
 
 
 def test_what_it_leaves_out_is_as_of_any_engine() -> None:
     engine = lent(Bare())
-    assert (engine.takes_more, engine.takes_parts, engine.looks, engine.devices) == (False, False, False, 1)
+    assert engine.capabilities == Capability.FLOAT64 | Capability.CG | Capability.SHEETS
+    assert engine.devices == 1
     assert not engine.tells
     with pytest.raises(InputError, match="engine bare has no worlds that stay open"):
         engine.open([], Simulation())
     assert lent(make_engine("mujoco")).tells
 
 
+def test_an_engine_with_flags_of_an_older_version_is_told() -> None:
+    class Dated(Bare):
+        takes_more = True
+
+    with pytest.warns(UserWarning, match="engine bare: takes_more has no effect; say capabilities"):
+        lent(Dated())
+
+
 def test_a_second_ctrl_c_skips_no_cleaning(monkeypatch: pytest.MonkeyPatch) -> None:
     closed: list[str] = []
-    close = Chunks.close
+    close = WorldSource.close
 
     def interrupted(self: Any) -> None:
         close(self)
         closed.append("source")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Chunks, "close", interrupted)
+    monkeypatch.setattr(WorldSource, "close", interrupted)
     monkeypatch.setattr(attempt_stream._SideTasks, "close", lambda self: closed.append("besides"))
     with pytest.raises(KeyboardInterrupt):
         list(score_worlds(worlds_failing(0), Simulation(), FailingEngine()))

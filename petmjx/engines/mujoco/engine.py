@@ -7,19 +7,20 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from typing import Final
+from typing import Any, Final
 
 from petmjx.common.machine import cpu_threads, device_name
 from petmjx.common.text import one_line
 from petmjx.common.units import FloatArray
 from petmjx.engines.failed_world import failed_outcome
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.cpu_budget import Budget
 from petmjx.engines.mujoco.free_bodies import paths
 from petmjx.engines.mujoco.message_log import QUIET_MUJOCO
 from petmjx.engines.mujoco.open_worlds import MujocoWorlds
 from petmjx.engines.mujoco.world_run import WorldCancelled, WorldRun
 from petmjx.engines.open_worlds import MOST_BOXES
-from petmjx.engines.protocol import Engine, Progress, says_at_hand
+from petmjx.engines.protocol import Engine, Progress, says_at_hand, takes_stream
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
@@ -46,7 +47,6 @@ class MujocoEngine(Engine):
     """
 
     name = "mujoco"
-    takes_more = True
 
     def __init__(self, threads: int | None = None, world_timeout_s: float | None = None) -> None:
         if threads is not None and threads < 1:
@@ -67,7 +67,10 @@ class MujocoEngine(Engine):
         return device_name(self.name, self.threads)
 
     @says_at_hand
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
         If the generator is closed, or an exception such as KeyboardInterrupt comes, the threads stop within a few dozen
@@ -75,14 +78,17 @@ class MujocoEngine(Engine):
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
-        begun, last_line = 0, ""
+        begun, last_line, most = 0, "", 2 * self.threads
+        stream = JobStream.of(jobs)
         running: dict[int, Budget] = {}
         pending: set[Future[tuple[Outcome, float]]] = set()
         with QUIET_MUJOCO, ThreadPoolExecutor(self.threads, thread_name_prefix="petmjx-world") as pool:
             try:
-                while pending or begun < len(jobs):  # jobs may have been appended meanwhile
-                    while begun < len(jobs) and len(pending) < 2 * self.threads:
-                        job = jobs[begun]
+                while True:
+                    new = stream.take(most - len(pending), least=1 if pending else most, wait=not pending)
+                    if not new and not pending:
+                        break
+                    for job in new:
                         timeout_s = self.world_timeout_s
                         pending.add(pool.submit(_simulate, begun, job, sim, stop, timeout_s, running))
                         begun += 1

@@ -17,7 +17,7 @@ from petmjx.common.machine import package_versions
 from petmjx.common.text import count_text, one_line
 from petmjx.engines.cost_model import MEASURED
 from petmjx.engines.failed_world import failed_outcome
-from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress, RunLock, says_at_hand
+from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress, RunLock, says_at_hand
 from petmjx.engines.remote.chunk_dealer import Chunk, Deal
 from petmjx.engines.remote.ray_actor import Recipe, Report, Worker, WorkerReady
 from petmjx.engines.remote.ray_cluster import Cluster
@@ -97,8 +97,6 @@ class WorkerPool(Engine):
         check_pool: check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
     """
 
-    looks = True
-
     def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, check_pool: int = 0) -> None:
         self.name = recipe.name
         self._recipe, self._cluster, self._ray, self._check_pool = recipe, cluster, cluster.ray, check_pool
@@ -123,6 +121,11 @@ class WorkerPool(Engine):
         while not any(hand.ready for hand in self._hands) and time.monotonic() < first:
             for hand, ref in self._news():
                 self._greet(hand, ref)
+
+    @property
+    def capabilities(self) -> Capability:
+        """The physics of the engine in the workers, which check their outcomes."""
+        return super().capabilities | Capability.CHECKS
 
     @property
     def size(self) -> int:

@@ -34,7 +34,6 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     """
 
     name = "mjx-warp-cpu"
-    takes_parts = False  # making its tables takes no time compared with its worlds
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

@@ -6,6 +6,7 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from itertools import takewhile
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,13 @@ from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import why_no_warp
 from petmjx.common.units import FloatArray
 from petmjx.common.warp_setup import set_up_warp
+from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load, tables
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.readback import prepare_readback, read_back
 from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.open_worlds import MOST_BOXES
-from petmjx.engines.protocol import GROUP_WORLDS, Engine, GrowingJobs, JobsInParts, Progress, RunLock, says_at_hand
+from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress, RunLock, says_at_hand, takes_stream
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPools
@@ -93,7 +95,6 @@ class MjxWarpEngine(Engine):
     """
 
     name = "mjx-warp"
-    takes_more = takes_parts = True
 
     def __init__(
         self,
@@ -131,20 +132,24 @@ class MjxWarpEngine(Engine):
             rollout.close()
 
     @says_at_hand
-    def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
         """Simulate each job once. Outcomes come as worlds reach their end.
 
         Raises:
             RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
         """
-        if not jobs:
+        stream = JobStream.of(jobs)
+        if stream.ended:
             return
         with self._running:
-            yield from self._outcomes(self._course(jobs, sim, progress or Progress()))
+            yield from self._outcomes(self._course(stream, sim, progress or Progress()))
 
-    def _course(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> GroupSequence:
-        most_left = 0 if isinstance(jobs, GrowingJobs) else self.group_size // LEFT_SHARE
-        alone = len(jobs) == 1 and not isinstance(jobs, GrowingJobs | JobsInParts)
+    def _course(self, jobs: JobStream[Any], sim: Simulation, progress: Progress) -> GroupSequence:
+        most_left = 0 if jobs.feedback else self.group_size // LEFT_SHARE
+        alone = jobs.closed and jobs.ready == 1 and not jobs.feedback
         groups = Groups.of(jobs, self.group_size, READY_SHARE * most_left, self.granule)
         return GroupSequence(groups, sim, progress, most_left, alone)
 
@@ -180,7 +185,8 @@ class MjxWarpEngine(Engine):
         for part in apart if len(apart) > 1 else np.array_split(numbers, 2):
             if len(part):
                 progress.message = f"out of device memory, again with {len(part)} of the worlds"
-                for outcome in self._outcomes(self._course([lost[number] for number in part.tolist()], sim, progress)):
+                jobs = JobStream.of([lost[number] for number in part.tolist()])
+                for outcome in self._outcomes(self._course(jobs, sim, progress)):
                     if outcome is not None:
                         outcome.job = int(part[outcome.job])
                     yield outcome
@@ -324,6 +330,7 @@ class MjxWarpEngine(Engine):
         fitting = list(takewhile(group.fits, course.groups.waiting(free)))
         if not fitting:
             return False
+        course.groups.join(len(fitting))
         queues.add(fitting, len(group.jobs), group.run.sim)
         for first in range(0, len(fitting), MORE_AT_ONCE):
             some = fitting[first : first + MORE_AT_ONCE]

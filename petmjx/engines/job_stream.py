@@ -1,0 +1,172 @@
+"""``JobStream``: the jobs of a run, on their way to an engine."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator
+from itertools import islice
+from typing import Any, Final, Generic, TypeVar
+
+from petmjx.world.job import Job
+
+WAIT_S: Final = 0.25
+"""Longest wait without a look for signals, s: one that arrives just before a wait is noticed only after it."""
+
+Tag = TypeVar("Tag")
+
+
+class JobStream(Generic[Tag]):
+    """Jobs in order, with what the run wants to know when they end. Thread-safe.
+
+    One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes puts
+    the jobs that follow from these. An engine takes jobs when it has capacity.
+
+    The number of a job is its place among the jobs that were taken since ``begin``.
+
+    Args:
+        most_boxes: boxes of the waiting jobs from which on ``put`` waits.
+        feedback: whether jobs may follow from outcomes.
+        begin_with: number of jobs for which an engine that simulates many at once should wait at first.
+
+    Attributes:
+        in_flight: number → tag of the jobs that were taken and have no outcome.
+    """
+
+    def __init__(self, *, most_boxes: int | None = None, feedback: bool = False, begin_with: int = 1) -> None:
+        self.feedback, self.begin_with = feedback, begin_with
+        self.in_flight: dict[int, Tag] = {}
+        self._most_boxes = most_boxes
+        self._waiting: deque[tuple[Job, Tag]] = deque()
+        self._boxes = self._taken = 0
+        self._open, self._paused = True, False
+        self._changed = threading.Condition()
+
+    @classmethod
+    def of(cls, jobs: Iterable[Job] | JobStream[Any]) -> JobStream[Any]:
+        """The stream of some jobs, after which none follow; a stream as it is."""
+        if isinstance(jobs, JobStream):
+            return jobs
+        stream: JobStream[Any] = cls()
+        for job in jobs:
+            stream.put(job, None)
+        stream.close()
+        return stream
+
+    def begin(self) -> None:
+        """Begin a run of an engine with the waiting jobs: numbers begin at 0, and no job is in flight."""
+        self.in_flight, self._taken = {}, 0
+
+    def put(self, job: Job, tag: Tag, *, bounded: bool = False) -> bool:
+        """Append a job.
+
+        Args:
+            bounded: wait while the stream is full. False: jobs that follow from outcomes never wait.
+
+        Returns:
+            Whether the stream was open. A closed stream takes no job.
+        """
+        with self._changed:
+            while bounded and self._open and self._is_full:
+                self._changed.wait()
+            if self._open or not bounded:
+                self._waiting.append((job, tag))
+                self._boxes += job.scene.n_boxes
+                self._changed.notify_all()
+            return self._open or not bounded
+
+    def close(self) -> None:
+        """No more jobs come from the source. Jobs that follow from outcomes may still come."""
+        with self._changed:
+            self._open = False
+            self._changed.notify_all()
+
+    def pause(self, paused: bool = True) -> None:
+        """Whether the source waits for something other than the engine. Meanwhile nobody waits for jobs."""
+        with self._changed:
+            self._paused = paused
+            self._changed.notify_all()
+
+    def take(self, most: int, *, least: int = 1, wait: bool = True) -> list[Job]:
+        """Take at most ``most`` jobs, in order.
+
+        Args:
+            least: wait until so many jobs are ready, the stream is full, or no job comes from the source.
+            wait: False: take no job instead of waiting.
+
+        Returns:
+            The jobs. With ``wait``, none means that none are left: an engine without jobs in flight ends its run.
+        """
+        with self._changed:
+            if not self._ready(least, wait):
+                return []
+            return [self._pop() for _ in range(min(most, len(self._waiting)))]
+
+    def __iter__(self) -> Iterator[Job]:
+        """Take one job after the other, and wait for each."""
+        while jobs := self.take(1):
+            yield jobs[0]
+
+    def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
+        """As ``take``, and the jobs stay in the stream."""
+        with self._changed:
+            return [job for job, _ in islice(self._waiting, most)] if self._ready(least, wait) else []
+
+    def wait_for(self, count: int) -> int:
+        """Wait as ``take`` for ``count`` jobs; returns the number of jobs that are ready."""
+        with self._changed:
+            self._ready(count, True)
+            return len(self._waiting)
+
+    def answered(self, number: int) -> Tag:
+        """The tag of a job that has its outcome.
+
+        Raises:
+            KeyError: the job is not in flight.
+        """
+        return self.in_flight.pop(number)
+
+    @property
+    def ready(self) -> int:
+        """Number of jobs that wait in the stream."""
+        return len(self._waiting)
+
+    @property
+    def taken(self) -> int:
+        """Number of jobs that were taken since ``begin``."""
+        return self._taken
+
+    @property
+    def closed(self) -> bool:
+        """Whether no more jobs come from the source."""
+        return not self._open
+
+    @property
+    def ended(self) -> bool:
+        """Whether no job is ready, and none comes from the source."""
+        with self._changed:
+            return not self._waiting and not self._comes
+
+    @property
+    def _comes(self) -> bool:
+        return self._open and not self._paused
+
+    @property
+    def _is_full(self) -> bool:
+        return self._most_boxes is not None and self._boxes >= self._most_boxes
+
+    def _ready(self, least: int, wait: bool) -> bool:
+        """Whether ``least`` jobs are ready, or as many as there will be."""
+        while len(self._waiting) < least and self._comes and not self._is_full:
+            if not wait:
+                return False
+            self._changed.wait(WAIT_S)
+        return True
+
+    def _pop(self) -> Job:
+        job, tag = self._waiting.popleft()
+        self._boxes -= job.scene.n_boxes
+        self.in_flight[self._taken] = tag
+        self._taken += 1
+        self._changed.notify_all()
+        return job

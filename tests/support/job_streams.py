@@ -1,0 +1,41 @@
+"""Streams of jobs for tests of engines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from petmjx.engines.job_stream import JobStream
+from petmjx.world.job import Job
+
+
+def feedback_stream(jobs: Iterable[Job]) -> JobStream[Any]:
+    """A stream of these jobs, to which a test puts others that follow from outcomes."""
+    stream = JobStream[Any](feedback=True)
+    put(stream, *jobs)
+    stream.close()
+    return stream
+
+
+def put(stream: JobStream[Any], *jobs: Job) -> None:
+    """Put jobs that follow from outcomes."""
+    for job in jobs:
+        stream.put(job, None)
+
+
+class LateStream(JobStream[Any]):
+    """A stream whose source has some jobs at once, and the others when an engine has looked for them ``looks`` times in
+    vain, or waits for them."""
+
+    def __init__(self, jobs: Sequence[Job], late: Sequence[Job], looks: int = 3) -> None:
+        super().__init__(begin_with=len(jobs))
+        self._late, self._looks = late, looks
+        put(self, *jobs)
+
+    def take(self, most: int, *, least: int = 1, wait: bool = True) -> list[Job]:
+        if self.ready < least and not self.closed:
+            if wait or not self._looks:
+                put(self, *self._late)
+                self.close()
+            self._looks -= 1
+        return super().take(most, least=least, wait=wait)
