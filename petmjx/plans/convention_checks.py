@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -23,7 +23,14 @@ from petmjx.common.units import LENGTHS_MM, MASSES_KG, FloatArray
 from petmjx.plans.input_conventions import ANCHORS
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, PlanWarnings, check_layout, gaps_mm, overlaps_mm
+from petmjx.plans.plan_warnings import (
+    DEFAULT_TOLERANCE_MM,
+    PlanWarnings,
+    check_layout,
+    gaps_mm,
+    odd_layouts,
+    overlaps_mm,
+)
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
@@ -246,23 +253,13 @@ class _Search:
         self.found[convention.looks].count += 1
 
 
-def with_conventions(
-    plan_set: PlanSet, extent_mm: tuple[float, float] | None, known: Mapping[str, PlanWarnings | None] | None = None
-) -> PlanSet:
+def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -> PlanSet:
     """The same plans with warnings about odd layouts, and with the conventions that they seem to follow.
 
     Args:
         extent_mm: x–y extent of the carrier; None: the plan's bounding box.
-        known: plan id → warnings about its layout (None: nothing is odd), for layouts that have been checked before.
     """
-    known = known or {}
-
-    def layout_of(plan: Plan) -> PlanWarnings | None:
-        if plan.plan_id in known:
-            return known[plan.plan_id]
-        return check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm)
-
-    odd = [layout for plan in plan_set if (layout := layout_of(plan)) is not None and layout.any]
+    odd = odd_layouts(plan_set.plans, extent_mm)
     return replace(plan_set, warnings=odd, conventions=_find_conventions(plan_set.plans, odd, extent_mm))
 
 

@@ -31,12 +31,11 @@ from petmjx.plans.file_formats import (
 )
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans
-from petmjx.plans.parallel_json import WORTH_BYTES, PieceOptions, ReadEntry, read_in_pieces
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_decoder import DecoderOptions, ReadEntry, decode_entries
 from petmjx.plans.plan_fields import LONGEST_NAME, UnreadFields
 from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_validation import PlanError, parse_plan
-from petmjx.plans.plan_warnings import PlanWarnings
 
 if TYPE_CHECKING:
     from petmjx.plans.placement_table import Table
@@ -178,7 +177,6 @@ class _PlanLoader:
         unread: counts of fields that petmjx does not read.
         unlisted: unusable entries of the current file that are only counted.
         most_skipped: limit of ``found.skipped`` for the current file.
-        layouts: plan id → warnings about its layout (None: nothing is odd), for layouts that have been checked.
     """
 
     limit: int | None
@@ -194,7 +192,6 @@ class _PlanLoader:
     n_plans: int = 0
     """Number of plans so far, usable or not."""
     most_skipped: int = MOST_LINES
-    layouts: dict[str, PlanWarnings | None] = field(default_factory=dict)
 
     @property
     def full(self) -> bool:
@@ -203,7 +200,7 @@ class _PlanLoader:
     def done(self) -> PlanSet:
         """The result, when all files have been read."""
         self.found.notes.extend(self.unread.notes())
-        return with_conventions(self.found, self.carrier_extent_mm, self.layouts)
+        return with_conventions(self.found, self.carrier_extent_mm)
 
     def read_file(self, path: Path) -> None:
         source = printable(str(path))
@@ -282,12 +279,13 @@ class _PlanLoader:
         n_plans, unread = self.n_plans, self.unread.copy()
         n_entries = n_orders = 0
         first_order = ""
-        if self.limit is None and not damaged and len(data) >= WORTH_BYTES:
-            options = PieceOptions(source, self.max_boxes, self.carrier_extent_mm, self.given)
-            entries = read_in_pieces(data, options, self.unread)
-            if entries is not None:
+        if self.limit is None and not damaged:
+            options = DecoderOptions(source, self.max_boxes, self.given, self.names, self.unread)
+            entries = decode_entries(data, options)
+            if entries:
                 self._take_all(source, entries)
                 return
+            self.unread = unread.copy()
         named = source.lower().endswith((".json", ".json.gz"))
         if not damaged and (kind := _kind_of_text(data, named)) is not None:
             self._skip(source, None, f"{source}: {kind}")
@@ -329,13 +327,11 @@ class _PlanLoader:
             self._keep(plan)
 
     def _take_all(self, source: str, entries: Sequence[ReadEntry]) -> None:
-        """Take the entries of a text that was read in pieces."""
+        """Take the entries of a text that is JSON."""
         for entry in entries:
             if entry.fault is not None:
                 self._skip(source, entry.plan_id, entry.fault)
             elif entry.plan is not None:
-                if entry.plan_id not in self.source_of:
-                    self.layouts[entry.plan_id] = entry.layout
                 self._keep(entry.plan)
         orders = [entry.plan_id for entry in entries if entry.plan is None and entry.fault is None]
         if orders:

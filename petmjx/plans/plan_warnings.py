@@ -10,14 +10,19 @@ bottom. Their callers add conditions of their own: the order of placement, the c
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.common.units import FloatArray
+
+if TYPE_CHECKING:
+    from petmjx.plans.plan import Plan
 
 
 def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
@@ -48,6 +53,9 @@ DEFAULT_TOLERANCE_MM: Final = 0.5
 """Gaps and overlaps up to this count as touching. Plans have whole millimetres, in which neighbours touch. Half of the
 last digit separates rounding from intent."""
 
+
+_MOST_PAIRS: Final = 1 << 17
+"""Pairs of boxes that are looked at together: a matrix of numbers takes 1 MB then, which caches hold."""
 
 MOST_NAMED: Final = 3
 """Largest number of boxes, or of pairs, that a warning names."""
@@ -107,13 +115,10 @@ def check_layout(
             bounding box, so only boxes below its top are outside.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
-    side_by_side = (shared_length(low[0], high[0]) > tolerance_mm) & (shared_length(low[1], high[1]) > tolerance_mm)
-    overlapping = side_by_side & (shared_length(low[2], high[2]) > tolerance_mm)
-    thick_enough = ((high - low) > tolerance_mm).all(axis=0)
-    # The matrix is symmetric. Its diagonal is true for each box that overlaps itself, that is, a thick enough one.
-    n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(thick_enough)) // 2)
+    side_by_side, overlapping = _overlaps(low, high, tolerance_mm)
+    n_pairs = int((np.count_nonzero(overlapping) - np.count_nonzero(_thick_enough(low, high, tolerance_mm))) // 2)
     outside = _outside(low, high, carrier_extent_mm, tolerance_mm)
-    gap = _gaps(low, high, side_by_side, tolerance_mm)
+    gap = _gaps(low, high, side_by_side)
     floating = np.flatnonzero(gap > tolerance_mm)
     first_pairs = np.argwhere(np.triu(overlapping, k=1))[:MOST_NAMED] if n_pairs else ()
     return PlanWarnings(
@@ -128,6 +133,41 @@ def check_layout(
     )
 
 
+def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | None = None) -> list[PlanWarnings]:
+    """``check_layout`` of many plans: those that have odd boxes, in order. Plans with equally many boxes are checked at
+    once, in half of the time."""
+    numbers = defaultdict[int, list[int]](list)
+    for number, plan in enumerate(plans):
+        numbers[plan.n_boxes].append(number)
+    odd: list[int] = []
+    for n_boxes, alike in numbers.items():
+        most = max(_MOST_PAIRS // n_boxes**2, 1)
+        for first in range(0, len(alike), most):
+            some = alike[first : first + most]
+            corner = np.stack([plans[number].corner_mm for number in some])
+            size = np.stack([plans[number].size_mm for number in some])
+            is_odd = _are_odd(corner, size, carrier_extent_mm)
+            odd += [number for number, flag in zip(some, is_odd.tolist(), strict=True) if flag]
+    return [
+        check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, carrier_extent_mm)
+        for plan in (plans[number] for number in sorted(odd))
+    ]
+
+
+def _are_odd(
+    corner_mm: FloatArray, size_mm: FloatArray, carrier_extent_mm: tuple[float, float] | None
+) -> NDArray[np.bool_]:
+    """(plans,) whether plans have odd boxes, from (plans, n, 3) corners and sizes."""
+    low, high = np.moveaxis(corner_mm, -1, 0), np.moveaxis(corner_mm + size_mm, -1, 0)
+    side_by_side, overlapping = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
+    n_thick = np.count_nonzero(_thick_enough(low, high, DEFAULT_TOLERANCE_MM), axis=1)
+    overlap = np.count_nonzero(overlapping, axis=(1, 2)) != n_thick
+    is_outside = _outside(low, high, carrier_extent_mm, DEFAULT_TOLERANCE_MM)
+    floats = _gaps(low, high, side_by_side) > DEFAULT_TOLERANCE_MM
+    is_odd: NDArray[np.bool_] = overlap | (is_outside | floats).any(axis=1)
+    return is_odd
+
+
 def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -> FloatArray:
     """(n,) gap between each box and its support, a box or the carrier's top, mm; 0 if the support reaches into it.
 
@@ -135,9 +175,8 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
         in_order: whether only boxes placed earlier can be supports; else all can.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
-    tolerance = DEFAULT_TOLERANCE_MM
-    side_by_side = (shared_length(low[0], high[0]) > tolerance) & (shared_length(low[1], high[1]) > tolerance)
-    return _gaps(low, high, side_by_side, tolerance, in_order)
+    side_by_side, _ = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
+    return _gaps(low, high, side_by_side, in_order)
 
 
 def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
@@ -152,10 +191,27 @@ def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
     return deepest
 
 
+def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(…, n, n) whether two boxes overlap seen from above, and whether they overlap. The matrices are symmetric. Their
+    diagonals are true for boxes that overlap themselves, that is, for those that are thick enough.
+
+    Args:
+        low, high: (3, …, n) ends of the boxes along the axes.
+    """
+    side_by_side = (shared_length(low[0], high[0]) > tolerance_mm) & (shared_length(low[1], high[1]) > tolerance_mm)
+    return side_by_side, side_by_side & (shared_length(low[2], high[2]) > tolerance_mm)
+
+
+def _thick_enough(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
+    """(…, n) whether boxes are larger than the tolerance along all axes."""
+    thick_enough: NDArray[np.bool_] = (high - low).min(axis=0) > tolerance_mm
+    return thick_enough
+
+
 def _outside(
     low: FloatArray, high: FloatArray, carrier_extent_mm: tuple[float, float] | None, tolerance_mm: float
 ) -> NDArray[np.bool_]:
-    """(n,) whether a box reaches beyond the carrier or below its top."""
+    """(…, n) whether a box reaches beyond the carrier or below its top."""
     outside: NDArray[np.bool_] = low[2] < -tolerance_mm
     if carrier_extent_mm is not None:
         outside |= (low[:2] < -tolerance_mm).any(axis=0)
@@ -167,10 +223,9 @@ def _gaps(
     low: FloatArray,
     high: FloatArray,
     side_by_side: NDArray[np.bool_],
-    tolerance_mm: float,
     in_order: bool = True,
 ) -> FloatArray:
-    """(n,) gap between each box and its support, mm.
+    """(…, n) gap between each box and its support, mm.
 
     The support of a box is the highest box that begins below it, or the carrier's top.
 
@@ -179,9 +234,9 @@ def _gaps(
     """
     bottom, top = low[2], high[2]
     # Row: the supporting box, column: the box above it. Supporting boxes are earlier in packing order.
-    below = side_by_side & np.less.outer(bottom, bottom)
+    below = side_by_side & (bottom[..., :, None] < bottom[..., None, :])
     if in_order:
         below = np.triu(below, k=1)
-    support = np.where(below, top[:, None], 0.0).max(axis=0, initial=0.0)
+    support = np.where(below, top[..., :, None], 0.0).max(axis=-2, initial=0.0)
     gap: FloatArray = np.maximum(bottom - support, 0.0)
     return gap
