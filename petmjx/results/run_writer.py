@@ -319,6 +319,7 @@ class RunWriter(RunInfo):
             self._write_waiting()
         except Exception as error:
             self._trouble = error
+            self.warn(f"{error if isinstance(error, PetmjxError) else one_line(error)}; tried again")
             self._retry_s = time.monotonic() + min(RETRY_S, self._seconds_per_part)
         else:
             self._trouble = None
