@@ -17,7 +17,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from petmjx.results.run_folder import OF_WORLDS
 from petmjx.results.run_tables import Parts
 from petmjx.results.schema import RANK, RANK_COLUMN
 
@@ -61,9 +60,10 @@ class WorldRanks:
 
 
 def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
-    """Whether all rows of a run have ranks, and these follow plans in this order."""
-    files = (file for table in OF_WORLDS for file in parts.files(table))
-    return PlanOrder.of(parts).plan_ids == plan_ids and all(RANK in parts.columns(file) for file in files)
+    """Whether the rows of a run have ranks, and these follow plans in this order. All tables of a run have ranks, or
+    none."""
+    ranked = all(RANK in parts.columns(file) for file in parts.files("worlds"))
+    return ranked and PlanOrder.of(parts).plan_ids == plan_ids
 
 
 def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:

@@ -337,14 +337,23 @@ class RunWriter(RunInfo):
         if self._lacks_placements:
             self._write_placements()
         if last and not self._rows and not self.parts.files("worlds"):
-            self._write_part([])
-        while self._rows:
-            self._write_part(self._rows[: self._worlds_per_part])
+            self._write_part(0)
+        begin, failure = 0, None
+        while begin < len(self._rows):
+            try:
+                self._write_part(begin)
+            except PetmjxError:  # the disk: other parts would fail, too
+                raise
+            except Exception as error:  # rows that cannot be packed keep no others from disk
+                begin, failure = begin + self._worlds_per_part, failure or error
         if self._is_behind:
             self._write_info()
+        if failure is not None:
+            raise failure
 
-    def _write_part(self, rows: Sequence[Row]) -> None:
-        """Write the first waiting rows as a part. They wait on if this fails."""
+    def _write_part(self, begin: int) -> None:
+        """Write waiting rows from number ``begin`` on as a part. They wait on if this fails."""
+        rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
         with self._writing():
@@ -352,7 +361,7 @@ class RunWriter(RunInfo):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
         self.counts += WorldCounts.of(table)  # ``worlds`` came last
-        del self._rows[: len(rows)]
+        del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes
         self._written_bytes += n_bytes
@@ -416,7 +425,7 @@ class RunWriter(RunInfo):
         """
         info, parts, warnings = resume_state(self.out_dir, self._manifest, self.head["versions"])
         self.warnings |= dict.fromkeys(warnings)
-        parts.check_tables(OF_WORLDS)
+        parts.check_tables(("boxes", "attempts", "worlds"))
         self.recorded = CompletedWorlds(parts, [param.name for param in self.params])
         self.counts = self.recorded.counts()
         self.earlier_s = dict(info["timings"])

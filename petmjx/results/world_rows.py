@@ -18,8 +18,8 @@ from petmjx.plans.plan import Plan
 from petmjx.results import history_tables
 from petmjx.results.schema import RANK
 
-ROW_BYTES: Final = 5_000
-"""Memory of a row without its boxes and its history, bytes: measured with tracemalloc."""
+ROW_BYTES: Final = 2_000
+"""Memory of a row without its boxes and its history, bytes: 1,200 by tracemalloc, and its own numbers and texts."""
 
 _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
 """Columns of ``worlds`` that are fields of an outcome, in addition to its metrics."""

@@ -64,7 +64,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         manifest=merged_manifest,
         orders=orders,
         params=[Param(**param) for param in first["params"]],
-        variants=_variants(runs),
+        variants=None if _is_search(runs[0].info) else _variants(runs),
         boxes=runs[0].keeps_boxes,
         versions=first["versions"],
         device=", ".join(dict.fromkeys(run.info["device"] for run in runs)),
@@ -134,6 +134,11 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
     lacking = sorted(manifest.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
         raise InputError(f"no world of {count_text(len(lacking), 'plan')}: {first_names(lacking)}")
+
+
+def _is_search(info: Mapping[str, Any]) -> bool:
+    """Whether a run is a search: its plans have different numbers of worlds, and its answers are not shares."""
+    return info["identity"]["command"] == "sweep" and info["config"].get("shares") is None
 
 
 def _variants(runs: Sequence[RunResults]) -> range:

@@ -320,6 +320,24 @@ def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, m
     assert not failures
 
 
+def test_rows_that_cannot_be_packed_keep_no_others_from_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are tried again, and the run that ends without them says so."""
+    tables = Part.tables
+
+    def packed(part: Part, schemas: Any) -> Any:
+        if any(row.plan.plan_id == "2" for row in part.rows):
+            raise ValueError("odd")
+        return tables(part, schemas)
+
+    monkeypatch.setattr(Part, "tables", packed)
+    with pytest.raises(ValueError, match="odd"):
+        write_run(tmp_path, ids=tuple("0123456"), worlds_per_part=2)
+    results = load_run(tmp_path)
+    assert {*results.worlds.plan_id} >= {"0", "1", "4", "5", "6"}
+    assert (results.info["status"], results.info["error"]) == ("failed", "ValueError: odd")
+    assert results.info["counts"]["worlds"] == len(results.worlds)
+
+
 def test_a_run_ends_once(tmp_path: Path) -> None:
     """Another run may have its folder by then."""
     with RunWriter(tmp_path, {}) as run:
