@@ -7,6 +7,7 @@ when it is asked to, and at the end. Signals interrupt only the main thread, so 
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import tempfile
 import threading
@@ -58,6 +59,9 @@ MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
 RETRY_S: Final = 10.0
 """Time between an error and the next attempt, s. On a full disk at most one part is packed in this time."""
 
+LOOK_S: Final = 1.0
+"""Time between two looks at whether the thread still runs, while another thread waits for its answer, s."""
+
 
 class _Request(NamedTuple):
     """A function that the thread calls, and the queue for its result and its error."""
@@ -67,7 +71,7 @@ class _Request(NamedTuple):
 
 
 class _CutShortError(Exception):
-    """Copying ends because the run is interrupted."""
+    """Something is not done because the run is interrupted."""
 
 
 class RunWriter(RunInfo):
@@ -159,12 +163,13 @@ class RunWriter(RunInfo):
 
     def __enter__(self) -> Self:
         self._thread.start()
+        atexit.register(self._end_at_exit)
         try:
             self._ask(self._open)
         except BaseException:
             self._cut_short = True
             self._ask(self._leave)
-            self._thread.join()
+            self._joined()
             raise
         return self
 
@@ -242,7 +247,7 @@ class RunWriter(RunInfo):
         # the first of several Ctrl-C ends the run; the later ones must not end the process before the rest is written
         with defer_signals(afterwards=error is None):
             trouble = self._ask(lambda: self._end(error))
-            self._thread.join()
+            self._joined()
         if error is None and trouble is not None:
             raise trouble
 
@@ -274,10 +279,25 @@ class RunWriter(RunInfo):
         its error. If this thread is interrupted meanwhile, the function is called all the same."""
         request = _Request(call, SimpleQueue())
         self._queue.put(request)
-        result, error = request.reply.get()
+        while True:
+            with contextlib.suppress(Empty):
+                result, error = request.reply.get(timeout=LOOK_S)
+                break
+            if not self._thread.is_alive() and request.reply.empty():
+                raise _CutShortError  # it ended before it came to this request
         if error is not None:
             raise error
         return result
+
+    def _joined(self) -> None:
+        """Wait until the thread has ended."""
+        self._thread.join()
+        atexit.unregister(self._end_at_exit)
+
+    def _end_at_exit(self) -> None:
+        """End the run with the process. Only needed if a second Ctrl-C came before ``__exit__`` deferred signals."""
+        with contextlib.suppress(_CutShortError):
+            self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
 
     # The thread.
 
