@@ -240,6 +240,16 @@ def test_ctrl_c_while_a_run_begins_leaves_the_folder_free(tmp_path: Path, monkey
     write_run(tmp_path, overwrite=True)
 
 
+def test_a_run_whose_end_was_interrupted_ends_with_the_process(tmp_path: Path) -> None:
+    """Nobody waits for an answer of a thread that has ended."""
+    run = RunWriter(tmp_path, {}).__enter__()
+    add_worlds(run, 0, 1)
+    run._end_at_exit()
+    assert_has_whole(tmp_path, 2)
+    with pytest.raises(run_writer._CutShortError):
+        run.flush()
+
+
 def write_and_flush(folder: Path) -> None:
     with RunWriter(folder, {}) as run:
         add_worlds(run, 0, 1)

@@ -54,6 +54,14 @@ def assert_same_tables(results: petmjx.RunResults, expected: petmjx.RunResults) 
     assert results.info["counts"] == expected.info["counts"]
 
 
+def assert_ranked(results: petmjx.RunResults, ranks: range) -> None:
+    """All rows have ranks, in the files, and these sort them as the results are sorted."""
+    for table, frame in (("worlds", results.worlds), ("boxes", results.boxes)):
+        rows = pd.read_parquet(results.path / table).sort_values("rank", kind="stable")
+        assert rows.plan_id.tolist() == frame.plan_id.tolist()
+        assert rows["rank"].unique().tolist() == [*ranks]
+
+
 def scored(**options: object) -> petmjx.RunResults:
     return petmjx.score(PLANS, engine=LargestFirst(), **options)
 
@@ -73,7 +81,9 @@ def test_an_interrupted_run_reads_in_the_order_of_its_plans(unpacked: Path) -> N
 
 
 def test_an_interrupted_run_is_resumed(old_runs: Path) -> None:
-    assert_same_tables(scored(out=old_runs / "cut", resume=True), scored())
+    resumed = scored(out=old_runs / "cut", resume=True)
+    assert_same_tables(resumed, scored())
+    assert_ranked(resumed, range(5))
 
 
 def test_a_large_interrupted_run_is_resumed(old_runs: Path) -> None:
@@ -83,18 +93,22 @@ def test_a_large_interrupted_run_is_resumed(old_runs: Path) -> None:
         return petmjx.sweep(old_runs / "errors.toml", PLANS, engine=LargestFirst(), **options)
 
     assert len(petmjx.load_run(old_runs / "large-cut").worlds) == 11
-    assert_same_tables(sweep(out=old_runs / "large-cut", resume=True), sweep())
+    resumed = sweep(out=old_runs / "large-cut", resume=True)
+    assert_same_tables(resumed, sweep())
+    assert_ranked(resumed, range(20))
 
 
 def test_shards_are_merged(old_runs: Path) -> None:
     merged = petmjx.merge_runs([old_runs / "two", old_runs / "one"], old_runs / "merged")
     assert_same_tables(merged, petmjx.load_run(old_runs / "whole"))
+    assert_ranked(merged, range(5))
 
 
 def test_a_shard_is_merged_with_one_of_today(old_runs: Path) -> None:
     new = scored(out=old_runs / "new", shard="2/2").path
     merged = petmjx.merge_runs([old_runs / "one", new], old_runs / "merged")
     assert_same_tables(merged, petmjx.load_run(old_runs / "whole"))
+    assert_ranked(merged, range(5))
 
 
 def test_histories_are_read(unpacked: Path) -> None:
@@ -104,4 +118,6 @@ def test_histories_are_read(unpacked: Path) -> None:
         history = read_history(old, plan.plan_id, 0, plan.n_boxes)
         assert history is not None
         assert history.pos.shape[1] == plan.n_boxes
-        assert rows_of(old, "boxes", plan.plan_id, 0).num_rows == plan.n_boxes
+        boxes = rows_of(old, "boxes", plan.plan_id, 0)
+        assert boxes is not None
+        assert boxes.num_rows == plan.n_boxes
