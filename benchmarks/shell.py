@@ -80,7 +80,7 @@ def score(at: float) -> None:
     stages.around(run_engine, "resolve_engine", before="GPU started", after="engine there")
     stages.around(RunWriter, "__enter__", after="folder open")
     stages.around(RunWriter, "add", before="first world final")
-    stages.around(RunWriter, "put_in_order", before="last world final", after="in order")
+    stages.around(RunWriter, "flush", before="last world final", after="worlds on disk")
     stages.around(RunWriter, "__exit__", after="written")
     stages.around(api, "simulate", after="read again")
     name = engine

@@ -1,7 +1,7 @@
 """The table of all metrics: name, unit, type, meaning, time of sampling, and reduction from boxes to their world.
 
 It defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
-(petmjx.results.part_buffer), which values two runs are compared by (petmjx.analysis.run_comparison), and the tables of
+(petmjx.results.world_rows), which values two runs are compared by (petmjx.analysis.run_comparison), and the tables of
 docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the packages of the engines, in
 NumPy and in JAX.
 

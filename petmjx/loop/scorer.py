@@ -27,8 +27,8 @@ from petmjx.plans.file_formats import SupportsArrow
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, usable_plans
-from petmjx.results.part_buffer import Part, Row
 from petmjx.results.schema import data_frame, schemas
+from petmjx.results.world_rows import Part, Row
 from petmjx.runs.study import NOMINAL
 from petmjx.world.friction_pairs import check_surfaces
 from petmjx.world.job import Job
@@ -85,20 +85,13 @@ class Scorer(Closable):
         """
         self._check_open()
         results = self._results(self._usable(plans))
-        part = Part(0)
-        for result in results:
-            part.add(
-                Row.of(
-                    result.world.plan,
-                    NOMINAL.index,
-                    self.simulation.schedule.value,
-                    result.outcome,
-                    result.attempts,
-                    {},
-                )
-            )
+        schedule = self.simulation.schedule.value
+        rows = [
+            Row.of(result.world.plan, NOMINAL.index, rank, schedule, result.outcome, result.attempts, {})
+            for rank, result in enumerate(results)
+        ]
         kinds = schemas()
-        tables = dict(part.tables(kinds))
+        tables = dict(Part(rows).tables(kinds))
         frames = {name: data_frame(tables.get(name, kinds[name].empty_table())) for name in Scored.__annotations__}
         frames["worlds"]["culprit"] = frames["worlds"]["culprit"].astype("Int32")
         return Scored(**frames)

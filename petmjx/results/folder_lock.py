@@ -1,4 +1,8 @@
-"""A lock that lets one run at a time write into a folder. It ends with its process, even if that is killed."""
+"""A lock that lets one run at a time write into a folder. It ends with its process, even if that is killed.
+
+The package ``filelock`` does not do this: it takes any file of the lock's name for a lock, does not say which process
+holds it, and where a file system has no locks it falls back to a file that outlives a kill.
+"""
 
 from __future__ import annotations
 

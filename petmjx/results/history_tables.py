@@ -21,6 +21,7 @@ from petmjx.options.run_options import ALL, FAILED, RunOptions
 from petmjx.plans.plan import Plan
 from petmjx.results.run_reader import RunResults, rows_of
 from petmjx.results.run_tables import Parts
+from petmjx.results.schema import RANK
 from petmjx.world.history import Contacts, History, Record
 from petmjx.world.job import ACCELERATION, FORCE
 
@@ -112,11 +113,12 @@ _WXYZ: Final = "wxyz"
 
 @dataclass(frozen=True, eq=False)
 class RecordedWorld:
-    """A recorded world."""
+    """A recorded world. ``rank`` is its place in the order of the run."""
 
     plan_id: str
     variant: int
     history: History
+    rank: int
 
     @property
     def size(self) -> int:
@@ -253,6 +255,7 @@ def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) 
     rows = np.repeat(np.arange(len(worlds)), [len(part["frame"]) for part in parts])
     columns["plan_id"] = pa.array([world.plan_id for world in worlds], pa.string()).take(pa.array(rows))
     columns["variant"] = np.array([world.variant for world in worlds], np.int32)[rows]
+    columns[RANK] = np.array([world.rank for world in worlds], np.int64)[rows]
     return columns
 
 

@@ -1,8 +1,12 @@
-"""The order in which plans were given, and sorting of rows by it: by plan, then by variant."""
+"""The order of a run's worlds: plan by plan in the order given, then by variant.
+
+Worlds end in any order, and rows are written as worlds end. Their rank is in the column ``rank``, and readers sort by
+it. Runs of petmjx before 0.3 have no ranks: their rows are sorted by the order of the table ``plans``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, Self
@@ -14,8 +18,76 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from petmjx.results.run_tables import Parts
+from petmjx.results.schema import RANK, RANK_COLUMN
 
 _MOST_VARIANTS: Final = 1 << 32
+
+
+class WorldRanks:
+    """The rank of each world of a run. In a whole run whose plans all have the same variants, ranks are 0, 1, 2, …
+    without a gap; in a search they have gaps.
+
+    Args:
+        plan_ids: all plans in the order given, including those of other shards. Other plans follow, in the order in
+            which they are first ranked.
+        variants: numbers of each plan's variants; None: not known, as in a search.
+    """
+
+    def __init__(self, plan_ids: Iterable[str] = (), variants: range | None = None) -> None:
+        self._places = {plan_id: place for place, plan_id in enumerate(plan_ids)}
+        self._variants = variants or range(_MOST_VARIANTS)
+
+    def rank(self, plan_id: str, variant: int) -> int:
+        """The rank of one world."""
+        place = self._places.setdefault(plan_id, len(self._places))
+        return place * len(self._variants) + variant - self._variants.start
+
+    def ranks(self, table: pa.Table) -> NDArray[np.int64]:
+        """(n,) rank of each row's world."""
+        plans = table["plan_id"].combine_chunks().dictionary_encode()
+        first = np.array([self.rank(plan_id, 0) for plan_id in plans.dictionary.to_pylist()], dtype=np.int64)
+        ranks: NDArray[np.int64] = first[np.asarray(plans.indices)] + np.asarray(table["variant"], dtype=np.int64)
+        return ranks
+
+    def ranked(self, table: pa.Table) -> pa.Table:
+        """The rows with their ranks, sorted by them. The rows of one world keep their order."""
+        ranks = self.ranks(table)
+        place = table.schema.get_field_index(RANK)
+        if place >= 0:
+            table = table.remove_column(place)
+        table = table.add_column(table.schema.get_field_index("variant") + 1, RANK_COLUMN, pa.array(ranks))
+        return table if is_sorted(ranks) else table.take(np.argsort(ranks, kind="stable"))
+
+
+def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
+    """Whether the rows of a run have ranks, and these follow plans in this order. All tables of a run have ranks, or
+    none."""
+    ranked = all(RANK in parts.columns(file) for file in parts.files("worlds"))
+    return ranked and PlanOrder.of(parts).plan_ids == plan_ids
+
+
+def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:
+    """The rows of a table of worlds in the order of the run; None if it has no part. The rows of one world keep their
+    order.
+
+    Args:
+        columns: columns to read, with ``plan_id`` and ``variant``; None: all.
+
+    Raises:
+        InputError: a part is damaged or missing.
+    """
+    files = parts.files(table)
+    if not files:
+        return None
+    if not all(RANK in parts.columns(file) for file in files):
+        return PlanOrder.of(parts).ordered(_joined(parts.table(table, columns)))
+    rows = _joined(parts.table(table, None if columns is None else [*dict.fromkeys((*columns, RANK))]))
+    ranks = np.asarray(rows[RANK])
+    return rows if is_sorted(ranks) else rows.take(np.argsort(ranks, kind="stable"))
+
+
+def _joined(tables: Sequence[pa.Table]) -> pa.Table:
+    return pa.concat_tables(tables, promote_options="default")
 
 
 @dataclass(frozen=True, eq=False)

@@ -90,10 +90,7 @@ class CompletedWorlds:
 
     def counts(self) -> WorldCounts:
         """Counts of the worlds, by verdict and reason."""
-        counts = WorldCounts()
-        if self._table is not None:
-            counts.add_worlds(self._table)
-        return counts
+        return WorldCounts() if self._table is None else WorldCounts.of(self._table)
 
     def _column(self, name: str) -> list[Any]:
         values: list[Any] = self._table.column(name).to_pylist() if self._table is not None else []

@@ -32,15 +32,14 @@ from petmjx.options.run_options import WORLDS
 from petmjx.options.simulation import Simulation
 from petmjx.plans.order_matching import PlanOrderCounts
 from petmjx.plans.plan import Plan
-from petmjx.results.memory_tables import MemoryParts
 from petmjx.results.notebook_tables import worlds_as_html
-from petmjx.results.plan_order import PlanOrder
+from petmjx.results.plan_order import PlanOrder, rows_in_order
 from petmjx.results.plan_table import PLACEMENTS, placements_table
 from petmjx.results.run_file import check_run_file, write_run_file
 from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
-from petmjx.results.run_table_files import Tables
+from petmjx.results.run_table_files import MemoryParts, Tables
 from petmjx.results.run_tables import LISTED, Parts
-from petmjx.results.schema import check_version, data_frame, placements_schema, plans_schema, schemas
+from petmjx.results.schema import RANK, check_version, data_frame, placements_schema, plans_schema, schemas
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
 """Table → the table that tells which worlds a part of it has, by the part with the same number. For tables that are not
@@ -198,15 +197,15 @@ class RunResults:
         try:
             temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
             weakref.finalize(self, temporary.cleanup)
-            written = Parts(Path(temporary.name), {})
-            written.add(self.parts.write(written.folder))
+            folder = Path(temporary.name)
+            written = Parts(folder, {}).plus(self.parts.write(folder))
             if self.held and (placements := placements_table(self.held.values())) is not None:
-                written.add(Tables(written.folder).files_of(0, [(PLACEMENTS, placements)]))
-            write_run_file(self.info | {LISTED: written.digests}, written.folder)
+                written = written.plus(Tables(folder).write(PLACEMENTS, 0, placements))
+            write_run_file(self.info | {LISTED: written.digests}, folder)
         except OSError as error:
             raise PetmjxError(f"{tempfile.gettempdir()}: cannot write results: {error.strerror or error}") from error
-        self.info.update(read_info(written.folder))
-        return written.folder
+        self.info.update(read_info(folder))
+        return folder
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
@@ -220,7 +219,7 @@ class RunResults:
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
         if not self._varied:
-            frame.index = self._given.index(frame["plan_id"])
+            frame.index = PlanOrder.of(self.parts).index(frame["plan_id"])
         return frame
 
     @cached_property
@@ -297,7 +296,9 @@ class RunResults:
         """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty if the run has no such table."""
         files = self.parts.files(table)
         schema = self.parts.read(files[0]).schema if files else pa.schema([])
-        return {column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema}
+        return {
+            column.name: (column.metadata or {}).get(b"unit", b"").decode() for column in schema if column.name != RANK
+        }
 
     @property
     def _varied(self) -> bool:
@@ -305,13 +306,9 @@ class RunResults:
         config = self.info.get("config", {})
         return config.get("command") == "sweep" or "sweep" in config
 
-    @cached_property
-    def _given(self) -> PlanOrder:
-        return PlanOrder.of(self.parts)
-
     def _read(self, table: str) -> pd.DataFrame:
-        parts = self.parts.table(table) or [schemas()[table].empty_table()]
-        return data_frame(self._given.ordered(pa.concat_tables(parts, promote_options="default")))
+        rows = rows_in_order(self.parts, table)
+        return data_frame(schemas()[table].empty_table() if rows is None else rows)
 
 
 def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunResults:

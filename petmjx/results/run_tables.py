@@ -64,6 +64,13 @@ class Parts:
         self.check(file)
         return read_part(file, columns)
 
+    def columns(self, file: Path) -> list[str]:
+        """The names of the columns of one of these files. Raises InputError as :meth:`read`."""
+        self.check(file)
+        with open_part(file) as parquet:
+            names: list[str] = parquet.schema_arrow.names
+        return names
+
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
         """All parts of a table, as :meth:`read`; they are read in parallel."""
         files = self.files(table)
@@ -89,11 +96,12 @@ class Parts:
         for file in (file for table in tables for file in self.files(table)):
             self.check(file)
 
-    def add(self, digests: Mapping[Path, str]) -> None:
-        """Add files that were just written, with their digests."""
+    def plus(self, digests: Mapping[Path, str]) -> Parts:
+        """The files and others that were just written, with their digests."""
+        listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
-            self.digests.setdefault(file.parent.name, {})[file.name] = digest
-        self._checked.update(digests)
+            listed.setdefault(file.parent.name, {})[file.name] = digest
+        return Parts(self.folder, listed, {*self._checked, *digests})
 
     def without(self, *tables: str) -> Parts:
         """The files without those of these tables."""
@@ -108,10 +116,6 @@ class Parts:
             for table, files in self.digests.items()
         }
         return Parts(self.folder, kept, set(self._checked))
-
-    def numbered(self, table: str, numbers: Collection[int]) -> list[Path]:
-        """The files of a table's parts with these numbers, as far as they exist."""
-        return [file for file in self.files(table) if part_number(file) in numbers]
 
     def with_worlds(self) -> Parts:
         """The files without those whose part of ``worlds`` was deleted. A user deletes such a part to have its worlds

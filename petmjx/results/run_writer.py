@@ -1,14 +1,25 @@
-"""Writes the folder of a run, part by part, while worlds finish. Its layout: petmjx.results.run_folder."""
+"""Writes the folder of a run while worlds finish. Its layout: petmjx.results.run_folder.
+
+One thread owns the folder. Other threads put finished worlds and requests into its queue, and it takes them in order.
+It gathers worlds into parts, and writes each part once: when the part is full, when a world has waited for a minute,
+when it is asked to, and at the end. Signals interrupt only the main thread, so they never interrupt a write.
+"""
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import tempfile
+import threading
+import time
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, NamedTuple, Self
+
+import pyarrow as pa
 
 from petmjx.common.errors import InputError, PetmjxError
 from petmjx.common.processes import defer_signals
@@ -17,43 +28,72 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.plans.order_matching import OrderCheck
 from petmjx.plans.plan import Plan
-from petmjx.results.flush_timer import AGAIN_S, FlushTimer
 from petmjx.results.folder_lock import held_folder_lock
-from petmjx.results.memory_tables import MemoryParts
-from petmjx.results.part_buffer import SECONDS_PER_PART, WORLDS_PER_PART, PartBuffer, Row
-from petmjx.results.part_order import DestinationBuffer, Places
-from petmjx.results.plan_order import PlanOrder
+from petmjx.results.plan_order import WorldRanks, is_ranked
+from petmjx.results.plan_table import PLACEMENTS
 from petmjx.results.resume import CompletedWorlds, resume_state
-from petmjx.results.row_order import SORTED, sort_parts
+from petmjx.results.run_file import write_run_file
 from petmjx.results.run_folder import OF_WORLDS, RUN_FILE, check_run_folder, make_room, tidy
-from petmjx.results.run_info import RUNNING, RunFolder, now
+from petmjx.results.run_info import RUNNING, RunInfo, now
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import FINISHED, RunResults, load_run
-from petmjx.results.run_table_files import Tables
-from petmjx.results.run_tables import Parts
+from petmjx.results.run_table_files import MemoryParts, MemoryTables, Tables
+from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import Param, schemas
 from petmjx.results.to_json import to_json
 from petmjx.results.world_counts import COUNTED, WorldCounts
+from petmjx.results.world_rows import Part, Row
+
+WORLDS_PER_PART: Final = 5_000
+"""Most worlds in a part: 15 MB of ``boxes`` at 43 boxes a world. A million worlds are 200 parts."""
+
+BYTES_PER_PART: Final = 64 << 20
+"""Memory at which a part is full: 4,000 worlds of 43 boxes, 60 with histories, 20 with histories in detail."""
+
+SECONDS_PER_PART: Final = 60.0
+"""Longest time that a world waits for its part to be written. It holds even if no other world finishes."""
+
+MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
+"""Memory of worlds that wait to be written. If they take more, ``add`` waits."""
+
+RETRY_S: Final = 10.0
+"""Time between an error and the next attempt, s. On a full disk at most one part is packed in this time."""
+
+LOOK_S: Final = 1.0
+"""Time between two looks at whether the thread still runs, while another thread waits for its answer, s."""
 
 
-class RunWriter(RunFolder):
+class _Request(NamedTuple):
+    """A function that the thread calls, and the queue for its result and its error."""
+
+    call: Callable[[], Any]
+    reply: SimpleQueue[tuple[Any, BaseException | None]]
+
+
+class _CutShortError(Exception):
+    """Something is not done because the run is interrupted."""
+
+
+class RunWriter(RunInfo):
     """Writes one run's results as its worlds finish. A context manager.
 
-    At the end, also after Ctrl-C or an error, the gathered worlds are written as a last part, and ``run.json`` says how
-    the run ended: ``finished``, ``interrupted`` or ``failed``. Memory holds the part that is being gathered and the
-    part that is being written.
+    At the end, also after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` says how the run ended:
+    ``finished``, ``interrupted`` or ``failed``. Memory holds at most ``MOST_WAITING_BYTES`` of worlds. After an error
+    of the disk the thread tries again every ``RETRY_S``; ``add`` raises the error once that many bytes wait.
+
+    Rows are written in the order in which worlds finish, in each part sorted by rank (petmjx.results.plan_order).
 
     Args:
         out_dir: the run's folder; it is made if it does not exist. None: a run of at most one part stays in memory. A
             larger run is written to a temporary folder, which is removed together with its results.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
+        variants: numbers of each plan's variants, if all plans have the same: ranks then have no gaps.
         dynamic, force_intervals: as in ``petmjx.results.schema.schemas``.
         boxes: whether the table ``boxes`` is kept.
         versions: package → version; the version of Python is added.
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
-        places: ranks of its worlds, for a run so large that no part should be written twice; else None.
         manifest: settings and plans of the run; a run without it cannot be resumed.
         orders: how its plans compare with their orders. A resumed run takes this check, not the earlier one.
         overwrite: replace a run in the folder.
@@ -62,6 +102,8 @@ class RunWriter(RunFolder):
 
     Attributes:
         recorded: the completed worlds of a resumed run.
+        counts: counts of the written worlds.
+        out_dir: the run's folder.
 
     Raises InputError if the folder already has a run (with ``resume``: another run), or cannot be written.
     """
@@ -74,13 +116,13 @@ class RunWriter(RunFolder):
         manifest: Manifest | None = None,
         orders: OrderCheck | None = None,
         params: Sequence[Param] = (),
+        variants: range | None = None,
         dynamic: bool = False,
         force_intervals: bool = False,
         boxes: bool = True,
         versions: Mapping[str, str] | None = None,
         device: str = "",
         expected_worlds: int | None = None,
-        places: Places | None = None,
         overwrite: bool = False,
         resume: bool = False,
         worlds_per_part: int = WORLDS_PER_PART,
@@ -88,27 +130,126 @@ class RunWriter(RunFolder):
     ) -> None:
         identity = manifest.identity if manifest else None
         super().__init__(config, identity, orders, params, versions or {}, device, expected_worlds)
-        self._hold(out_dir)
         self.params = tuple(params)
         self.schemas = schemas(self.params, dynamic, force_intervals)
         if not boxes:
             del self.schemas["boxes"]
         self.recorded = CompletedWorlds()
+        self.counts = WorldCounts()
+        self.out_dir = Path(out_dir or "")
+        self._in_memory = out_dir is None
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
+        self._ranks = WorldRanks(manifest.plans if manifest else (), variants)
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
-        self._flush_timer: FlushTimer | None = None  # only for a run in a folder
-        self._part_buffer = PartBuffer()
-        self._destination_buffer = None if places is None else DestinationBuffer(places, self.schemas)
-        self._until_exit = contextlib.ExitStack()
+        # the queues are written in C: an interrupt of the main thread leaves none of them locked or half changed
+        self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
+        self._room: SimpleQueue[None] = SimpleQueue()  # an entry after each attempt at writing
+        self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
+        self._added_bytes = 0  # changed by the thread that adds
+        self._cut_short = False  # set by the main thread
+        # all that follows belongs to the writer's thread, once it has begun
+        self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
+        self._temporary: tempfile.TemporaryDirectory[str] | None = None
+        self._rows: list[Row] = []
+        self._row_bytes = self._written_bytes = 0
+        self._lacks_placements = False  # whether the table ``placements`` must still be written
+        self._is_behind = False  # whether run.json must still be written
+        self._trouble: Exception | None = None  # why the last attempt at writing failed
+        self._retry_s = 0.0  # no attempt before this time (monotonic clock)
+        self._until_end = contextlib.ExitStack()
+        self._ended = False
+
+    # What other threads call. Only these methods, ``warnings`` and the like are used outside the writer's thread.
 
     def __enter__(self) -> Self:
-        if not self._in_memory:
-            self._open()
-        elif self._destination_buffer is not None:
-            self._leave_memory()
-        else:
-            self._write_plans()
+        self._thread.start()
+        atexit.register(self._end_at_exit)
+        try:
+            self._ask(self._open)
+        except BaseException:
+            self._cut_short = True
+            self._ask(self._leave)
+            self._joined()
+            raise
         return self
+
+    def add(
+        self,
+        plan: Plan,
+        variant: int,
+        schedule: str,
+        outcome: Outcome,
+        attempts: Sequence[Attempt] = (),
+        params: Mapping[str, Any] | None = None,
+        interval_n: FloatArray | None = None,
+    ) -> None:
+        """Add one finished world. It waits while too many worlds are not written yet.
+
+        Args:
+            plan: plan of the world; ``outcome`` has the same boxes in the same order.
+            variant: 0 is nominal.
+            schedule: name of the schedule, as in the results.
+            outcome: copied; its arrays may be reused, and its ``state`` is not kept.
+            attempts: all attempts in order, if the world needed more than one.
+            params: parameter → value; missing ones become null.
+            interval_n: (boxes, 2) least and most force on the top of each box at rest, N; None: not known.
+
+        Raises:
+            ValueError: the outcome is of another plan, or the run does not have a parameter.
+            PetmjxError: too many worlds wait, and they cannot be written (a full disk).
+        """
+        values = {param.name: None for param in self.params} | dict(params or {})
+        if len(values) > len(self.params):
+            raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
+        rank = self._ranks.rank(plan.plan_id, variant)
+        row = Row.of(plan, variant, rank, str(schedule), outcome, attempts, values, interval_n)
+        while self._added_bytes - self._written_bytes > MOST_WAITING_BYTES:
+            if (trouble := self._trouble) is not None:
+                raise trouble
+            self._room.get()
+        self._added_bytes += row.nbytes
+        self._queue.put(row)
+
+    def flush(self) -> None:
+        """Write all worlds that were added, so that they can be read before the run ends.
+
+        Raises:
+            PetmjxError: they cannot be written.
+        """
+        self._ask(lambda: self._write_waiting(last=True))
+
+    def adopt(self, parts: Parts, *, ranked: bool = False) -> None:
+        """Copy the worlds of another run, which has the same columns.
+
+        Args:
+            ranked: whether its rows already have their ranks in this run.
+
+        Raises:
+            InputError: a part is damaged.
+            PetmjxError: a part cannot be written.
+        """
+        self._ask(lambda: self._adopt(parts, ranked))
+
+    def write_summary(self, answers: pa.Table) -> None:
+        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An old one is replaced.
+
+        Raises:
+            PetmjxError: the file cannot be written.
+        """
+        self._ask(lambda: self._write_summary(answers))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self.status != RUNNING:  # it has ended, and another run may have the folder by now
+            return
+        self._cut_short = error is not None
+        # the first of several Ctrl-C ends the run; the later ones must not end the process before the rest is written
+        with defer_signals(afterwards=error is None):
+            trouble = self._ask(lambda: self._end(error))
+            self._joined()
+        if error is None and trouble is not None:
+            raise trouble
 
     def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
         """The results of the run, after its end.
@@ -124,9 +265,152 @@ class RunWriter(RunFolder):
         return results
 
     @property
-    def counts(self) -> WorldCounts:
-        """Of the worlds that are written."""
-        return (self._destination_buffer or self._part_buffer).counts
+    def parts(self) -> Parts:
+        """The files of the tables that are written."""
+        return self._tables.parts
+
+    @property
+    def info(self) -> dict[str, Any]:
+        """The entries of ``run.json`` as of now, without the digest. Counts are of written worlds."""
+        return {**self.entries(self.counts), LISTED: self.parts.digests}
+
+    def _ask(self, call: Callable[[], Any]) -> Any:
+        """Let the thread call a function, after all that was put into the queue before. Returns its result, or raises
+        its error. If this thread is interrupted meanwhile, the function is called all the same."""
+        request = _Request(call, SimpleQueue())
+        self._queue.put(request)
+        while True:
+            with contextlib.suppress(Empty):
+                result, error = request.reply.get(timeout=LOOK_S)
+                break
+            if not self._thread.is_alive() and request.reply.empty():
+                raise _CutShortError  # it ended before it came to this request
+        if error is not None:
+            raise error
+        return result
+
+    def _joined(self) -> None:
+        """Wait until the thread has ended."""
+        self._thread.join()
+        atexit.unregister(self._end_at_exit)
+
+    def _end_at_exit(self) -> None:
+        """End the run with the process. Only needed if a second Ctrl-C came before ``__exit__`` deferred signals."""
+        with contextlib.suppress(_CutShortError):
+            self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+
+    # The thread.
+
+    def _work(self) -> None:
+        while not self._ended:
+            with contextlib.suppress(Empty):
+                item = self._queue.get(timeout=self._due_s())
+                if isinstance(item, Row):
+                    self._rows.append(item)
+                    self._row_bytes += item.nbytes
+                else:
+                    self._answer(item)
+            if self._due_s() == 0.0 and not self._ended:
+                self._try_to_write()
+
+    def _answer(self, request: _Request) -> None:
+        try:
+            request.reply.put((request.call(), None))
+        except BaseException as error:
+            request.reply.put((None, error))
+
+    def _due_s(self) -> float | None:
+        """Time until something must be written though nothing else comes, s; None: nothing waits."""
+        if self._is_full or self._is_behind or self._lacks_placements:
+            due_s = 0.0
+        elif self._rows and not self._in_memory:
+            due_s = self._rows[0].ended_s + self._seconds_per_part
+        else:
+            return None
+        return max(max(due_s, self._retry_s) - time.monotonic(), 0.0)
+
+    @property
+    def _is_full(self) -> bool:
+        return len(self._rows) >= self._worlds_per_part or self._row_bytes >= BYTES_PER_PART
+
+    def _try_to_write(self) -> None:
+        """Write what waits. An error is kept; the thread tries again after a while."""
+        try:
+            self._write_waiting()
+        except Exception as error:
+            self._trouble = error
+            self.warn(f"{error if isinstance(error, PetmjxError) else one_line(error)}; tried again")
+            self._retry_s = time.monotonic() + min(RETRY_S, self._seconds_per_part)
+        else:
+            self._trouble = None
+        self._room.put(None)
+
+    def _write_waiting(self, last: bool = False) -> None:
+        """Write everything that waits. With ``last`` a run in memory stays in memory, and a run without worlds gets an
+        empty part, so that readers find the columns.
+
+        Raises:
+            PetmjxError: something cannot be written.
+        """
+        if self._in_memory and not last:
+            self._leave_memory()
+        if self._lacks_placements:
+            self._write_placements()
+        if last and not self._rows and not self.parts.files("worlds"):
+            self._write_part(0)
+        begin, failure = 0, None
+        while begin < len(self._rows):
+            try:
+                self._write_part(begin)
+            except PetmjxError:  # the disk: other parts would fail, too
+                raise
+            except Exception as error:  # rows that cannot be packed keep no others from disk
+                begin, failure = begin + self._worlds_per_part, failure or error
+        if self._is_behind:
+            self._write_info()
+        if failure is not None:
+            raise failure
+
+    def _write_part(self, begin: int) -> None:
+        """Write waiting rows from number ``begin`` on as a part. They wait on if this fails."""
+        rows = self._rows[begin : begin + self._worlds_per_part]
+        number = self.parts.next_number(*OF_WORLDS)
+        digests: dict[Path, str] = {}
+        with self._writing():
+            for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
+                digests |= self._tables.write(name, number, table)
+        self._tables.add(digests)
+        self.counts += WorldCounts.of(table)  # ``worlds`` came last
+        del self._rows[begin : begin + len(rows)]
+        n_bytes = sum(row.nbytes for row in rows)
+        self._row_bytes -= n_bytes
+        self._written_bytes += n_bytes
+        self._write_info()
+
+    def _write_info(self) -> None:
+        if not self._in_memory:
+            self._is_behind = True
+            with self._writing():
+                write_run_file(self.info, self.out_dir)
+            self._is_behind = False
+
+    def _write_placements(self) -> None:
+        """Write the table ``placements``, while the first worlds are simulated."""
+        content = self._manifest.placements() if self._manifest else None
+        if content is not None:
+            with self._writing():
+                self._tables.write_only(PLACEMENTS, content)
+            self._is_behind = True
+        self._lacks_placements = False
+
+    def _write_plans(self) -> None:
+        """Write the table ``plans``, unless it is there already."""
+        if self._manifest is None:
+            return
+        plans = self._manifest.table(self.orders.of_plan if self.orders else None)
+        if [plans] != self.parts.table("plans"):
+            self._tables.write_only("plans", plans)
+        self._lacks_placements = not (self._in_memory or self.parts.files(PLACEMENTS))
 
     def _open(self) -> None:
         """Lock the folder, and write everything that is known before the first world.
@@ -134,35 +418,24 @@ class RunWriter(RunFolder):
         Raises:
             InputError: the folder cannot be written, or has a run that is not to be replaced or resumed.
         """
-        with contextlib.ExitStack() as until_exit:
-            try:
-                self.out_dir.mkdir(parents=True, exist_ok=True)
-                if not until_exit.enter_context(held_folder_lock(self.out_dir)):
-                    self.warn("the file system has no locks: petmjx cannot notice another run in the same folder")
-                until_exit.callback(lambda: self._tables.drop_placements())
-                check_run_folder(self.out_dir, self._overwrite, self._resume)
-                tidy(self.out_dir)
-                if self._resume and (self.out_dir / RUN_FILE).exists():
-                    self._go_on()
-                else:
-                    make_room(self.out_dir)
-                    self._tables.drop_others()
-                    self._write_plans()
+        if self._in_memory:
+            self._write_plans()
+            return
+        try:
+            self.out_dir.mkdir(parents=True, exist_ok=True)
+            if not self._until_end.enter_context(held_folder_lock(self.out_dir)):
+                self.warn("the file system has no locks: petmjx cannot notice another run in the same folder")
+            check_run_folder(self.out_dir, self._overwrite, self._resume)
+            tidy(self.out_dir)
+            if self._resume and (self.out_dir / RUN_FILE).exists():
+                self._go_on()
+            else:
+                make_room(self.out_dir)
+                self._tables.drop_others()
+                self._write_plans()
                 self._write_info()
-            except OSError as error:
-                raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
-            self._flush_timer = FlushTimer(self._lock, self._time_is_up, min(AGAIN_S, self._seconds_per_part))
-            self._until_exit = until_exit.pop_all()
-
-    def _leave_memory(self) -> None:
-        """Move the run from memory to a temporary folder. Raises InputError if it cannot be written."""
-        before = self.parts
-        assert isinstance(before, MemoryParts)
-        self._temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
-        self.out_dir, self._in_memory = Path(self._temporary.name), False
-        self._tables = Tables(self.out_dir)
-        self._open()
-        self.parts.add(before.write(self.out_dir))
+        except OSError as error:
+            raise InputError(f"{self.out_dir}: cannot write results there: {error.strerror or error}") from error
 
     def _go_on(self) -> None:
         """Resume the run in the folder.
@@ -172,235 +445,103 @@ class RunWriter(RunFolder):
         """
         info, parts, warnings = resume_state(self.out_dir, self._manifest, self.head["versions"])
         self.warnings |= dict.fromkeys(warnings)
+        parts.check_tables(("boxes", "attempts", "worlds"))
         self.recorded = CompletedWorlds(parts, [param.name for param in self.params])
-        parts.check_tables(SORTED)
-        self._tables = Tables(self.out_dir, parts.without("summary"))
-        self._part_buffer.begin(self.parts.next_number(*OF_WORLDS), self.recorded.counts())
-        if self._destination_buffer is not None and not self._destination_buffer.goes_on(
-            parts, self._part_buffer.counts
-        ):
-            self._destination_buffer = None  # the parts are in another order, or of other sizes
+        self.counts = self.recorded.counts()
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
+        self._tables = Tables(self.out_dir, parts.without("summary"))
         self._write_info()  # before listed files are deleted; and after a kill the run must not look finished
         self._tables.drop_others()
-        if self._write_plans():
-            self._write_info()
-            self._tables.drop_others()
+        ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
+        self._write_plans()
+        if (
+            not ranked
+        ):  # of petmjx before 0.3, or the plans come in another order: the only time that rows are rewritten
+            self._tables.replace_worlds(self._copies(self.parts, self._ranks))
+        self._write_info()
+        self._tables.drop_others()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self.status != RUNNING:  # it has ended, and another run may have the folder by now
-            return
-        # the first of several Ctrl-C ends the run; the later ones must not lose gathered worlds
-        closing = contextlib.closing(self._part_buffer)
-        with defer_signals(afterwards=error is None), self._unless_temporary(), self._until_exit, closing:
-            trouble = self._write_rest()
-            if (cause := trouble if error is None else error) is None:
-                self.status = FINISHED
-            elif isinstance(cause, KeyboardInterrupt | SystemExit):
-                self.status = "interrupted"
-            else:
-                self.status, self.error = "failed", one_line(cause)
-            if error is not None and trouble is not None:
-                # the error that ended the body is raised; this one is only noted in run.json, until the run is resumed
-                also = f"the last part could not be written: {one_line(trouble)}"
-                self.error = f"{self.error}; {also}" if self.error else also
-            with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
-                self._write_info()
-                if cause is not None and not self._in_memory:
-                    with contextlib.suppress(OSError):  # a part from an unfinished write, which readers might find
-                        self._tables.drop_others()
-            if error is None and trouble is not None:
-                raise trouble
-
-    def _write_rest(self) -> Exception | None:
-        """Write the gathered worlds at the end; returns the error if they could not be written."""
-        with self._lock:
-            if self._flush_timer is not None:
-                self._flush_timer.close()
-            with contextlib.suppress(Exception):  # what could not be written is gathered again and written below
-                self._land()
-            try:
-                self._write_part(last=True)
-            except Exception as trouble:
-                return trouble
-        return None
-
-    def _write_plans(self) -> bool:
-        """Write the table ``plans`` unless an equal one exists; returns whether it was written."""
-        of_plan, manifest = self.orders.of_plan if self.orders else None, self._manifest
-        return manifest is not None and self._tables.write_plans(manifest.table(of_plan), manifest.placements)
-
-    def add(
-        self,
-        plan: Plan,
-        variant: int,
-        schedule: str,
-        outcome: Outcome,
-        attempts: Sequence[Attempt] = (),
-        params: Mapping[str, Any] | None = None,
-        interval_n: FloatArray | None = None,
-    ) -> None:
-        """Add one finished world, and write a part if it is full.
-
-        Args:
-            plan: plan of the world; ``outcome`` has the same boxes in the same order.
-            variant: 0 is nominal.
-            schedule: name of the schedule, as in the results.
-            outcome: copied; its arrays may be reused, and its ``state`` is not kept.
-            attempts: all attempts in order, if the world needed more than one.
-            params: parameter → value; missing ones become null.
-            interval_n: (boxes, 2) least and most force on the top of each box at rest, N; None: not known.
-
-        Raises:
-            ValueError: the outcome is of another plan, or the run does not have a parameter.
-            PetmjxError: the part cannot be written (a full disk).
-        """
-        values = {param.name: None for param in self.params} | dict(params or {})
-        if len(values) > len(self.params):
-            raise ValueError(f"the run has no parameter {list(values)[len(self.params)]!r}")
-        row = Row.of(plan, variant, str(schedule), outcome, attempts, values, interval_n)
-        with self._lock:
-            if self._destination_buffer is not None:
-                self._write_by_destination(self._destination_buffer.add(row))
-                self._set_flush_timer(anew=False)
-                return
-            self._part_buffer.add(row)
-            self._set_flush_timer(anew=len(self._part_buffer.part.rows) == 1)
-            late = self._part_buffer.is_old(self._seconds_per_part) and not self._in_memory
-            if late or self._part_buffer.is_full(self._worlds_per_part):
-                self._write_part(beside=True)
-            else:
-                self._land(wait=False)
-
-    def _set_flush_timer(self, anew: bool = True) -> None:
-        """Set the timer, so that waiting worlds are written in time even if no world follows. With ``anew`` also if it
-        is set already."""
-        waits = self._part_buffer if self._destination_buffer is None else self._destination_buffer
-        if self._flush_timer is not None and (anew or not self._flush_timer.is_set):
-            due_s = waits.due_s(self._seconds_per_part)
-            self._flush_timer.off() if due_s is None else self._flush_timer.set(due_s)
-
-    def flush(self) -> None:
-        """Write the gathered worlds, so that other programs can read them before the run ends.
-
-        Raises:
-            PetmjxError: the part cannot be written.
-        """
-        with self._lock:
-            self._write_part(last=True)
-
-    def adopt(self, parts: Parts) -> None:
-        """Copy the worlds of another run, which has the same columns.
-
-        Raises:
-            InputError: a part is damaged.
-            PetmjxError: a part cannot be written.
-        """
-        with self._lock:
-            self._land()
-            tables = parts.table("worlds", COUNTED)
-            with self._writing():
-                digests = self._tables.copies_of(parts)
-            with defer_signals(afterwards=True):
-                self.parts.add(digests)
-                for worlds in tables:
-                    self._part_buffer.counts.add_worlds(worlds)
-                self._part_buffer.begin(self.parts.next_number(*OF_WORLDS))
-            self._write_info()
-
-    def put_in_order(self) -> None:
-        """Sort all rows into the order in which plans were given, for a run without missing worlds.
-
-        Until then parts are in the order in which worlds finished. If the disk has no room for a second copy of the
-        tables, they keep that order, and the run gets a warning.
-
-        Raises:
-            PetmjxError: the last part or ``run.json`` cannot be written.
-        """
-        if self._manifest is None:
-            return
-        if self._destination_buffer is not None:
-            with self._lock:
-                self._write_by_destination(self._destination_buffer.left(early=True))
-            return
-        plans = self._manifest.plans
-        given = PlanOrder(list(plans), [plan.number or 0 for plan in plans.values()])
-        with self._lock:
-            self._land()
-            place = {plan_id: at for at, plan_id in enumerate(plans)}
-            self._part_buffer.part.rows.sort(key=lambda row: (place[row.plan.plan_id], row.cells["variant"]))
-            if not self.parts.files("worlds"):
-                return  # the waiting part is the only one
-            self._write_part()
-            try:
-                done = sort_parts(self.parts, given, self._part_buffer.part.number, self._worlds_per_part)
-            except OSError as error:
-                self.warn(f"rows are in the order in which worlds finished: {error.strerror or error}")
-                return
-            if done is not None:
-                with defer_signals(afterwards=True), self._writing():
-                    self._tables.replace(done)
-                    self._part_buffer.begin(self.parts.next_number(*OF_WORLDS))
-                    self._write_info()
-                    self._tables.drop_others()
-
-    def _time_is_up(self) -> None:
-        """Write waiting worlds although their part is not full, with the lock held. After an error the timer calls
-        again."""
-        if self._destination_buffer is not None:
-            self._write_by_destination(self._destination_buffer.late(self._seconds_per_part))
-        else:
-            with contextlib.suppress(Exception):  # worlds that could not be written are gathered again, and may be old
-                self._land(wait=False)
-            if self._part_buffer.is_old(self._seconds_per_part):
-                self._write_part()
-        if self._is_behind:
-            self._write_info()
-        self._set_flush_timer()
-
-    def _write_part(self, last: bool = False, beside: bool = False) -> None:
-        """Write the gathered part, with the lock held. With ``beside`` a thread writes it. With ``last`` a run in
-        memory stays in memory."""
-        if self._destination_buffer is not None:
-            self._write_by_destination(self._destination_buffer.left())
-            return
-        self._land()
-        part = self._part_buffer.part
-        # a run without worlds still gets one empty part, so that readers find the columns
-        if not part.rows and not (last and not self.parts.files("worlds")):
-            return
+    def _leave_memory(self) -> None:
+        """Move the run from memory to a temporary folder."""
+        assert isinstance(self.parts, MemoryParts)
         with self._writing():
-            if self._in_memory and not last:
-                self._leave_memory()
-            if beside:
-                self._part_buffer.write_beside(self._tables, self.schemas)
-                self._set_flush_timer()  # the part must land even if no world follows
-                return
-            self._tables.write_part(part.number, part.tables(self.schemas))
-        self._part_buffer.written()
+            temporary = tempfile.TemporaryDirectory(prefix="petmjx-")
+            tables = Tables(Path(temporary.name))
+            tables.add(self.parts.write(Path(temporary.name)))
+        self._temporary, self.out_dir, self._tables = temporary, Path(temporary.name), tables
+        self._in_memory, self._lacks_placements, self._is_behind = False, self._manifest is not None, True
+
+    def _adopt(self, parts: Parts, ranked: bool) -> None:
+        """Copy the worlds of another run. They count when all of them are there."""
+        counts = [WorldCounts.of(worlds) for worlds in parts.table("worlds", COUNTED)]
+        with self._writing():
+            digests = self._copies(parts, None if ranked else self._ranks)
+        self._tables.add(digests)
+        self.counts = sum(counts, self.counts)
         self._write_info()
 
-    def _land(self, wait: bool = True) -> None:
-        """Let the part that the thread has written count, with the lock held."""
+    def _copies(self, parts: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
+        """Copy tables of worlds; returns the digest of each file. They do not count yet."""
+        digests: dict[Path, str] = {}
+        for path, digest in self._tables.copies(parts, ranks):
+            digests[path] = digest
+            if self._cut_short:
+                raise _CutShortError
+        return digests
+
+    def _write_summary(self, answers: pa.Table) -> None:
         with self._writing():
-            landed = self._part_buffer.land(self._tables, wait=wait)
-        if landed:
-            self._write_info()
+            self._tables.write_only("summary", answers)
+        self._write_info()
+        if not self._in_memory:
+            self._tables.drop_others()
 
-    def _write_by_destination(self, numbers: Sequence[int]) -> None:
-        """Write the waiting worlds of some parts of a large run, with the lock held. If one part cannot be written, the
-        others are written all the same."""
-        with contextlib.ExitStack() as parts:  # calls all of them, even if some raise
-            for number in reversed(numbers):
-                parts.callback(self._write_one, number)
+    def _end(self, error: BaseException | None) -> Exception | None:
+        """Write the rest, say in ``run.json`` how the run ended, and leave the folder.
 
-    def _write_one(self, number: int) -> None:
-        assert self._destination_buffer is not None
-        with defer_signals(afterwards=True), self._writing():
-            put_together = self._destination_buffer.write(number, self._tables)
-            self._write_info()
-            if put_together:
-                self._tables.drop_others()
+        Args:
+            error: the error that ended the run; None: it came to its end.
+
+        Returns:
+            The error of writing the rest, if there was one.
+        """
+        trouble: Exception | None = None
+        try:
+            self._write_waiting(last=True)
+        except Exception as failure:
+            trouble = failure
+        cause = trouble if error is None else error
+        if cause is None:
+            self.status = FINISHED
+        elif isinstance(cause, KeyboardInterrupt | SystemExit):
+            self.status = "interrupted"
+        else:
+            self.status, self.error = "failed", one_line(cause)
+        if error is not None and trouble is not None:
+            # the error that ended the body is raised; this one is only noted in run.json, until the run is resumed
+            also = f"the last part could not be written: {one_line(trouble)}"
+            self.error = f"{self.error}; {also}" if self.error else also
+        try:
+            with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
+                self._write_info()
+            if cause is not None and not self._in_memory:
+                with contextlib.suppress(OSError):  # a part from an unfinished write, which readers might find
+                    self._tables.drop_others()
+        finally:
+            self._leave()
+        return trouble
+
+    def _leave(self) -> None:
+        """Release the folder, and end the thread. A temporary folder of a run that did not finish is deleted."""
+        self._ended = True
+        with self._until_end:
+            if self._temporary is not None and self.status != FINISHED:
+                self._temporary.cleanup()
+
+    @contextlib.contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise PetmjxError(f"{self.out_dir}: cannot write results: {error.strerror or error}") from error

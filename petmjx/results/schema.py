@@ -73,9 +73,17 @@ def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
     return [_column(c.name, pa.from_numpy_dtype(c.dtype), c.unit, c.meaning) for c in columns]
 
 
+RANK: Final = "rank"
+"""Column of all tables of worlds: the world's place in the order of the run (petmjx.results.plan_order)."""
+
+RANK_COLUMN: Final = _column(
+    RANK, pa.int64(), DIMENSIONLESS, "the world's place in the order of the run: plan by plan as given, then by variant"
+)
+
 _KEY = (
     *_texts(plan_id="id of the packing plan"),
     *_counts(variant="which set of changes to the plan's nominal world; 0 is nominal"),
+    RANK_COLUMN,
 )
 _FLAGS = _counts(flags=f"bit mask of what happened: {_FLAG_BITS}")
 
@@ -271,9 +279,9 @@ _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if met
 
 
 def data_frame(table: pa.Table) -> pd.DataFrame:
-    """A table as a data frame. The columns ``_NUMBERS`` are always float64, as pandas makes them if values are missing,
-    so that the type does not depend on the worlds."""
-    frame: pd.DataFrame = table.to_pandas()
+    """A table as a data frame, without ranks, since its rows are in order. The columns ``_NUMBERS`` are always float64,
+    as pandas makes them if values are missing, so that the type does not depend on the worlds."""
+    frame: pd.DataFrame = table.select([name for name in table.column_names if name != RANK]).to_pandas()
     return frame.astype({name: "float64" for name in _NUMBERS if name in frame})
 
 

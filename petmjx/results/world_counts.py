@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 import pyarrow as pa
@@ -13,10 +12,10 @@ import pyarrow.compute as pc
 from petmjx.engines.verdict import Flag, Reason, Verdict
 
 COUNTED: Final = ("verdict", "reason", "attempt", "flags")
-"""The columns of ``worlds`` that are counted, in the order of :meth:`WorldCounts.add`."""
+"""The columns of ``worlds`` that are counted."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class WorldCounts:
     """Counts of worlds by verdict and reason, and of worlds that needed more than one attempt.
 
@@ -31,34 +30,26 @@ class WorldCounts:
     moving_by_shift: int = 0
     leans: int = 0
 
-    def add(
-        self, verdicts: Sequence[str], reasons: Iterable[str], attempts: Iterable[int], flags: Iterable[int]
-    ) -> None:
-        """Count the rows of a part. ``attempts`` has the number of the attempt that gave the verdict, from 1."""
-        reasons = [*reasons]
-        for (verdict, reason), count in Counter(zip(verdicts, reasons, strict=True)).items():
-            self.verdicts[Verdict(verdict), Reason(reason)] += count
-        self.retried += sum(attempt > 1 for attempt in attempts)
-        for verdict, reason, flag in zip(verdicts, reasons, flags, strict=True):
-            moves = bool(flag & Flag.MOVING)
-            self.moving += moves and verdict == Verdict.STABLE
-            self.moving_by_shift += moves and reason == Reason.SHIFT
-            self.leans += bool(flag & Flag.LEANS) and verdict == Verdict.STABLE
-
-    def add_worlds(self, worlds: pa.Table) -> None:
-        """Count the rows of a table ``worlds`` by its columns ``COUNTED``. A million rows take a tenth of a second."""
-        groups = worlds.group_by(["verdict", "reason"]).aggregate([([], "count_all")])
-        for row in groups.to_pylist():
-            self.verdicts[Verdict(row["verdict"]), Reason(row["reason"])] += row["count_all"]
-        self.retried += pc.sum(pc.greater(worlds["attempt"], 1)).as_py() or 0
+    @classmethod
+    def of(cls, worlds: pa.Table) -> WorldCounts:
+        """Counts of the rows of a table ``worlds``, by its columns ``COUNTED``. A million rows take a tenth of a
+        second."""
+        groups = worlds.group_by(["verdict", "reason"]).aggregate([([], "count_all")]).to_pylist()
 
         def having(flag: Flag, column: str, value: str) -> int:
             bits = pc.bit_wise_and(worlds["flags"], pa.scalar(int(flag), pa.int32()))
             return pc.sum(pc.and_(pc.equal(worlds[column], value), pc.not_equal(bits, 0))).as_py() or 0
 
-        self.moving += having(Flag.MOVING, "verdict", Verdict.STABLE.value)
-        self.moving_by_shift += having(Flag.MOVING, "reason", Reason.SHIFT.value)
-        self.leans += having(Flag.LEANS, "verdict", Verdict.STABLE.value)
+        return cls(
+            Counter({(Verdict(row["verdict"]), Reason(row["reason"])): row["count_all"] for row in groups}),
+            retried=pc.sum(pc.greater(worlds["attempt"], 1)).as_py() or 0,
+            moving=having(Flag.MOVING, "verdict", Verdict.STABLE.value),
+            moving_by_shift=having(Flag.MOVING, "reason", Reason.SHIFT.value),
+            leans=having(Flag.LEANS, "verdict", Verdict.STABLE.value),
+        )
+
+    def __add__(self, other: WorldCounts) -> WorldCounts:
+        return WorldCounts(*(getattr(self, entry.name) + getattr(other, entry.name) for entry in fields(self)))
 
     def as_json(self) -> dict[str, Any]:
         """The counts as plain JSON values: all worlds by verdict, and worlds that are not stable by reason."""

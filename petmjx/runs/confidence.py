@@ -12,15 +12,15 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from petmjx.common.errors import InputError
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.placing import Way
+from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_tables import Parts
 from petmjx.results.run_writer import RunWriter
-from petmjx.results.schema import summary_table
+from petmjx.results.schema import data_frame, summary_table
 from petmjx.results.share_intervals import ONE_PLAN, PairedCounts, holm, mcnemar_p, share_standing
 from petmjx.runs.sweep_axes import Axis
 from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep
@@ -122,12 +122,14 @@ def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
     Columns: docs/confidence.md.
 
     Args:
-        parts: files of the run, all written and in order.
+        parts: files of the run, all written.
         both: whether worlds with errors were placed both ways (``exact_too``).
     """
     columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
     columns += [PLACING, "replicate"] if both else []
-    worlds = pa.concat_tables(parts.table("worlds", columns)).to_pandas()
+    rows = rows_in_order(parts, "worlds", columns)
+    assert rows is not None
+    worlds = data_frame(rows)
     nominal = worlds[worlds["variant"] == 0]
     drawn = worlds[worlds["variant"] > 0]
     exact = drawn[PLACING] == Way.EXACT.value if both else pd.Series(False, index=drawn.index)
@@ -180,7 +182,7 @@ def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
 
 
 def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
-    """Write the table ``summary`` of a run with confidence. All its parts must be written and in order.
+    """Write the table ``summary`` of a run with confidence. All its parts must be written.
 
     Args:
         axes: names of the axes of the sweep.

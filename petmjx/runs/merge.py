@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.checked_records import option
@@ -17,6 +18,7 @@ from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.order_matching import OrderCheck
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.order_columns import joined_check, read_check
+from petmjx.results.plan_order import is_ranked
 from petmjx.results.plan_table import PLACEMENTS
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run, split_warnings
@@ -62,6 +64,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         manifest=merged_manifest,
         orders=orders,
         params=[Param(**param) for param in first["params"]],
+        variants=None if _is_search(runs[0].info) else _variants(runs),
         boxes=runs[0].keeps_boxes,
         versions=first["versions"],
         device=", ".join(dict.fromkeys(run.info["device"] for run in runs)),
@@ -69,14 +72,14 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         overwrite=overwrite,
     ) as writer:
         seconds: Counter[str] = Counter()
+        ranked = all(is_ranked(run.parts, list(merged_manifest.plans)) for run in runs)
         for run in runs:
-            writer.adopt(run.parts)
+            writer.adopt(run.parts, ranked=ranked)
             seconds.update(run.info["timings"])
         writer.earlier_s = dict(seconds)
         _note_input(writer, [run.info for run in runs])
         for note in _other_versions(runs):
             writer.warn(note)
-        writer.put_in_order()
         if first["config"].get("confidence") is not None:
             write_confidence(writer, first["config"]["sweep"]["axes"])
         elif merged_manifest.settings["command"] == "sweep":
@@ -131,6 +134,18 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
     lacking = sorted(manifest.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
         raise InputError(f"no world of {count_text(len(lacking), 'plan')}: {first_names(lacking)}")
+
+
+def _is_search(info: Mapping[str, Any]) -> bool:
+    """Whether a run is a search: its plans have different numbers of worlds, and its answers are not shares."""
+    return info["identity"]["command"] == "sweep" and info["config"].get("shares") is None
+
+
+def _variants(runs: Sequence[RunResults]) -> range:
+    """Numbers from the first to the last variant of any plan."""
+    parts = [part for run in runs for part in run.parts.table("worlds", ("variant",)) if len(part)]
+    least, most = pc.min_max(pa.concat_tables(parts)["variant"]).values()
+    return range(least.as_py(), most.as_py() + 1)
 
 
 def _placements(runs: Sequence[RunResults]) -> pa.Table | None:

@@ -26,7 +26,6 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.plan_sources import PlanSource, are_files, usable_plans
 from petmjx.results.history_tables import Recording, recording_of
-from petmjx.results.part_order import LARGE, Places
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.plan_table import placements_table
 from petmjx.results.resume import engine_of_run
@@ -182,15 +181,6 @@ class _Run:
             "engine_reason": self.choice.reason,
         }
 
-    def _places(self) -> Places | None:
-        """Ranks of the worlds of a large run, else None. Runs that record histories get None, because histories are not
-        sorted."""
-        study = self.study
-        if study.total is None or study.total <= LARGE or self.recording.record is not None:
-            return None
-        plan_ids = [plan.plan_id for plan in study.plans]
-        return Places(plan_ids, study.total // len(plan_ids), study.first_variant)
-
     def results(self, watcher: Watcher | None, held: Mapping[str, Plan]) -> RunResults:
         """Simulate the missing worlds, and write everything to the folder in the options.
 
@@ -204,13 +194,13 @@ class _Run:
             manifest=Manifest(to_json(self.identity()), self.records, lambda: placements_table(study.plans)),
             orders=self.orders,
             params=study.params,
+            variants=study.variants,
             dynamic=study.dynamic,
             force_intervals=options.force_intervals,
             boxes=options.keeps_boxes,
             versions=package_versions(),
             device=self.engine.device,
             expected_worlds=study.total,
-            places=self._places(),
             overwrite=options.overwrite,
             resume=options.resume,
         ) as writer:
@@ -222,11 +212,11 @@ class _Run:
                 self._write(writer, world)
                 if watcher is not None:
                     watcher.world_done(world)
-            self.engine.retire()  # before rows are sorted: workers take a second or two to end
+            self.engine.retire()  # before the last rows are written: workers take a second or two to end
             writer.timings.update(study.timings(), compile_s=self.progress.compile_s)
             if options.force_intervals:
                 writer.timings["intervals_s"] = round(self.intervals_s, 3)
-            writer.put_in_order()
+            writer.flush()
             if study.plans:  # a shard may have none
                 study.summarise(writer)
         return writer.results(held)

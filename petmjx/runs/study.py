@@ -107,6 +107,13 @@ class Study(ABC):
         """Number of worlds; None if it is not known."""
         return self.n_worlds if self.known else None
 
+    @property
+    def variants(self) -> range | None:
+        """Numbers of each plan's variants; None if plans have different ones, in a search."""
+        if not self.known:
+            return None
+        return range(self.first_variant, self.first_variant + self.n_worlds // max(len(self.plans), 1))
+
     def size(self, seconds: float | None, recorded: int = 0) -> str:
         """One line with the number of worlds, and the expected number of steps and time.
 
@@ -140,7 +147,7 @@ class Study(ABC):
         return {}
 
     def summarise(self, writer: RunWriter) -> None:
-        """Write the table ``summary``, when all worlds of the run are written."""
+        """Write the table ``summary``. All worlds of the run are written."""
         return None
 
 

@@ -108,7 +108,6 @@ class SweepStudy(Study):
         return vars(self._tally)
 
     def summarise(self, writer: RunWriter) -> None:
-        writer.flush()  # the summary is made from the files on disk
         if self._confidence is not None:
             write_confidence(writer, self._plan.sweep.axes)
             return

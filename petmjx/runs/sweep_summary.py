@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_tables import Parts
-from petmjx.results.schema import Param
+from petmjx.results.schema import Param, data_frame
 from petmjx.results.share_intervals import KEYS, by_plan_and_axis, share_standing
 from petmjx.runs.level_search import failure_mode
 from petmjx.runs.study import FinishedWorld
@@ -154,7 +154,9 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     extra = ["eumos_passed"] if columns.eumos else []
     extra += [FAIL_ANGLE.name] if columns.tilt else []
     world_columns = ["plan_id", "variant", "verdict", *axes, *extra]
-    worlds = pa.concat_tables(parts.table("worlds", world_columns)).to_pandas()
+    rows = rows_in_order(parts, "worlds", world_columns)
+    assert rows is not None
+    worlds = data_frame(rows)
     for name, (low, high) in columns.ranges.items():
         worlds[name] = _binned_values(worlds[name], low, high)
     worlds["draw"] = _draws(worlds, columns)

@@ -16,7 +16,7 @@ import shutil
 import sys
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -26,8 +26,8 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from petmjx.common.errors import PetmjxError
+from petmjx.plans.plan import Plan
 from petmjx.results import run_folder
-from petmjx.results.part_order import Places
 from petmjx.results.plan_table import placements_table
 from petmjx.results.run_manifest import Manifest, records_of
 from petmjx.results.run_reader import load_run
@@ -35,7 +35,7 @@ from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table
 from support.outcomes import make_outcome, make_plan
 
-KINDS: Final = ("in order", "sorted", "by place", "resumed", "merged")
+KINDS: Final = ("in order", "unordered", "resumed", "other order", "merged")
 
 WRITING: Final = ("fsync", "replace", "mkdir", "pwrite", "ftruncate")
 """Functions of ``os`` that need room on a disk; beside these, opening a new file, and writing a table."""
@@ -94,8 +94,9 @@ class Run:
     """A run of five worlds, in parts of two.
 
     Attributes:
-        kind: of ``KINDS``. ``in order``: worlds end in the order given; ``sorted``: they do not; ``by place``: as runs
-            of very many worlds; ``resumed``: some are there already; ``merged``: from two other runs.
+        kind: of ``KINDS``. ``in order``: worlds end in the order given; ``unordered``: they do not; ``resumed``: some
+            are there already; ``other order``: so they are, with the ranks of another order of plans; ``merged``: from
+            two other runs.
         folder: where these others are.
         ended: ids of the plans whose worlds have ended.
     """
@@ -106,9 +107,11 @@ class Run:
 
     def prepare(self, out: Path) -> None:
         """What is there before the run begins."""
-        if self.kind == "resumed":
+        if self.kind in ("resumed", "other order"):
             if not (self.folder / "half").exists():
-                self._write(self.folder / "half", order=(1, 3, 0))
+                self._write(
+                    self.folder / "half", order=(1, 3, 0), plans=PLANS[:: -1 if self.kind == "other order" else 1]
+                )
             shutil.copytree(self.folder / "half", out)
         if self.kind == "merged" and not (self.folder / "two").exists():
             for name, order in (("one", (3, 0)), ("two", (4, 1, 2))):
@@ -127,8 +130,8 @@ class Run:
         else:
             self._write(out, order=range(5) if self.kind == "in order" else (3, 0, 4, 1, 2), complete=True)
 
-    def _write(self, out: Path, order: Any, complete: bool = False) -> None:
-        with self._writer(out) as writer:
+    def _write(self, out: Path, order: Any, complete: bool = False, plans: Sequence[Plan] = PLANS) -> None:
+        with self._writer(out, plans) as writer:
             for number in order:
                 plan = PLANS[number]
                 if (plan.plan_id, 0) in writer.recorded:
@@ -140,15 +143,21 @@ class Run:
             if complete:
                 self._finish(writer)
 
-    def _writer(self, out: Path) -> RunWriter:
-        manifest = Manifest({"command": "score"}, records_of(PLANS, {}), lambda: placements_table(PLANS))
-        places = Places([plan.plan_id for plan in PLANS], 1, 0, per_part=2) if self.kind == "by place" else None
+    def _writer(self, out: Path, plans: Sequence[Plan] = PLANS) -> RunWriter:
+        manifest = Manifest({"command": "score"}, records_of(plans, {}), lambda: placements_table(PLANS))
         return RunWriter(
-            out, {}, manifest=manifest, versions={}, places=places, resume=True, worlds_per_part=2, expected_worlds=5
+            out,
+            {},
+            manifest=manifest,
+            variants=range(1),
+            versions={},
+            resume=True,
+            worlds_per_part=2,
+            expected_worlds=5,
         )
 
     def _finish(self, writer: RunWriter) -> None:
-        writer.put_in_order()
+        writer.flush()
         tables = [table.to_pandas() for table in writer.parts.table("worlds", ("plan_id",))]
         known = len(pd.concat(tables)) if tables else 0
         frame = pd.DataFrame({"plan_id": ["all"], "known": [known]})
@@ -180,6 +189,8 @@ def assert_complete(out: Path) -> None:
     """A finished run has all, and nothing that does not count."""
     results = load_run(out)
     assert results.info["status"] == "finished"
+    ranks = {row["plan_id"]: row["rank"] for part in results.parts.table("worlds") for row in part.to_pylist()}
+    assert ranks == {plan.plan_id: rank for rank, plan in enumerate(PLANS)}
     assert results.worlds["plan_id"].tolist() == [plan.plan_id for plan in PLANS]
     assert results.worlds["sim_time_s"].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert results.boxes["plan_id"].tolist() == [plan.plan_id for plan in PLANS for _ in range(2)]
@@ -215,7 +226,7 @@ def fill(run: Run, out: Path, at: int, lasts: bool) -> bool:
     if not sizes:
         return False
     if out.exists():
-        assert_sound(out, at_least=sizes[0], ended=None if run.kind == "resumed" else run.ended)
+        assert_sound(out, at_least=sizes[0], ended=None if run.kind in ("resumed", "other order") else run.ended)
         if not lasts and run.ended and run.kind != "merged":
             assert set(run.ended) <= set(load_run(out).worlds["plan_id"])
             assert not list(out.rglob("*.tmp"))

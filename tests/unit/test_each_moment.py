@@ -17,15 +17,15 @@ from support.moments import KINDS, Run, fill
 @pytest.mark.parametrize(
     ("kind", "lasts", "at"),
     [
-        ("sorted", False, 5),  # placements
-        ("sorted", False, 18),  # run.json
-        ("sorted", False, 41),  # a part that a thread writes
-        ("sorted", False, 100),  # tables in order
-        ("sorted", True, 60),
-        ("by place", False, 31),
-        ("by place", True, 75),
+        ("unordered", False, 12),  # run.json
+        ("unordered", False, 20),  # placements
+        ("unordered", False, 40),  # a part
+        ("unordered", True, 60),
+        ("in order", False, 80),  # run.json of the end
         ("resumed", False, 9),
         ("resumed", True, 25),
+        ("other order", False, 30),  # rows that get other ranks
+        ("other order", True, 40),
         ("merged", False, 50),
     ],
 )

@@ -25,7 +25,7 @@ from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Outcome, Reason, Verdict
 from petmjx.options.simulation import Check, Schedule, Simulation, Solver
-from petmjx.results import history_tables, part_buffer
+from petmjx.results import history_tables, run_writer
 from petmjx.results.history_tables import read_history
 from petmjx.results.schema import schemas
 from petmjx.world.history import Record
@@ -251,14 +251,14 @@ def test_drives_come_back_as_they_were() -> None:
     sim = Simulation(**SHORT)
     for drive, column in ((SHAKE, "drive_force_x_n"), (TILT, "drive_acc_x")):
         history = history_of(simulate(make_scene(1), sim, Record(0.1), drive=drive))
-        columns = history_tables.frame_columns([history_tables.RecordedWorld("p", 0, history)])
+        columns = history_tables.frame_columns([history_tables.RecordedWorld("p", 0, history, 0)])
         np.testing.assert_array_equal(columns[column], history.drive[:, 0])
         others = {"drive_force_x_n", "drive_acc_x"} - {column}
         assert np.isnan(columns[others.pop()]).all()
 
 
 def test_histories_end_a_part_before_they_fill_the_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(part_buffer, "HISTORY_BYTES_PER_PART", 10_000)
+    monkeypatch.setattr(run_writer, "BYTES_PER_PART", 10_000)
     run = recorded(tmp_path / "run")
     assert len(list((run.path / "worlds").iterdir())) > 2
     assert_same(run, tables(recorded(tmp_path / "other")))
@@ -338,5 +338,7 @@ def test_the_docs_name_the_columns(repository: Path) -> None:
     followed = re.compile(r"_[yz](_m|_n)?$")
     for table in ("histories", "frames", "contacts"):
         names = [name for name in tables[table].names if not followed.search(name)]
-        names = [name for name in names if not re.fullmatch(r"carrier_quat_x", name) and name != "variant"]
+        names = [
+            name for name in names if not re.fullmatch(r"carrier_quat_x", name) and name not in ("variant", "rank")
+        ]
         assert [name for name in names if f"`{name}`" not in text] == []

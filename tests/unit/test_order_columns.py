@@ -220,7 +220,7 @@ def test_a_kill_while_orders_are_added_leaves_no_finished_run(
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(Tables, "write_plans", kill)
+        patch.setattr(Tables, "write_only", kill)
         with pytest.raises(MemoryError):
             score(out=out, resume=True, orders=orders)
     assert petmjx.load_run(out).info["status"] == "running"

@@ -54,8 +54,7 @@ def test_what_is_kept_is_what_was_given(tmp_path: Path) -> None:
     known = plans()
     table = placements_table(known)
     assert table is not None
-    parts = Parts(tmp_path, {})
-    parts.add(Tables(tmp_path).files_of(0, [("placements", table)]))
+    parts = Parts(tmp_path, {}).plus(Tables(tmp_path).write("placements", 0, table))
     plan_by_id = kept_plans(parts, records_of(known), [plan.plan_id for plan in known])
     assert list(plan_by_id) == [plan.plan_id for plan in known]
     for plan in known:

@@ -8,13 +8,14 @@ from typing import Any
 
 import duckdb
 import pandas as pd
+import pyarrow as pa
 import pytest
 from support.fake_engine import LargestFirst
 from support.plan_files import placement
 from support.plans import make_plan, stack
 
 import petmjx
-from petmjx.results import row_order
+from petmjx.results.plan_order import WorldRanks
 from petmjx.results.run_writer import RunWriter
 
 PLANS = [make_plan(f"plan-{(7 * k) % 20:02}", stack(1 + (5 * k) % 4)) for k in range(20)]
@@ -33,17 +34,17 @@ def is_in_order(results: petmjx.RunResults, ids: list[str] = IDS) -> None:
     for _, box in results.boxes.groupby(["plan_id", "variant"]).box:
         assert box.tolist() == [*range(len(box))]
     for table, frame in (("worlds", results.worlds), ("boxes", results.boxes)):
-        read = duckdb.sql(f"SELECT plan_id, variant FROM '{results.path}/{table}/*.parquet'").fetchall()
+        files = f"'{results.path}/{table}/*.parquet'"
+        read = duckdb.sql(f"SELECT plan_id, variant FROM {files} ORDER BY rank").fetchall()
         assert read == list(zip(frame.plan_id, frame.variant, strict=True))
 
 
 @pytest.fixture(params=[1_000, 3])
 def parts(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run in one part, and in many, which are sorted a few at a time."""
+    """A run in one part, and in many."""
     defaults = RunWriter.__init__.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "worlds_per_part", request.param)
-    monkeypatch.setattr(row_order.sort_parts, "__defaults__", (2_000,))
 
 
 @pytest.mark.usefixtures("parts")
@@ -111,16 +112,24 @@ def test_a_plan_that_is_given_twice_has_two_rows() -> None:
     assert any("repeat ids" in warning for warning in results.info["warnings"])
 
 
-def test_no_room_to_sort_is_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
+def test_ranks_of_a_score_are_the_numbers_of_its_plans(tmp_path: Path) -> None:
+    """In a shard, too: its rows have the ranks that they have in the whole run."""
+    score(PLANS, out=tmp_path / "run")
+    assert sorted(pd.read_parquet(tmp_path / "run/worlds")["rank"]) == [*range(20)]
+    shard = score(PLANS, out=tmp_path / "shard", shard="2/3")
+    read = pd.read_parquet(tmp_path / "shard/worlds").sort_values("rank")
+    assert read.plan_id.tolist() == [IDS[rank] for rank in read["rank"]] == shard.worlds.plan_id.tolist()
+    assert 0 < len(read) < 20
 
-    defaults = RunWriter.__init__.__kwdefaults__
-    assert defaults is not None
-    monkeypatch.setitem(defaults, "worlds_per_part", 3)
-    monkeypatch.setattr(row_order, "write_all_hidden", full)
-    results = score(PLANS, out=tmp_path / "run")
-    assert results.worlds.plan_id.tolist() == IDS
-    assert "rows are in the order in which worlds finished: No space left on device" in results.info["warnings"]
-    monkeypatch.undo()
-    is_in_order(score(PLANS, out=tmp_path / "run", resume=True))
+
+def test_ranks_of_a_search_have_gaps() -> None:
+    """Its plans have as many variants as their searches take."""
+    ranks = WorldRanks(["b", "a"])
+    worlds = [("b", 0), ("b", 7), ("a", 0), ("a", 3), ("unknown", 0)]
+    numbers = [ranks.rank(*world) for world in worlds]
+    assert numbers == sorted({*numbers})
+    table = pa.table(
+        {"plan_id": [plan for plan, _ in worlds[::-1]], "variant": [variant for _, variant in worlds[::-1]]}
+    )
+    assert ranks.ranked(table).column_names == ["plan_id", "variant", "rank"]
+    assert ranks.ranked(table)["rank"].to_pylist() == numbers

@@ -25,13 +25,13 @@ from petmjx.results.schema import SCHEMA_VERSION, Param, schemas, summary_table
 from petmjx.results.to_json import to_json
 
 SPEC_WORLDS = (
-    "plan_id variant engine solver attempt schedule n_boxes n_placed verdict reason culprit margin "
+    "plan_id variant rank engine solver attempt schedule n_boxes n_placed verdict reason culprit margin "
     "plan_edge_m plan_edge_box rest_edge_m rest_edge_box build_edge_m build_edge_box build_edge_step first_sign_s "
     "max_shift_m max_tilt_deg n_dropped first_drop_s max_lin_acc max_ang_acc max_top_force_n rest_top_force_n "
     "sim_time_s n_steps flags"
 )
 SPEC_BOXES = (
-    "plan_id variant box item_id article sequence shift_x_m shift_y_m shift_z_m max_tilt_deg dropped drop_s "
+    "plan_id variant rank box item_id article sequence shift_x_m shift_y_m shift_z_m max_tilt_deg dropped drop_s "
     "max_lin_acc max_ang_acc max_top_force_n rest_top_force_n pos_x_m pos_y_m pos_z_m quat_w quat_x quat_y quat_z "
     "plan_edge_m rest_edge_m"
 )

@@ -21,13 +21,12 @@ from support.waiting import wait_for
 from test_results import part_files, write_run
 
 from petmjx.common.errors import InputError, PetmjxError
-from petmjx.results import part_buffer, run_folder, run_info, run_table_files
-from petmjx.results.part_buffer import Part, PartBuffer, Row
-from petmjx.results.part_order import DestinationBuffer, Places
+from petmjx.results import run_folder, run_table_files, run_writer
 from petmjx.results.run_file import write_run_file
+from petmjx.results.run_manifest import Manifest, records_of
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
-from petmjx.results.schema import schemas
+from petmjx.results.world_rows import ROW_BYTES, Part
 
 
 def worlds_on_disk(folder: Path) -> int:
@@ -64,18 +63,19 @@ def full_once(monkeypatch: pytest.MonkeyPatch, after_s: float = 0.0) -> Iterator
     return calls
 
 
+def add_worlds(run: RunWriter, *ids: str | int) -> None:
+    for plan_id in ids:
+        run.add(make_plan(str(plan_id)), 0, "fixed", make_outcome())
+
+
 def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
     with RunWriter(tmp_path, {}, worlds_per_part=2, expected_worlds=5) as run:
         assert json.loads((tmp_path / "run.json").read_text())["status"] == "running"
         for number in range(5):
-            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
-            assert worlds_on_disk(tmp_path) == run.info["counts"]["worlds"] == number // 2 * 2, (
-                "the last part has not landed"
-            )
-            if number % 2:
-                beside = run._part_buffer._beside
-                assert beside is not None
-                beside.digests.result()
+            add_worlds(run, number)
+            written = (number + 1) // 2 * 2
+            wait_for(lambda: worlds_on_disk(tmp_path) == written)  # noqa: B023 - called at once
+            assert run.info["counts"]["worlds"] == written
     assert [file for file in part_files(tmp_path) if file.startswith("worlds")] == [
         f"worlds/part-0000{number}.parquet" for number in range(3)
     ]
@@ -85,8 +85,7 @@ def test_parts_stream_and_run_json_follows(tmp_path: Path) -> None:
 def test_worlds_are_gathered_while_a_part_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     holding = Holding(monkeypatch)
     with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
-        for number in range(3):
-            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+        add_worlds(run, 0, 1, 2)
         assert worlds_on_disk(tmp_path) == 0
         holding.let_go.set()
         run.flush()
@@ -94,28 +93,84 @@ def test_worlds_are_gathered_while_a_part_is_written(tmp_path: Path, monkeypatch
     assert load_run(tmp_path).worlds.plan_id.tolist() == list("012")
 
 
-def test_a_part_lands_though_no_world_follows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(part_buffer, "LANDING_S", 0.05)
-    with RunWriter(tmp_path, {}, worlds_per_part=2, seconds_per_part=0.2) as run:
-        for number in range(2):
-            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
-        wait_for(lambda: worlds_on_disk(tmp_path) == 2)
+def test_every_part_is_written_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worlds end in another order than that of the plans. Each part is in order, and ranks sort all of them."""
+    written: list[str] = []
+    write = run_table_files.write_table
+
+    def noted(table: Any, path: Path) -> str:
+        written.append(str(path.relative_to(tmp_path)))
+        return write(table, path)
+
+    monkeypatch.setattr(run_table_files, "write_table", noted)
+    manifest = Manifest({"command": "score"}, records_of([make_plan(plan_id) for plan_id in "cabed"]))
+    with RunWriter(tmp_path, {}, manifest=manifest, variants=range(1), worlds_per_part=2) as run:
+        add_worlds(run, *"decab")
+        run.flush()
+    assert sorted(written) == [
+        "boxes/part-00000.parquet", "boxes/part-00001.parquet", "boxes/part-00002.parquet", "plans/part-00000.parquet",
+        "worlds/part-00000.parquet", "worlds/part-00001.parquet", "worlds/part-00002.parquet",
+    ]  # fmt: skip
+    read = pd.read_parquet(tmp_path / "worlds")
+    assert read.plan_id.tolist() == ["e", "d", "c", "a", "b"]
+    assert read["rank"].tolist() == [3, 4, 0, 1, 2]
+    assert read["rank"].dtype == "int64"
+    assert load_run(tmp_path).worlds.plan_id.tolist() == list("cabed")
+    boxes = pd.read_parquet(tmp_path / "boxes")
+    assert boxes["rank"].tolist() == [rank for rank in (3, 4, 0, 1, 2) for _ in range(3)]
+    assert "rank" not in load_run(tmp_path).boxes
 
 
-def test_a_part_is_written_after_a_while_though_no_world_follows(
+def test_what_waits_is_written_in_time_though_the_engine_is_silent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    add = PartBuffer.add
+    """Time counts from the first waiting world on, whatever comes after it."""
+    with RunWriter(tmp_path, {}, seconds_per_part=0.5) as run:
+        begin = time.monotonic()
+        add_worlds(run, 0)
+        while worlds_on_disk(tmp_path) == 0:
+            assert time.monotonic() - begin < 20
+            add_worlds(run, f"more-{time.monotonic()}")
+            time.sleep(0.05)
+        assert time.monotonic() - begin >= 0.5
+        add_worlds(run, "last")
+        run.flush()
+        on_disk = worlds_on_disk(tmp_path)
+        add_worlds(run, "late")
+        wait_for(lambda: worlds_on_disk(tmp_path) == on_disk + 1)
 
-    def late(*args: Any) -> None:
-        time.sleep(0.3)
-        add(*args)
 
-    monkeypatch.setattr(PartBuffer, "add", late)
-    with RunWriter(tmp_path, {}, seconds_per_part=0.2) as run:
-        for number in range(2):
-            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
-            wait_for(lambda: worlds_on_disk(tmp_path) == number + 1)  # noqa: B023 - called at once
+def test_adding_waits_while_too_many_worlds_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So memory is bounded, however slow the disk is."""
+    monkeypatch.setattr(run_writer, "MOST_WAITING_BYTES", 4 * ROW_BYTES)
+    holding = Holding(monkeypatch)
+    added: list[int] = []
+
+    def add_all() -> None:
+        for number in range(8):
+            add_worlds(run, number)
+            added.append(number)
+
+    with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
+        adder = threading.Thread(target=add_all)
+        adder.start()
+        wait_for(lambda: len(added) >= 4)
+        time.sleep(0.1)
+        assert len(added) == 4
+        holding.let_go.set()
+        adder.join(20)
+        assert len(added) == 8
+    assert load_run(tmp_path).worlds.plan_id.tolist() == list("01234567")
+
+
+def test_the_thread_ends_with_the_run(tmp_path: Path) -> None:
+    with RunWriter(tmp_path / "run", {}) as run:
+        add_worlds(run, 0)
+        assert "petmjx-writer" in {thread.name for thread in threading.enumerate()}
+    with pytest.raises(InputError), RunWriter(tmp_path / "run", {}):
+        pass
+    assert "petmjx-writer" not in {thread.name for thread in threading.enumerate()}
+    write_run(tmp_path / "run", overwrite=True)  # the folder is free
 
 
 def test_run_json_says_finished_when_all_worlds_are_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,7 +180,7 @@ def test_run_json_says_finished_when_all_worlds_are_on_disk(tmp_path: Path, monk
         statuses.append((entries["status"], entries["counts"]["worlds"]))
         write_run_file(entries, folder)
 
-    monkeypatch.setattr(run_info, "write_run_file", noted)
+    monkeypatch.setattr(run_writer, "write_run_file", noted)
     write_run(tmp_path, ids=("0", "1", "2"), worlds_per_part=2)
     assert statuses == [("running", 0), ("running", 2), ("running", 3), ("finished", 3)]
 
@@ -139,45 +194,65 @@ def test_ctrl_c_keeps_whole_parts_and_says_how_many(tmp_path: Path) -> None:
     assert len(results.boxes) == 9
 
 
-def test_ctrl_c_while_a_part_is_written_neither_loses_nor_doubles_worlds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = os.replace
-    calls = 0
-
-    def interrupted_replace(source: Any, target: Any) -> None:
-        nonlocal calls
-        real(source, target)
-        calls += str(target).endswith(".parquet")
-        if calls == 1:  # the boxes are in place, the worlds are not
-            calls += 1
-            raise KeyboardInterrupt
-
-    monkeypatch.setattr(run_folder.os, "replace", interrupted_replace)
+def test_ctrl_c_while_the_rest_is_written_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first one while the run waits for the writer, further ones while the run ends."""
+    holding = Holding(monkeypatch)
+    timers = [threading.Timer(delay_s, signal.raise_signal, [signal.SIGINT]) for delay_s in (0.3, 0.5, 0.6)]
+    timers.append(threading.Timer(0.8, holding.let_go.set))
+    for timer in timers:
+        timer.start()
     with pytest.raises(KeyboardInterrupt):
         write_and_flush(tmp_path)
     assert_has_whole(tmp_path, 2)
 
 
-def test_ctrl_c_while_a_part_is_waited_for_neither_loses_nor_doubles_worlds(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_while_adding_waits_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_writer, "MOST_WAITING_BYTES", 4 * ROW_BYTES)
     holding = Holding(monkeypatch)
-    timers = [
-        threading.Timer(0.3, signal.raise_signal, [signal.SIGINT]),
-        threading.Timer(0.6, holding.let_go.set),
-    ]
+    timers = [threading.Timer(0.3, signal.raise_signal, [signal.SIGINT]), threading.Timer(0.6, holding.let_go.set)]
     for timer in timers:
         timer.start()
     with pytest.raises(KeyboardInterrupt):
-        write_run(tmp_path, ids=("0", "1", "2", "3"), worlds_per_part=2)  # with the last one a part waits for another
+        write_run(tmp_path, ids=tuple("01234567"), worlds_per_part=2)
     assert_has_whole(tmp_path, 4)
+
+
+def test_ctrl_c_while_a_run_begins_leaves_the_folder_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, let_go = threading.Event(), threading.Event()
+    tidy = run_writer.tidy
+
+    def held_up(folder: Path) -> None:
+        begun.set()
+        assert let_go.wait(20)
+        tidy(folder)
+
+    def interrupt() -> None:
+        begun.wait(20)
+        signal.raise_signal(signal.SIGINT)
+        let_go.set()
+
+    monkeypatch.setattr(run_writer, "tidy", held_up)
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt):
+        write_run(tmp_path)
+    monkeypatch.undo()
+    assert load_run(tmp_path).info["status"] == "running"
+    write_run(tmp_path, overwrite=True)
+
+
+def test_a_run_whose_end_was_interrupted_ends_with_the_process(tmp_path: Path) -> None:
+    """Nobody waits for an answer of a thread that has ended."""
+    run = RunWriter(tmp_path, {}).__enter__()
+    add_worlds(run, 0, 1)
+    run._end_at_exit()
+    assert_has_whole(tmp_path, 2)
+    with pytest.raises(run_writer._CutShortError):
+        run.flush()
 
 
 def write_and_flush(folder: Path) -> None:
     with RunWriter(folder, {}) as run:
-        for number in range(2):
-            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
+        add_worlds(run, 0, 1)
         run.flush()
 
 
@@ -210,7 +285,7 @@ def test_a_merge_that_is_cut_short_counts_whole_runs_only(tmp_path: Path, monkey
     def merge() -> None:
         with RunWriter(tmp_path / "merged", {}) as run:
             for name in ("one", "two"):
-                run.adopt(load_run(tmp_path / name).parts)
+                run.adopt(load_run(tmp_path / name).parts, ranked=True)
 
     monkeypatch.setattr(run_table_files, "copy_file", cut_short)
     with pytest.raises(KeyboardInterrupt):
@@ -239,19 +314,6 @@ def test_a_disk_that_was_full_for_a_while_is_tried_again(tmp_path: Path, monkeyp
     assert next(calls) > 1
 
 
-def test_a_part_written_beside_lands_soon_though_others_are_gathered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its worlds do not wait as long as those of the next part may."""
-    monkeypatch.setattr(part_buffer, "LANDING_S", 0.05)
-    holding = Holding(monkeypatch)
-    with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
-        for number in range(3):
-            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
-        holding.let_go.set()
-        wait_for(lambda: worlds_on_disk(tmp_path) == 2)
-
-
 def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The part is on disk, and no world follows."""
     failures = [OSError(28, "No space left on device")] * 2
@@ -262,48 +324,28 @@ def test_a_run_file_that_could_not_be_written_is_written_later(tmp_path: Path, m
         write_run_file(entries, folder)
 
     with RunWriter(tmp_path, {}, seconds_per_part=0.05) as run:
-        monkeypatch.setattr(run_info, "write_run_file", failing)
+        monkeypatch.setattr(run_writer, "write_run_file", failing)
         run.add(make_plan(), 0, "fixed", make_outcome())
         wait_for(lambda: worlds_on_disk(tmp_path) == 1)
     assert not failures
 
 
-def test_what_waits_is_due_a_minute_after_it_came(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of parts by place those too that were begun while the alarm was set for another one."""
-    now_s = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now_s)
-    plans = [make_plan(str(number)) for number in range(4)]
-    rows = [Row.of(plan, 0, "fixed", make_outcome(), (), {}) for plan in plans]
-    places = DestinationBuffer(Places([plan.plan_id for plan in plans], 1, 0, per_part=2), schemas())
-    gathering = PartBuffer()
-    assert places.due_s(60.0) is gathering.due_s(60.0) is None
-    places.add(rows[0])
-    gathering.add(rows[0])
-    now_s = 140.0
-    places.add(rows[2])
-    gathering.add(rows[2])
-    assert places.due_s(60.0) == gathering.due_s(60.0) == 20.0
-    assert [places.late(60.0), places.late(40.0)] == [[], [0]]
-    places._waiting[0].written_early(7)
-    gathering.written()
-    assert (places.due_s(60.0), gathering.due_s(60.0)) == (60.0, None)
-    now_s = 300.0
-    assert places.due_s(60.0) == 0.0
-    gathering.close()
+def test_rows_that_cannot_be_packed_keep_no_others_from_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are tried again, and the run that ends without them says so."""
+    tables = Part.tables
 
+    def packed(part: Part, schemas: Any) -> Any:
+        if any(row.plan.plan_id == "2" for row in part.rows):
+            raise ValueError("odd")
+        return tables(part, schemas)
 
-def test_a_part_that_cannot_be_written_does_not_keep_others_from_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    places = Places([str(number) for number in range(6)], 1, 0, per_part=2)
-    with RunWriter(tmp_path, {}, places=places) as run:
-        for number in (0, 2, 4):
-            run.add(make_plan(str(number)), 0, "fixed", make_outcome())
-        full_once(monkeypatch)
-        with pytest.raises(PetmjxError, match="No space left"):
-            run.flush()
-        assert worlds_on_disk(tmp_path) == 2
-    assert sorted(load_run(tmp_path).worlds.plan_id) == ["0", "2", "4"]
+    monkeypatch.setattr(Part, "tables", packed)
+    with pytest.raises(ValueError, match="odd"):
+        write_run(tmp_path, ids=tuple("0123456"), worlds_per_part=2)
+    results = load_run(tmp_path)
+    assert {*results.worlds.plan_id} >= {"0", "1", "4", "5", "6"}
+    assert (results.info["status"], results.info["error"]) == ("failed", "ValueError: odd")
+    assert results.info["counts"]["worlds"] == len(results.worlds)
 
 
 def test_a_run_ends_once(tmp_path: Path) -> None:
@@ -395,26 +437,22 @@ def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert load_run(tmp_path).worlds.empty
 
 
-@pytest.mark.parametrize("late", [False, True])
-def test_worlds_that_could_not_be_written_beside_others_are_written_in_the_end(
-    late: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The next world meets the error, or the run ends before that."""
-    added = list[str]()
-
-    def write() -> None:
-        with RunWriter(tmp_path, {}, worlds_per_part=2) as run:
-            for number in range(2 if late else 4):
-                added.append(str(number))
-                run.add(make_plan(str(number)), 0, "fixed", make_outcome())
-
-    full_once(monkeypatch, after_s=0.3)
-    if late:
-        write()
-    else:
-        with pytest.raises(PetmjxError, match="cannot write results: No space left"):
-            write()
+def test_a_full_disk_ends_the_run_when_too_many_worlds_wait(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are written in the end, if there is room again."""
+    monkeypatch.setattr(run_writer, "MOST_WAITING_BYTES", 4 * ROW_BYTES)
+    calls = full_once(monkeypatch)
+    with pytest.raises(PetmjxError, match="cannot write results: No space left"):
+        write_run(tmp_path, ids=tuple("01234567"), worlds_per_part=2)
+    assert next(calls) > 1
     results = load_run(tmp_path)
-    assert results.worlds.plan_id.tolist() == added, "also the one with which the error was met"
-    assert results.info["status"] == ("finished" if late else "failed")
-    assert results.info["counts"]["worlds"] == len(added) == (2 if late else 4)
+    assert results.worlds.plan_id.tolist() == list("0123"), "all that were added"
+    assert (results.info["status"], results.info["counts"]["worlds"]) == ("failed", 4)
+
+
+def test_a_run_outlives_a_disk_that_is_full_for_a_while(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    full_once(monkeypatch)
+    write_run(tmp_path, ids=tuple("01234"), worlds_per_part=2)
+    results = load_run(tmp_path)
+    assert results.worlds.plan_id.tolist() == list("01234")
+    assert results.info["status"] == "finished"
+    assert results.info["warnings"] == [f"{tmp_path}: cannot write results: No space left on device; tried again"]

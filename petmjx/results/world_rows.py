@@ -1,42 +1,25 @@
-"""Gathers finished worlds row by row and turns them into the tables of a part.
-
-A thread may write one part while the next one is gathered.
-"""
+"""Finished worlds as rows, and rows as the tables of a part."""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from petmjx.common.processes import defer_signals
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import FORCE_INTERVAL, Column, box_columns, box_metrics, reduce_boxes, world_metrics
 from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.plans.plan import Plan
 from petmjx.results import history_tables
-from petmjx.results.run_table_files import Tables
-from petmjx.results.world_counts import COUNTED, WorldCounts
+from petmjx.results.schema import RANK
 
-WORLDS_PER_PART: Final = 1_000
-"""A part has about 43,000 boxes, 3 MB. So a run has few files, and a crash loses at most two parts."""
-
-SECONDS_PER_PART: Final = 60.0
-"""Longest time that a world waits for its part to be written. It holds even if worlds finish slowly."""
-
-LANDING_S: Final = 1.0
-"""Time between two looks at whether the thread has written its part, s."""
-
-HISTORY_BYTES_PER_PART: Final = 64 << 20
-"""Memory of the histories of a part: about 60 worlds of 43 boxes, or 20 worlds with details."""
+ROW_BYTES: Final = 2_000
+"""Memory of a row without its boxes and its history, bytes: 1,200 by tracemalloc, and its own numbers and texts."""
 
 _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
 """Columns of ``worlds`` that are fields of an outcome, in addition to its metrics."""
@@ -56,6 +39,7 @@ class Row:
         block: (boxes, columns) metrics of boxes, in the order of ``_block_columns``.
         attempts: all attempts; empty if the world needed only one.
         recorded: the recorded world with its history; None if it has none.
+        ended_s: when the world ended (monotonic clock).
     """
 
     plan: Plan
@@ -63,12 +47,25 @@ class Row:
     block: FloatArray
     attempts: tuple[Attempt, ...]
     recorded: history_tables.RecordedWorld | None = None
+    ended_s: float = field(default_factory=time.monotonic)
+
+    @property
+    def rank(self) -> int:
+        """The world's place in the order of the run."""
+        rank: int = self.cells[RANK]
+        return rank
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the row, without its plan, bytes."""
+        return ROW_BYTES + self.block.nbytes + (self.recorded.size if self.recorded is not None else 0)
 
     @classmethod
     def of(
         cls,
         plan: Plan,
         variant: int,
+        rank: int,
         schedule: str,
         outcome: Outcome,
         attempts: Sequence[Attempt],
@@ -84,7 +81,7 @@ class Row:
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
             raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
         culprit = outcome.culprit if outcome.culprit >= 0 else None
-        cells = {"plan_id": plan.plan_id, "variant": variant, "schedule": schedule}
+        cells = {"plan_id": plan.plan_id, "variant": variant, RANK: rank, "schedule": schedule}
         cells |= {name: getattr(outcome, name) for name in (*_OF_OUTCOME, *(metric.name for metric in world_metrics()))}
         cells |= {
             metric.name: None for metric in world_metrics() if metric.numbers and getattr(outcome, metric.name) < 0
@@ -95,26 +92,15 @@ class Row:
         block = np.concatenate(values, axis=1, dtype=np.float64)
         block[outcome.n_placed :] = np.nan  # never placed; boolean columns read NaN as "no"
         history = outcome.history
-        recorded = None if history is None else history_tables.RecordedWorld(plan.plan_id, variant, history)
+        recorded = None if history is None else history_tables.RecordedWorld(plan.plan_id, variant, history, rank)
         return cls(plan, cells, block, tuple(attempts) if len(attempts) > 1 else (), recorded)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Part:
-    """The rows of one part, and the number of the part.
+    """The rows of one part of a run, in the order in which they are written."""
 
-    Attributes:
-        history_bytes: memory of the rows' histories.
-    """
-
-    number: int
-    rows: list[Row] = field(default_factory=list)
-    history_bytes: int = 0
-
-    def add(self, row: Row) -> None:
-        """Add one more world."""
-        self.rows.append(row)
-        self.history_bytes += row.recorded.size if row.recorded is not None else 0
+    rows: Sequence[Row]
 
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
         """(name, table) of every table of the part; ``worlds`` comes last. ``boxes`` is left out if it has no
@@ -129,13 +115,6 @@ class Part:
         if len(attempts := self.attempts(schemas["attempts"])):
             yield "attempts", attempts
         yield "worlds", self.worlds(schemas["worlds"])
-
-    def counted(self, before: WorldCounts) -> WorldCounts:
-        """The counts ``before`` plus those of the part's rows."""
-        counts = replace(before, verdicts=Counter(before.verdicts))
-        cells = [row.cells for row in self.rows]
-        counts.add(*([cell[name] for cell in cells] for name in COUNTED))
-        return counts
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
         """The ``worlds`` table, with reductions over boxes, for the whole part at once."""
@@ -160,7 +139,8 @@ class Part:
             for column, values in zip(_block_columns(), blocks.T, strict=True)
         }
         columns["plan_id"] = pa.array([row.plan.plan_id for row in self.rows], pa.string()).take(pa.array(world))
-        columns["variant"] = np.array([row.cells["variant"] for row in self.rows], dtype=np.int32)[world]
+        for name, kind in (("variant", np.int32), (RANK, np.int64)):
+            columns[name] = np.array([row.cells[name] for row in self.rows], dtype=kind)[world]
         columns["box"] = np.concatenate([np.arange(0), *(np.arange(count) for count in counts)])
         columns["item_id"] = [item for row in self.rows for item in row.plan.item_ids]
         columns["article"] = [article for row in self.rows for article in row.plan.articles]
@@ -177,125 +157,6 @@ class Part:
         """All box metrics of the part, and the number of boxes of each world."""
         blocks = np.concatenate([np.empty((0, len(_block_columns()))), *(row.block for row in self.rows)])
         return blocks, np.array([len(row.block) for row in self.rows], dtype=np.int64)
-
-
-@dataclass
-class _Pending:
-    """The part that is being gathered, and the counts of all parts before it."""
-
-    part: Part
-    counts: WorldCounts = field(default_factory=WorldCounts)
-    since_s: float = 0.0
-    """Arrival of the first world (monotonic clock). Time before it, such as for compiling, does not count."""
-
-    def following(self) -> _Pending:
-        """The next part, once this one is written."""
-        return _Pending(Part(self.part.number + 1), self.part.counted(self.counts))
-
-
-class _PartInFlight(NamedTuple):
-    """A part that a thread writes, with the counts of the parts before it and the future digests of its files."""
-
-    pending: _Pending
-    digests: Future[dict[Path, str]]
-
-
-class PartBuffer:
-    """Gathers worlds for one part after the other. Callers hold a lock.
-
-    A thread may write a part while the next one is gathered. The part counts when it has landed. If it cannot be
-    written, its worlds are gathered again.
-    """
-
-    def __init__(self) -> None:
-        self._pending = _Pending(Part(0))
-        self._beside: _PartInFlight | None = None
-        self._thread = ThreadPoolExecutor(1, "petmjx-part")
-
-    @property
-    def counts(self) -> WorldCounts:
-        """Counts of the worlds in parts that count."""
-        beside = self._beside
-        return (self._pending if beside is None else beside.pending).counts
-
-    @property
-    def part(self) -> Part:
-        """The part that is being gathered."""
-        return self._pending.part
-
-    def begin(self, number: int, counts: WorldCounts | None = None) -> None:
-        """Begin an empty part with this number. No part may be in flight.
-
-        Args:
-            counts: counts of the parts that count; None: those known so far.
-        """
-        self._pending = _Pending(Part(number), counts or self._pending.counts)
-
-    def add(self, row: Row) -> None:
-        """Add one world to the part."""
-        if not self.part.rows:
-            self._pending.since_s = time.monotonic()
-        self.part.add(row)
-
-    def is_old(self, seconds: float) -> bool:
-        """Whether the first world of the part came at least ``seconds`` ago."""
-        return bool(self.part.rows) and time.monotonic() - self._pending.since_s >= seconds
-
-    def due_s(self, seconds: float) -> float | None:
-        """Time until something must be done even if no world comes, s; None: nothing waits.
-
-        Args:
-            seconds: how long the first world of a part may wait.
-        """
-        due = [LANDING_S] if self._beside is not None else []
-        if self.part.rows:
-            due.append(max(self._pending.since_s + seconds - time.monotonic(), 0.0))
-        return min(due, default=None)
-
-    def is_full(self, worlds: int) -> bool:
-        """Whether the part has ``worlds`` worlds, or its histories have reached their limit of memory."""
-        return len(self.part.rows) >= worlds or self.part.history_bytes >= HISTORY_BYTES_PER_PART
-
-    def written(self) -> None:
-        """Note that the part is written, and begin the next one."""
-        # one assignment: an interrupt before it writes the same part again
-        self._pending = self._pending.following()
-
-    def write_beside(self, tables: Tables, schemas: Mapping[str, pa.Schema]) -> None:
-        """Let the thread write the part. No other part may be in flight."""
-        with defer_signals(afterwards=True):
-            digests = self._thread.submit(tables.files_of, self.part.number, self.part.tables(schemas))
-            self._beside, self._pending = _PartInFlight(self._pending, digests), self._pending.following()
-
-    def land(self, tables: Tables, *, wait: bool) -> bool:
-        """Let the part that the thread has written count, and the run's plans. Returns whether anything landed.
-
-        Args:
-            wait: whether to wait until the thread has ended.
-
-        Raises:
-            OSError: the part could not be written. Its worlds are gathered again, before the worlds that came since.
-        """
-        plans = tables.land_placements(wait=wait)
-        if self._beside is None or not (wait or self._beside.digests.done()):
-            return plans
-        pending, digests = self._beside
-        error = digests.exception()  # an interrupt while this waits changes nothing
-        with defer_signals(afterwards=True):
-            self._beside = None
-            if error is None:
-                tables.parts.add(digests.result())
-            else:
-                for row in self.part.rows:
-                    pending.part.add(row)
-                self._pending = pending
-        if error is not None:
-            raise error
-        return True
-
-    def close(self) -> None:
-        """End the thread."""
-        self._thread.shutdown()
 
 
 def _typed_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:

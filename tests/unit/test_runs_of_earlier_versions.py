@@ -1,0 +1,123 @@
+"""Folders that petmjx wrote before rows had ranks: they are read, resumed and merged as they were.
+
+``tests/support/old_runs.zip`` was written at commit 6a85e320 by the engine of ``support.fake_engine``, in parts of two
+worlds: ``whole``; ``cut``, which was interrupted after three worlds; the shards ``one`` and ``two``; ``recorded``, by
+``mujoco``; and ``large-cut``, a sweep interrupted after eleven worlds, with its parts numbered as in runs of more than
+50,000 worlds.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from support.fake_engine import LargestFirst
+from support.plans import make_plan, stack
+
+import petmjx
+from petmjx.results.history_tables import read_history
+from petmjx.results.run_reader import rows_of
+
+PLANS = [make_plan(f"plan-{(3 * k) % 5}", stack(1 + (2 * k) % 3)) for k in range(5)]
+"""The plans of these runs, in an order that is neither that of their ids nor that of their sizes."""
+
+IDS = [plan.plan_id for plan in PLANS]
+ERRORS = "replicates = 4\n[axes]\nplacement_error_mm = 3\n"
+ARCHIVE = Path(__file__).parents[1] / "support/old_runs.zip"
+
+
+@pytest.fixture(scope="module")
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("old-runs")
+    with zipfile.ZipFile(ARCHIVE) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+@pytest.fixture
+def old_runs(unpacked: Path, tmp_path: Path) -> Path:
+    """A copy that a test may change."""
+    with zipfile.ZipFile(ARCHIVE) as archive:
+        archive.extractall(tmp_path)
+    return tmp_path
+
+
+def assert_same_tables(results: petmjx.RunResults, expected: petmjx.RunResults) -> None:
+    """Equal to the last bit."""
+    for table in ("worlds", "boxes", "attempts", "summary"):
+        frame, expected_frame = getattr(results, table), getattr(expected, table)
+        assert (frame is None) == (expected_frame is None)
+        if frame is not None:
+            pd.testing.assert_frame_equal(frame, expected_frame, check_exact=True, obj=table)
+    assert results.info["counts"] == expected.info["counts"]
+
+
+def assert_ranked(results: petmjx.RunResults, ranks: range) -> None:
+    """All rows have ranks, in the files, and these sort them as the results are sorted."""
+    for table, frame in (("worlds", results.worlds), ("boxes", results.boxes)):
+        rows = pd.read_parquet(results.path / table).sort_values("rank", kind="stable")
+        assert rows.plan_id.tolist() == frame.plan_id.tolist()
+        assert rows["rank"].unique().tolist() == [*ranks]
+
+
+def scored(**options: object) -> petmjx.RunResults:
+    return petmjx.score(PLANS, engine=LargestFirst(), **options)
+
+
+def test_a_run_reads_as_the_same_run_of_today(unpacked: Path, tmp_path: Path) -> None:
+    old = petmjx.load_run(unpacked / "whole")
+    assert old.worlds.plan_id.tolist() == IDS
+    assert_same_tables(old, scored())
+    assert_same_tables(old, scored(out=tmp_path / "new"))
+
+
+def test_an_interrupted_run_reads_in_the_order_of_its_plans(unpacked: Path) -> None:
+    old = petmjx.load_run(unpacked / "cut")
+    assert old.worlds.plan_id.tolist() == [plan_id for plan_id in IDS if plan_id in {*old.worlds.plan_id}]
+    assert len(old.worlds) == old.info["counts"]["worlds"] == 3
+    assert [IDS[number] for number in old.worlds.index] == old.worlds.plan_id.tolist()
+
+
+def test_an_interrupted_run_is_resumed(old_runs: Path) -> None:
+    resumed = scored(out=old_runs / "cut", resume=True)
+    assert_same_tables(resumed, scored())
+    assert_ranked(resumed, range(5))
+
+
+def test_a_large_interrupted_run_is_resumed(old_runs: Path) -> None:
+    (old_runs / "errors.toml").write_text(ERRORS)
+
+    def sweep(**options: object) -> petmjx.RunResults:
+        return petmjx.sweep(old_runs / "errors.toml", PLANS, engine=LargestFirst(), **options)
+
+    assert len(petmjx.load_run(old_runs / "large-cut").worlds) == 11
+    resumed = sweep(out=old_runs / "large-cut", resume=True)
+    assert_same_tables(resumed, sweep())
+    assert_ranked(resumed, range(20))
+
+
+def test_shards_are_merged(old_runs: Path) -> None:
+    merged = petmjx.merge_runs([old_runs / "two", old_runs / "one"], old_runs / "merged")
+    assert_same_tables(merged, petmjx.load_run(old_runs / "whole"))
+    assert_ranked(merged, range(5))
+
+
+def test_a_shard_is_merged_with_one_of_today(old_runs: Path) -> None:
+    new = scored(out=old_runs / "new", shard="2/2").path
+    merged = petmjx.merge_runs([old_runs / "one", new], old_runs / "merged")
+    assert_same_tables(merged, petmjx.load_run(old_runs / "whole"))
+    assert_ranked(merged, range(5))
+
+
+def test_histories_are_read(unpacked: Path) -> None:
+    old = petmjx.load_run(unpacked / "recorded")
+    assert old.worlds.plan_id.tolist() == old.frames.plan_id.unique().tolist() == IDS[:3]
+    for plan in PLANS[:3]:
+        history = read_history(old, plan.plan_id, 0, plan.n_boxes)
+        assert history is not None
+        assert history.pos.shape[1] == plan.n_boxes
+        boxes = rows_of(old, "boxes", plan.plan_id, 0)
+        assert boxes is not None
+        assert boxes.num_rows == plan.n_boxes
