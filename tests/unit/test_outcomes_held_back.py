@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from support.failing_engine import FailingEngine, outcome_of, worlds_failing
 from support.outcomes import make_outcome, make_plan
@@ -24,6 +25,7 @@ from petmjx.engines.verdict import Flag, Outcome, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.results.run_reader import load_run
 from petmjx.results.run_writer import RunWriter
+from petmjx.runs import simulate as simulate_module
 from petmjx.world.job import Job
 
 N = 12
@@ -189,3 +191,14 @@ def test_the_timer_that_writes_parts_outlives_errors_of_all_kinds(
         wait_for_worlds(tmp_path, 3)
         assert not failures
     assert sorted(load_run(tmp_path).worlds["plan_id"]) == ["p0", "p1", "p2"]
+
+
+@pytest.mark.parametrize(
+    ("ends_s", "waited_s"),
+    [([], 0.0), ([1.0], 0.0), ([1.0, 3.5], 2.5), ([*np.linspace(0, 2, 1999), 9.0], 7.001), ([0.0] * 3000 + [5.0], 5.0)],
+)
+def test_the_time_for_the_last_of_a_thousand_worlds(ends_s: list[float], waited_s: float) -> None:
+    assert simulate_module._last_permille_s(ends_s) == waited_s
+    if not ends_s:
+        timings = petmjx.score([make_plan("p")], engine="mujoco").info["timings"]
+        assert 0 <= timings["last_permille_s"] <= timings["wall_s"]
