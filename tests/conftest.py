@@ -96,7 +96,34 @@ def pytest_collection() -> Generator[None, object, object]:
         gc.freeze()
 
 
+LONGEST_FIRST = (
+    "test_resume",
+    "test_traces",
+    "test_warp_company",
+    "test_mjx_twin",
+    "test_bodies",
+    "test_stackable_placements",
+    "test_mjx_rules",
+    "test_parity",
+    "test_recipes",
+    "test_workers",
+    "test_jax_loop",
+    "test_jax_palletizing",
+    "test_open_worlds",
+    "test_warp_failures",
+    "test_recorded_batches",
+    "test_mjx_warp",
+    "test_mjx_robustness",
+    "test_warp_step",
+    "test_warp_memory",
+)
+"""Files of 20 s of CPU time and more. With several test processes (``make test``) each takes the next file when it is
+through with one. A long file that comes last leaves the others idle."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: number for number, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: rank.get(item.path.stem, len(rank)))
     for item in items:
         if item.get_closest_marker("gpu") and (reason := why_no_cuda()):
             # The reason is what why_no_cuda found missing here.
