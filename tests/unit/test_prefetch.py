@@ -83,7 +83,7 @@ def test_an_error_holds_nothing_of_the_generator() -> None:
 
 def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
     """Else another run would take what the thread still works with."""
-    closing, done = threading.Event(), threading.Event()
+    closing, interrupted, done = threading.Event(), threading.Event(), threading.Event()
 
     def slow() -> Generator[int]:
         try:
@@ -91,7 +91,8 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
                 yield 0
         finally:
             closing.set()
-            time.sleep(0.4)
+            interrupted.wait(60)
+            time.sleep(0.2)
             done.set()
 
     def interrupt() -> None:
@@ -99,6 +100,7 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
         for _ in range(2):
             time.sleep(0.1)
             os.kill(os.getpid(), signal.SIGINT)
+        interrupted.set()
 
     ahead = prefetch(slow(), 1)
     next(ahead)
