@@ -113,7 +113,7 @@ LONGEST_FIRST = (
     "test_mjx_rules",
     "test_parity",
     "test_recipes",
-    "test_workers",
+    "test_worker_pool",
     "test_jax_loop",
     "test_jax_palletizing",
     "test_open_worlds",

@@ -147,7 +147,7 @@ def test_a_column(copy: Copy) -> None:
     entry, *measured = copy.blocks("A column of your own", "diff")
     copy.change(entry)
     assert "[False, False, False]" in copy.printed_by(scored.format("['mujoco']"))
-    assert copy.failing("tests/unit/test_metrics_spec.py") == ["test_the_documentation_has_the_tables_of_the_spec"]
+    assert copy.failing("tests/unit/test_metrics.py") == ["test_the_documentation_has_the_tables_of_the_spec"]
     *before, kernel = measured
     for diff in before:
         copy.change(diff)
@@ -203,7 +203,7 @@ print(run.worlds.reason[0], reason_in_words(petmjx.tell('stack', run)), petmjx.l
     decided, known = copy.blocks("A reason of your own", "diff")
     copy.change(decided)
     assert "load load" in copy.printed_by(overloaded)
-    places = ("tests/unit/test_metrics_spec.py", "tests/unit/test_docs.py")
+    places = ("tests/unit/test_metrics.py", "tests/unit/test_docs.py")
     narrow = ("-k", "reason or words or rules_name")
     assert set(copy.failing(*places, *narrow)) == {
         "test_reasons_are_looked_at_in_their_order",
