@@ -18,7 +18,7 @@ demo: $(VENV)/.runtime ## install, score the bundled plans on the CPU and print 
 	$(BIN)/petmjx score --engine mujoco --out $(DEMO_OUT)
 
 test: check ## lint, types, then the whole test suite
-	$(BIN)/python -m pytest -q -n $(TEST_PROCESSES) --dist loadfile $(TESTS)
+	$(BIN)/python -m pytest -q -n $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder $(TESTS)
 
 check: $(VENV)/.dev ## lint, format and types only; rules for scripts of pages
 	$(BIN)/ruff check .

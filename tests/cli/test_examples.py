@@ -73,7 +73,7 @@ def test_slurm_array(folder: Path, repository: Path) -> None:
 
 
 def test_ray_cluster(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What it asks for; that workers do it is for tests/unit/test_workers.py, since Ray takes long to start."""
+    """What it asks for; that workers do it is for tests/unit/test_worker_pool.py, since Ray takes long to start."""
     arguments: dict[str, Any] = {}
     monkeypatch.setattr(petmjx, "score", lambda plans, **options: arguments.update(options, plans=plans))
     script = repository / "examples" / "ray_cluster.py"

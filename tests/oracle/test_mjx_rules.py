@@ -153,7 +153,7 @@ def test_a_static_world_stands_from_the_soft_start_on(schedule: Schedule) -> Non
 
 
 def test_the_shape_of_the_batch_does_not_matter(engine: FakeEngine) -> None:
-    jobs = [Job(fake_scene(*masses)) for masses in MASSES]
+    jobs = [Job(fake_scene(*masses)) for masses in MASSES if len(masses) <= 4]  # of one size: a program for each shape
     expected = run_all(engine, jobs, SHORT)
     for jobs_there, lanes in ((jobs, 64), (jobs[:7], 3), (jobs[4:5], 1)):
         first = jobs.index(jobs_there[0])

@@ -262,10 +262,9 @@ import sys
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.world.job import Job
-from support.plans import falling, make_scene, stack
-from support.worlds import run_one
+from support.plans import make_scene, stack
 sim = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, duration_s=600)
-short, long = Job(make_scene(stack(3, -200.0))), Job(make_scene(3))
+short, long = Job(make_scene(stack(3, -200.0))), Job(make_scene(40))
 try:
     for outcome in MujocoEngine(2).run([short, long, long, long], sim):
         # the other thread steps a long world meanwhile
@@ -295,8 +294,9 @@ def test_ctrl_c_ends_long_worlds_at_once(repository: Path) -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == "job 0 is done\n"
         process.send_signal(signal.SIGINT)
-        # A world looks for the interruption at every event, here every 100 steps: milliseconds.
-        assert process.wait(timeout=10.0) == 130
+        # A world looks for the interruption at every event, here every 100 steps: milliseconds. Each long world
+        # would take minutes.
+        assert process.wait(timeout=120.0) == 130
 
 
 def test_broken_numbers_are_invalid_and_leave_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -40,8 +40,11 @@ def test_matches_the_reference_without_forces(plan_id: str, check: Check) -> Non
 CULPRITS = {"00100408": 24, "00100001": 8, "00100002": 3, "00100003": 16, "00100004": 21}
 
 
-@pytest.mark.parametrize("interval_s", [0.7, 0.2])
-@pytest.mark.parametrize("schedule", list(Schedule))
+@pytest.mark.parametrize(
+    ("schedule", "interval_s"),
+    # an adaptive schedule needs an interval only where a box does not come to rest
+    [(Schedule.ADAPTIVE, 0.7), (Schedule.FIXED, 0.7), (Schedule.FIXED, 0.2)],
+)
 @pytest.mark.parametrize("physics", ["pallet", "reference"])
 @pytest.mark.parametrize("plan_id", ["packing_plan_a", *CULPRITS])
 def test_real_plans_have_known_verdicts(plan_id: str, physics: str, schedule: Schedule, interval_s: float) -> None:

@@ -116,9 +116,9 @@ def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
 def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Two groups of twelve worlds, and one of three of the next part; each may leave two. The tables of the next are
+    """Two groups of six worlds, and one of three of the next part; each may leave two. The tables of the next are
     made when four are left, of which some end before they would go on."""
-    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 8)
+    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 5)
     monkeypatch.setattr(mjx_warp, "READY_SHARE", 2)
     going_on: list[int] = []
     ended: list[int] = []
@@ -154,14 +154,14 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
     monkeypatch.setattr(RowPrefetcher, "take", taken)
     scenes = tiny_scenes(TINY[:3])
     jobs = [Job(scene) for scene in scenes.values()]
-    run = engine(group_size=16, slice_ns=STEP_NS).run(LateStream(jobs * 8, jobs), SHORT)
+    run = engine(group_size=10, slice_ns=STEP_NS).run(LateStream(jobs * 4, jobs), SHORT)
     outcome_by_job = {outcome.job: outcome for outcome in run}
-    for first in range(0, 27, 3):
+    for first in range(0, 15, 3):
         assert_equal_worlds({name: outcome_by_job.pop(first + k) for k, name in enumerate(scenes)}, crowd)
     assert not outcome_by_job
-    assert min(going_on) < 12 <= max(going_on)
+    assert min(going_on) < 6 <= max(going_on)
     assert ended
-    assert ready == [0, 12, 3]
+    assert ready == [0, 6, 3]
     assert rows == [16, 16]  # also in the last group, for which no other programs are compiled
 
 

@@ -22,6 +22,9 @@ FLAGS = (
     "--enable-unsafe-swiftshader",
 )
 
+LONGEST_S = 120.0
+"""A page that has not done something by then does not do it, on the busiest machine."""
+
 NO_WEBGL = """
 const real = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
@@ -66,7 +69,7 @@ class Opened:
         shot = self.page.locator(selector).first.screenshot(animations="disabled")
         return np.asarray(image.open(io.BytesIO(shot)).convert("RGB"))
 
-    def until(self, condition: str, seconds: float = 10.0) -> None:
+    def until(self, condition: str, seconds: float = LONGEST_S) -> None:
         """Wait until an expression is true. Playwright's own waiting evaluates texts, which the pages' policy forbids.
 
         Raises:
@@ -112,6 +115,7 @@ def open_page(browser: Any, tmp_path: Path) -> Iterator[OpenPage]:
             java_script_enabled=scripts,
             **more,
         )
+        context.set_default_timeout(1000 * LONGEST_S)
         contexts.append(context)
         view = Opened(context.new_page())
         if not webgl:

@@ -27,7 +27,7 @@ from support.worlds import boxes_by_plan, make_plan, simulate
 
 TINY = ("hand-one-box", "hand-overhang-45", "hand-bridge", "hand-falls-off", "corner overhang of 30 %")
 
-SHORT = Simulation(interval_s=0.1, rest_window_s=0.1, settle_s=0.3)
+SHORT = Simulation(interval_s=0.1, rest_window_s=0.04, settle_s=0.3)
 
 LONG_NS = 10**15
 """A time slice in which all worlds of a test end."""

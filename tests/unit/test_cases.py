@@ -1,9 +1,9 @@
 """Plans that once had a wrong answer, as they were reported: each has the right one.
 
 Other cases of these kinds have tests of their own. So do those that are no plans: commands that replaced files
-(test_overwrite_guard.py, test_overwriting.py), leaderboards (test_ratings.py), outcomes held back
+(test_overwrite_guard.py, test_overwriting.py), leaderboards (test_packer_rating.py), outcomes held back
 (test_outcomes_held_back.py), Parquet (test_parquet_bounds.py), read-only homes (test_compile_caches.py), Gymnasium
-(test_gym.py), strength (test_stacking_strength.py), rocking, landings and soft boxes (tests/physics).
+(test_gym.py), strength (test_box_strength.py), rocking, landings and soft boxes (tests/physics).
 """
 
 from __future__ import annotations

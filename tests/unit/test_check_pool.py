@@ -129,10 +129,7 @@ def test_a_process_that_hangs_is_not_waited_for_without_end(
         os.kill(one, 0)
 
 
-def test_waiting_ends_when_there_is_something_else_to_do(
-    check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.HANGS_S", 5.0)
+def test_waiting_ends_when_there_is_something_else_to_do(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
     stopped, answers = pids(check_pool), list[bool]()
 
     def later() -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.outcomes import make_outcome
-from unit.test_compare_packers import write
+from unit.test_packer_comparison import write
 
 import petmjx
 from petmjx.analysis.criteria_run import CriteriaResults

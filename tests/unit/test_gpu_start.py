@@ -122,7 +122,7 @@ def said(monkeypatch: pytest.MonkeyPatch) -> queue.SimpleQueue[str]:
 
 
 def _heard(notes: queue.SimpleQueue[str], most: int) -> list[str]:
-    return [notes.get(timeout=5.0) for _ in range(most)]
+    return [notes.get(timeout=60.0) for _ in range(most)]
 
 
 @pytest.mark.parametrize(

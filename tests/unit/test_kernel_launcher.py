@@ -16,7 +16,7 @@ from petmjx.engines.warp import kernel_launcher
 from petmjx.engines.warp.block_launch import Launch, own_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 
-LONG_S = 20
+LONG_S = 60
 """Longer than all threads take to begin."""
 
 

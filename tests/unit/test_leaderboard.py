@@ -14,7 +14,7 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 from support.outcomes import make_outcome
-from unit.test_compare_packers import write
+from unit.test_packer_comparison import write
 
 import petmjx
 from petmjx.analysis.packer_rating import rate, rating_interval

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from support.command_line import only_line
 from support.outcomes import make_outcome, make_plan
-from unit.test_compare_packers import write
+from unit.test_packer_comparison import write
 
 import petmjx
 from petmjx.cli import main

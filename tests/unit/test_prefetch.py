@@ -42,7 +42,7 @@ def test_items_come_in_order_from_a_thread_that_is_ahead() -> None:
     assert numbers.made == 0
     head = [next(ahead)]
     for _ in range(5):  # one was taken, three may wait, and one more is made
-        assert numbers.ahead.acquire(timeout=5)
+        assert numbers.ahead.acquire(timeout=60)
     assert not numbers.ahead.acquire(timeout=0.05)
     assert [*head, *ahead] == [*range(20)]
     assert numbers.closed_in == "petmjx-ahead"
@@ -83,7 +83,7 @@ def test_an_error_holds_nothing_of_the_generator() -> None:
 
 def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
     """Else another run would take what the thread still works with."""
-    closing, done = threading.Event(), threading.Event()
+    closing, interrupted, done = threading.Event(), threading.Event(), threading.Event()
 
     def slow() -> Generator[int]:
         try:
@@ -91,7 +91,8 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
                 yield 0
         finally:
             closing.set()
-            time.sleep(0.4)
+            interrupted.wait(60)
+            time.sleep(0.2)
             done.set()
 
     def interrupt() -> None:
@@ -99,6 +100,7 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
         for _ in range(2):
             time.sleep(0.1)
             os.kill(os.getpid(), signal.SIGINT)
+        interrupted.set()
 
     ahead = prefetch(slow(), 1)
     next(ahead)

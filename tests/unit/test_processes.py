@@ -33,7 +33,7 @@ def test_none_is_left_when_their_parent_is_killed(number: int, tmp_path: Path) -
         assert parent.stdout is not None
         assert parent.stdout.readline() == b"9\n"
         parent.send_signal(number)
-        parent.communicate(timeout=30)  # it ends when nobody has standard output any more
+        parent.communicate(timeout=120)  # it ends when nobody has standard output any more
     assert parent.returncode == -number
 
 
@@ -41,7 +41,7 @@ def test_the_command_ends_when_plans_cannot_be_written() -> None:
     command = "import sys; sys.argv[0] = 'petmjx'; from petmjx.__main__ import command; command()"
     arguments = ["samples", "-n", "300", "--workers", "2", "-o", "/dev/full"]
     ended = subprocess.run(
-        [sys.executable, "-c", command, *arguments], env=own_environment(), capture_output=True, text=True, timeout=30
+        [sys.executable, "-c", command, *arguments], env=own_environment(), capture_output=True, text=True, timeout=120
     )
     assert ended.returncode == 2
     assert "/dev/full: cannot be written" in only_line(ended.stderr)
