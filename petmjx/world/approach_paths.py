@@ -232,7 +232,7 @@ def _approaches(scene: Scene) -> tuple[FloatArray, FloatArray]:
     return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing), scene.approach)
 
 
-def _approaches_of(beside: NDArray[np.bool_], given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """(…, n, 2) horizontal directions in which boxes go to their places, and (…, n, 2) unit vectors along an axis.
 
     The directions are shares of the distance aside of the options. If the plan gives none, a box goes along x, and
@@ -242,11 +242,11 @@ def _approaches_of(beside: NDArray[np.bool_], given: FloatArray | None) -> tuple
 
     Args:
         beside: the mask of ``_neighbour_mask``.
-        given: (n, 2) directions of the plan; None: it has none.
+        approaches: (n, 2) directions of the plan; None: it has none.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
-    if given is not None:
-        towards = np.where(given.any(axis=1, keepdims=True), given, towards)
+    if approaches is not None:
+        towards = np.where(approaches.any(axis=1, keepdims=True), approaches, towards)
     busy = beside.all(axis=-2) | (towards == 0) & beside.any(axis=-2)
     x_first = np.abs(towards[..., 0]) >= np.abs(towards[..., 1])
     none = ~towards.any(axis=-1)

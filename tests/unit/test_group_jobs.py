@@ -68,7 +68,7 @@ def test_tables_are_made_once_their_rows_are_there_or_the_device_is_nearly_idle(
     groups.take()
     course = GroupSequence(groups, Simulation(), Progress(), most_left=4, alone=False)
     for made, due in ((False, [False, False, False, True, False]), (True, [False, True, True, True, False])):
-        monkeypatch.setattr(RowPrefetcher, "made", made)
+        monkeypatch.setattr(RowPrefetcher, "ready", made)
         assert [course.next_is_due(rest, 6, 2) for rest in (7, 6, 3, 2, 0)] == due
     course.close()
 

@@ -120,9 +120,9 @@ class LiveWorld:
         set_options(model, self._sim)
         self._take(ModelInstance(model, mujoco.MjData(model)))
 
-    def _take(self, made: ModelInstance) -> None:
+    def _take(self, instance: ModelInstance) -> None:
         """Use this model and data, whose bodies are in ``order``."""
-        self.model, self.data = made
+        self.model, self.data = instance
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
         self.geom_bodies = geom_bodies(self.model, self.order)

@@ -161,7 +161,7 @@ class MjxWarpEngine(Engine):
                 try:
                     for outcome in outcomes_of(self._rounds(course), course.sim, course.progress, waits=waits):
                         if outcome is not None:  # None: a pause
-                            del course.asked[outcome.job]
+                            del course.in_flight[outcome.job]
                         yield outcome
                 except Exception as error:
                     if not is_out_of_memory(error):
@@ -335,8 +335,8 @@ class MjxWarpEngine(Engine):
         for first in range(0, len(fitting), MORE_AT_ONCE):
             some = fitting[first : first + MORE_AT_ONCE]
             width, run = group.table.qpos.shape[1], group.run
-            made = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
-            group.add(some, *made)
+            new_rows = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
+            group.add(some, *new_rows)
             course.join(some, numbers)
         return True
 
