@@ -122,10 +122,8 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
     if placing.appears or sim.check is Check.STATIC:
         return None
     if placing.name is Way.TINES:
-        courses = [approach_path_of(scene, sim) for scene in scenes]
-        return ApproachPath(
-            *(np.array(values) for values in zip(*(course for course in courses if course), strict=True))
-        )
+        paths = [approach_path_of(scene, sim) for scene in scenes]
+        return ApproachPath(*(np.array(values) for values in zip(*(path for path in paths if path), strict=True)))
     start, target = (stacked_values(scenes, name) for name in ("start_pos", "target"))
     quat, offset = stacked_values(scenes, "start_quat"), np.zeros(start.shape)
     offset[..., 2] = placing.height_mm / MM_PER_M

@@ -37,7 +37,7 @@ class Worlds(NamedTuple):
     ``profile_steps`` counts the drive's samples; ``drive_steps`` counts the steps to the world's end, unless it rests
     earlier. ``allowed_sway``, m, is that of the drive.
 
-    Course: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
+    Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
     ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest, the world waits for more
     (petmjx/engines/open_worlds.py).
 

@@ -96,7 +96,7 @@ class Rollout:
         extra = progress.extra
         sums = {"seconds": self._last_end - began, "steps": counts["steps"], "iterations": counts["iterations"]}
         for quantity, amount in sums.items():
-            extra[f"march {quantity}"] = extra.get(f"march {quantity}", 0) + amount
-        extra["march lanes"] = max(extra.get("march lanes", 0), self.launcher.lanes)
-        extra["march contacts"] = max(extra.get("march contacts", 0), counts["contacts"])
+            extra[f"kernel {quantity}"] = extra.get(f"kernel {quantity}", 0) + amount
+        extra["kernel lanes"] = max(extra.get("kernel lanes", 0), self.launcher.lanes)
+        extra["kernel contacts"] = max(extra.get("kernel contacts", 0), counts["contacts"])
         return readback[: len(group.jobs)], ended

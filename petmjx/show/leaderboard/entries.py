@@ -48,7 +48,7 @@ class Entry:
     scored: bool = False
 
 
-def packer_sources(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, Path]:
+def packer_sources(paths: Mapping[str, Any] | Sequence[Any]) -> dict[str, Path]:
     """Name of each packer → its run or plans. Without names, packers are named after their folders and files.
 
     Raises:

@@ -88,7 +88,7 @@ def leaderboard(
     integer_of(replays, "replays", 0)
     folder = path_of(out, "out")
     sources = packers if isinstance(packers, Mapping) else list_of(packers, "packers", object, "runs or files of plans")
-    paths = packer_sources(sources)  # type: ignore[arg-type]  # what they hold is checked there
+    paths = packer_sources(sources)
     source = None if orders is None else path_of(orders, "orders")
     if baselines and source is None:
         raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack them")
