@@ -85,7 +85,7 @@ class Loop:
         rows = np.arange(len(distinct))
         for number in range(self.boxes):
             _place(pallets, rows[~pallets.ended[rows]], distinct, number)
-        standing = rows[pallets.told(rows).stable]
+        standing = rows[pallets.results(rows).stable]
         from_ = standing[np.arange(n) % len(standing)]
         others = np.arange(n)[from_ != np.arange(n)]
         plans = [distinct[row] for row in from_]

@@ -52,7 +52,7 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 
 @contextmanager
-def _watching(given: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
+def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
     """The watcher of a run: the given one; else a progress bar in a notebook; elsewhere, with ``progress``, lines on
     standard error.
 
@@ -60,9 +60,9 @@ def _watching(given: Watcher | None, progress: bool) -> Iterator[Watcher | None]
         InputError: the given object cannot follow a run.
     """
     flag_of(progress, "progress")
-    if given is not None and not all(callable(getattr(given, name, None)) for name in ("begin", "world_done")):
-        raise InputError(f"watcher must have the methods begin and world_done, {shown_value(given)}")
-    bar = given if given is not None or "IPython" not in sys.modules else notebook_bar()
+    if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
+        raise InputError(f"watcher must have the methods begin and world_done, {shown_value(watcher)}")
+    bar = watcher if watcher is not None or "IPython" not in sys.modules else notebook_bar()
     if bar is not None or not progress:
         yield bar
         return

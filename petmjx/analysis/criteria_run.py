@@ -345,7 +345,7 @@ def _answers(
     ask = partial(_ask, options=options)
     done = 0
 
-    def told(answers: list[Answers]) -> list[Answers]:
+    def report_progress(answers: list[Answers]) -> list[Answers]:
         nonlocal done
         done += len(answers)
         if progress is not None:
@@ -355,11 +355,11 @@ def _answers(
     processes = min(options.processes, len(chunks))
     if processes == 1:
         for chunk in chunks:
-            yield from told(ask(chunk))
+            yield from report_progress(ask(chunk))
         return
     with process_pool(processes) as pool:
         for answers in pool.map(ask, chunks):
-            yield from told(answers)
+            yield from report_progress(answers)
 
 
 def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:

@@ -160,8 +160,8 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
         same.remove(index)
         indices.append(index)
         ordered = order.items[index]
-        given = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])
-        if given != (ordered.length_mm, ordered.width_mm, ordered.height_mm, ordered.weight_kg):
+        measures = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])
+        if measures != (ordered.length_mm, ordered.width_mm, ordered.height_mm, ordered.weight_kg):
             yield f", box {box}: size or weight differs from the order's {printable_name(ordered.article)}"
         corner = placement["flb_coordinates"]
         if not all(isinstance(value, int) for value in corner):

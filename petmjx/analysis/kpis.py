@@ -15,6 +15,7 @@ that lies on something.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -186,7 +187,7 @@ class Kpis:
             stability is not known.
         notes: lines on everything that was left out or is not known.
         skipped: lines on unusable plans and orders.
-        found: the plans by id.
+        plans_by_id: the plans, by id.
         orders: the orders, by id.
     """
 
@@ -194,8 +195,14 @@ class Kpis:
     summary: dict[str, Any]
     notes: tuple[str, ...]
     skipped: tuple[str, ...]
-    found: Mapping[str, Plan]
+    plans_by_id: Mapping[str, Plan]
     orders: Mapping[str, Order]
+
+    @property
+    def found(self) -> Mapping[str, Plan]:
+        """The name of ``plans_by_id`` in version 0.2."""
+        warnings.warn("Kpis.found is now Kpis.plans_by_id", DeprecationWarning, stacklevel=2)
+        return self.plans_by_id
 
     def __repr__(self) -> str:
         rating = self.summary["rating"]

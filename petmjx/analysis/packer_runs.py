@@ -45,8 +45,8 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
     if isinstance(runs, str | Path | RunResults):
         runs = [runs]  # a text is a sequence, too, of its letters
     named = runs if isinstance(runs, Mapping) else None
-    given: list[Any] = list(named.values()) if named else list_of(runs, "runs", object, "runs or folders")
-    loaded_runs = [run if isinstance(run, RunResults) else load_run(run) for run in given]
+    sources: list[Any] = list(named.values()) if named else list_of(runs, "runs", object, "runs or folders")
+    loaded_runs = [run if isinstance(run, RunResults) else load_run(run) for run in sources]
     if len(loaded_runs) < 2:
         raise InputError("give at least two runs to compare")
     names = [text_of(name, "runs") for name in named] if named else _names([run.path for run in loaded_runs])

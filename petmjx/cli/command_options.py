@@ -140,15 +140,15 @@ def takes(
     settable = [name for name in Simulation.model_fields if (not fields or name in fields) and name not in theirs]
 
     def decorate(command: Command) -> Command:
-        def with_options(**given: Any) -> None:
+        def with_options(**arguments: Any) -> None:
             tables: dict[str, Any] = {}
             typed: dict[str, str] = {}
             for option in options:
-                value = given.pop(option.name, None)
+                value = arguments.pop(option.name, None)
                 if value is not None:
                     _put(tables, option.path, value)
                     typed[".".join(option.path)] = option.flag.name.partition("/")[0]
-            for setting in given.pop("settings", None) or ():
+            for setting in arguments.pop("settings", None) or ():
                 path, value = _setting(setting, settable)
                 name = ".".join(path)
                 if name in typed:
@@ -157,7 +157,7 @@ def takes(
                 _put(tables, path, value)
                 typed[name] = f"--set {name}"
             try:
-                command(**given, **tables)
+                command(**arguments, **tables)
             except InputError as error:
                 line = _as_typed(str(error), typed)
                 if line == str(error):

@@ -36,8 +36,8 @@ def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite
     from petmjx.results.read_files import source_files
     from petmjx.show.figures.figure_files import check_figures
 
-    given = {"pdf": pdf, "svg": svg, "png": png}
-    files = {kind: path for kind, path in given.items() if path is not None}
+    paths_by_kind = {"pdf": pdf, "svg": svg, "png": png}
+    files = {kind: path for kind, path in paths_by_kind.items() if path is not None}
     for kind, path in files.items():
         if path.suffix.lower() != f".{kind}":
             raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")

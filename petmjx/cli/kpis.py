@@ -81,6 +81,6 @@ def kpis(
         print_skipped(list(rating.skipped))
         print_renderables(kpi_tables(rating, None if out is None else printable(str(out))), results_console())
     if leaderboard is not None:
-        file = write_submission(leaderboard, out or Path(), rating.found, rating.orders, len(rating.skipped))
+        file = write_submission(leaderboard, out or Path(), rating.plans_by_id, rating.orders, len(rating.skipped))
         if not as_json:
             print(f"submission in {printable(str(file))}")

@@ -137,13 +137,15 @@ def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) ->
 
 def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
     try:
-        given = sys.argv[1:] if arguments is None else list(arguments)
-        if "" in given:  # a path would be the current folder
-            raise InputError(f"argument {given.index('') + 1} is empty; is a shell variable not set?")
-        if "-" in given:  # it would be a file of this name
-            raise InputError(f"argument {given.index('-') + 1} is -: name a file; /dev/stdout is standard output")
+        command_words = sys.argv[1:] if arguments is None else list(arguments)
+        if "" in command_words:  # a path would be the current folder
+            raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
+        if "-" in command_words:  # it would be a file of this name
+            raise InputError(
+                f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
+            )
         with as_notes(), typed_options():
-            result = application(args=given or ["--help"], standalone_mode=False)
+            result = application(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
             return _report("interrupted", ExitCode.INTERRUPTED)
         sys.stdout.flush()  # an error shows here at the latest

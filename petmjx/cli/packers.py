@@ -36,21 +36,21 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
     for path in plans.values():
         if not Path(path).exists():  # before the first packer's plans are simulated, not after
             raise InputError(f"{printable(path)}: no such file or folder")
-    made = None if "out" in options or options.get("resume") else default_folder()
-    parent = options.get("out", made)
+    new_folder = None if "out" in options or options.get("resume") else default_folder()
+    parent = options.get("out", new_folder)
     for name in plans if "out" in options else ():
         check_run_folder(Path(options["out"]) / name, options.get("overwrite", False), options.get("resume", False))
     console = results_console()
     results = {}
     try:
         for name, path in plans.items():
-            given = options if parent is None else options | {"out": Path(parent) / name}
-            results[name] = run_watched(partial(_score, path), given)
+            packer_options = options if parent is None else options | {"out": Path(parent) / name}
+            results[name] = run_watched(partial(_score, path), packer_options)
             if not as_json:
                 print_renderables([line(f"packer {name}"), *run_tables(results[name]), ""], console)
     finally:
-        if made is not None:
-            remove_empty(made)
+        if new_folder is not None:
+            remove_empty(new_folder)
     compared = compare_packers(results, orders=options.get("orders")) if len(results) > 1 else None
     if as_json:
         runs = {name: brief(run) for name, run in results.items()}

@@ -123,9 +123,9 @@ def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options
 
     watcher = BarWatcher()
     with stoppable():
-        made = None if "out" in options or options.get("resume") else default_folder()
-        if made is not None:
-            options["out"] = made
+        new_folder = None if "out" in options or options.get("resume") else default_folder()
+        if new_folder is not None:
+            options["out"] = new_folder
         try:
             with watcher:
                 return run(watcher, options)
@@ -134,8 +134,8 @@ def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options
                 _how_far(Path(options["out"]), watcher), getattr(stop, "number", signal.SIGINT)
             ) from None
         finally:
-            if made is not None:
-                remove_empty(made)
+            if new_folder is not None:
+                remove_empty(new_folder)
 
 
 def default_folder() -> Path:

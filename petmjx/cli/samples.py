@@ -118,8 +118,10 @@ def samples(
             raise InputError(f"--lookahead needs the packer {LEARNED}")
         integer_of(look_ahead, "--lookahead", 1, MOST_LOOK_AHEAD)
     drawn = {"-n": n, "--loose-share": loose_share}
-    if orders is not None and (given := next((name for name, value in drawn.items() if value is not None), None)):
-        raise InputError(f"{given} is for drawn orders, and --orders names a file of orders")
+    if orders is not None and (
+        drawn_option := next((name for name, value in drawn.items() if value is not None), None)
+    ):
+        raise InputError(f"{drawn_option} is for drawn orders, and --orders names a file of orders")
     n = DEFAULT_SAMPLES if n is None else n
     if packer == PHYSICAL:
         write_physical(out, orders, n, seed, workers or cpu_threads(), options)

@@ -44,4 +44,6 @@ def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOpt
             raise InputError("--name: must be NAME=PLANS, such as --name A=a.json B=b.json")
         score_named(packers, options, as_json)
         return
-    run_and_show(lambda watcher, given: api.score(plans or None, watcher=watcher, **given), options, as_json)
+    run_and_show(
+        lambda watcher, run_options: api.score(plans or None, watcher=watcher, **run_options), options, as_json
+    )

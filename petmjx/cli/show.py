@@ -59,8 +59,8 @@ def show(
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
 
-    given = {"html": html, "png": png, "pdf": pdf, "svg": svg, "gif": gif, "mp4": mp4, "rrd": rrd}
-    files = {kind: path for kind, path in given.items() if path is not None}
+    paths_by_kind = {"html": html, "png": png, "pdf": pdf, "svg": svg, "gif": gif, "mp4": mp4, "rrd": rrd}
+    files = {kind: path for kind, path in paths_by_kind.items() if path is not None}
     for kind, path in files.items():
         if path.suffix.lower() != f".{kind}":
             raise InputError(f"--{kind} {printable(str(path))}: the file's name must end in .{kind}")

@@ -36,4 +36,6 @@ def sweep(
     """
     from petmjx import api
 
-    run_and_show(lambda watcher, given: api.sweep(file, plans or None, watcher=watcher, **given), options, as_json)
+    run_and_show(
+        lambda watcher, run_options: api.sweep(file, plans or None, watcher=watcher, **run_options), options, as_json
+    )

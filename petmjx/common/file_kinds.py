@@ -26,7 +26,7 @@ _MAGIC: Final = (
 
 _MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]", re.IGNORECASE)
 _PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
-_LOOKED_AT: Final = 1 << 12
+_SNIFFED_BYTES: Final = 1 << 12
 """Number of bytes at the beginning of a file by which its format is recognised."""
 LOOKED_AT_ARCHIVE: Final = 1 << 16
 """Number of bytes at the beginning of a ZIP archive by which its content is recognised."""
@@ -36,7 +36,7 @@ def foreign_kind(data: bytes | bytearray) -> str | None:
     """The format of a file that cannot be JSON or CSV, by its first bytes, as an error text. None: it may be JSON or
     CSV.
     """
-    begin = bytes(data[:_LOOKED_AT])
+    begin = bytes(data[:_SNIFFED_BYTES])
     if begin.startswith(b"PK\x03\x04"):
         return _zip_kind(bytes(data[:LOOKED_AT_ARCHIVE]))
     kind = next((text for magic, text in _MAGIC if begin.startswith(magic)), None)

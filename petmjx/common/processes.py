@@ -60,10 +60,10 @@ _FEW: Final = 2
 """Up to this many pieces, this thread is as fast as other threads are to start."""
 
 Piece = TypeVar("Piece")
-Made = TypeVar("Made")
+Result = TypeVar("Result")
 
 
-def on_threads(function: Callable[[Piece], Made], pieces: Sequence[Piece], most: int = MOST_THREADS) -> list[Made]:
+def on_threads(function: Callable[[Piece], Result], pieces: Sequence[Piece], most: int = MOST_THREADS) -> list[Result]:
     """``function`` of each piece, computed on several threads. Results are in the order of the pieces.
 
     Args:

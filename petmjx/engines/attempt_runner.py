@@ -33,7 +33,7 @@ Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
 """A world between two attempts, with the outcome of the last one and the records of all before."""
 
 
-Made = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
+AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
 """A world after an attempt, with its outcome and the records of all attempts so far."""
 
 
@@ -84,20 +84,20 @@ class AttemptRunner(Generic[AnyWorld]):
     _message: str = ""
     """Text of the last error of an engine."""
 
-    def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
+    def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
         """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
 
         Args:
             batch: the worlds. It is emptied, since finished worlds would take memory.
         """
-        engine = self.engines.own
+        engine = self.engines.primary
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
         for pending in batch:
             (left if self.engine_for(pending[0]) is engine else others).append(pending)
         batch.clear()
         if left:
             left = yield from self.run_stream(engine, self._stream_of(left, engine))
-        yield from self.had_fallback(left + others)
+        yield from self.run_fallback(left + others)
 
     def _stream_of(self, batch: list[Pending[AnyWorld]], engine: Engine) -> JobStream[Pending[AnyWorld]]:
         """A stream of these worlds alone. The batch is emptied."""
@@ -108,14 +108,14 @@ class AttemptRunner(Generic[AnyWorld]):
         batch.clear()
         return stream
 
-    def had_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[Made[AnyWorld] | None]:
+    def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
         """Run the worlds that an engine left unanswered on its fallback, if it has one; yields as ``run``."""
-        maker = self.engines.own
+        engine = self.engines.primary
         if left and self.engines.fallback is not None:
-            maker = self.engines.fallback
-            left = yield from self.run_stream(maker, self._stream_of(left, maker))
+            engine = self.engines.fallback
+            left = yield from self.run_stream(engine, self._stream_of(left, engine))
         failed = [failed_outcome(0, pending[0].job, self.sim, self._message) for pending in left]
-        yield from self.made(list(zip(left, failed, strict=True)), maker.name)
+        yield from self.checked_results(list(zip(left, failed, strict=True)), engine.name)
 
     def engine_for(self, world: AnyWorld) -> Engine:
         """The engine of the run, or its fallback."""
@@ -127,9 +127,9 @@ class AttemptRunner(Generic[AnyWorld]):
 
     def run_stream(
         self, engine: Engine, stream: JobStream[Pending[AnyWorld]]
-    ) -> Generator[Made[AnyWorld] | None, None, list[Pending[AnyWorld]]]:
+    ) -> Generator[AttemptResult[AnyWorld] | None, None, list[Pending[AnyWorld]]]:
         """Yield the worlds with the outcomes of an engine; return the worlds that an error left unanswered."""
-        maker = "" if Capability.MIXED in engine.capabilities else engine.name
+        engine_name = "" if Capability.MIXED in engine.capabilities else engine.name
         checked = Capability.CHECKS in engine.capabilities
         progress, tells = self.engines.progress, getattr(engine, "tells", False)
         progress.at_hand, progress.pauses = None, tells
@@ -141,7 +141,7 @@ class AttemptRunner(Generic[AnyWorld]):
             except BaseException as error:  # even ctrl-C loses no outcome that has arrived
                 if self.check_pool is not None and not isinstance(error, Exception):
                     self.check_pool.hurry()
-                yield from self.made(arrivals, maker, checked=checked)
+                yield from self.checked_results(arrivals, engine_name, checked=checked)
                 if not isinstance(error, Exception):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
@@ -154,7 +154,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 self.engines.note_failure(engine.name, self.attempt.number, len(unanswered), self._message)
                 return unanswered
             if answer is None and tells:
-                yield from self.made([], maker, checked=checked, wait=False)
+                yield from self.checked_results([], engine_name, checked=checked, wait=False)
                 yield None
                 continue
             if answer is _END:
@@ -170,10 +170,10 @@ class AttemptRunner(Generic[AnyWorld]):
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
-                yield from self.made(arrivals, maker, checked=checked, wait=idle, until=until)
+                yield from self.checked_results(arrivals, engine_name, checked=checked, wait=idle, until=until)
                 arrivals = []
             self.put_following()
-        yield from self.made(arrivals, maker, checked=checked)
+        yield from self.checked_results(arrivals, engine_name, checked=checked)
         if stream.in_flight:
             raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")
         return []
@@ -185,7 +185,7 @@ class AttemptRunner(Generic[AnyWorld]):
             jobs = [ready_for(engine.name, job) for job in jobs]
         return self.attempt.apply_to_jobs(jobs)
 
-    def made(
+    def checked_results(
         self,
         arrivals: list[tuple[Pending[AnyWorld], Outcome]],
         engine: str,
@@ -193,7 +193,7 @@ class AttemptRunner(Generic[AnyWorld]):
         checked: bool = False,
         wait: bool = True,
         until: Callable[[], bool] = _never,
-    ) -> Iterator[Made[AnyWorld]]:
+    ) -> Iterator[AttemptResult[AnyWorld]]:
         """Check the outcomes of many worlds.
 
         Args:

@@ -17,7 +17,7 @@ from typing import Any, Final, Generic
 from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
-from petmjx.engines.attempt_runner import AttemptRunner, Made, Pending
+from petmjx.engines.attempt_runner import AttemptResult, AttemptRunner, Pending
 from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, ready_for
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobStream
@@ -98,7 +98,7 @@ def score_worlds(
     stream = JobStream[Pending[AnyWorld]](most_boxes=PENDING_BOXES * engine.devices, feedback=following is not None)
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
     aside = deque[Pending[AnyWorld]]()  # the thread of the source appends
-    besides = _SideTasks[AnyWorld](sim, engines, check_pool)
+    side_tasks = _SideTasks[AnyWorld](sim, engines, check_pool)
     first_runner = AttemptRunner[AnyWorld](first, first.apply_to_sim(sim), engines, most=most_pending)
 
     def deliver(world: AnyWorld, *, bounded: bool) -> bool:
@@ -114,7 +114,7 @@ def score_worlds(
         for world in following() if following is not None else ():
             deliver(world, bounded=False)
 
-    def went_on(attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+    def finish_or_retry(attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
         """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
 
         Args:
@@ -126,24 +126,26 @@ def score_worlds(
         next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, sim)), None)
         if next_attempt is None:
             yield WorldResult(world, outcome, records)
-        elif not besides.begin(next_attempt, pending):
+        elif not side_tasks.begin(next_attempt, pending):
             waiting.append((next_attempt, pending))
 
-    def from_beside(wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
-        for attempt, pending in besides.ended(wait=wait):
-            yield from went_on(attempt, pending)
+    def side_results(wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
+        for attempt, pending in side_tasks.ended(wait=wait):
+            yield from finish_or_retry(attempt, pending)
 
-    def results_of(attempt: AttemptRecipe, made: Iterator[Made[AnyWorld] | None]) -> Iterator[WorldResult[AnyWorld]]:
-        for pending in made:
+    def results_of(
+        attempt: AttemptRecipe, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
+    ) -> Iterator[WorldResult[AnyWorld]]:
+        for pending in attempt_results:
             if pending is not None:  # None: the engine pauses
-                yield from went_on(attempt, pending)
-            yield from from_beside()
+                yield from finish_or_retry(attempt, pending)
+            yield from side_results()
 
-    def first_attempt() -> Iterator[Made[AnyWorld] | None]:
+    def first_attempt() -> Iterator[AttemptResult[AnyWorld] | None]:
         left = yield from first_runner.run_stream(engine, stream)
         while aside:
             left.append(aside.popleft())
-        yield from first_runner.had_fallback(left)
+        yield from first_runner.run_fallback(left)
 
     def retry() -> Iterator[WorldResult[AnyWorld]]:
         for attempt in retries:
@@ -165,13 +167,13 @@ def score_worlds(
             closed = stream.closed  # before the looks at what it has delivered
             ready = stream.wait_for(LARGE if engine.name in BESIDE else 1)
             if ready or aside:
-                besides.prepare(stream.peek(LARGE), retries)
+                side_tasks.prepare(stream.peek(LARGE), retries)
                 if following is None:
-                    first_runner.check_pool, besides.first = besides.check_pool, first_runner
+                    first_runner.check_pool, side_tasks.first = side_tasks.check_pool, first_runner
                 yield from results_of(first, first_attempt())
-            elif not waiting and besides.unanswered:
-                progress.message = f"{count_text(besides.unanswered, 'world')} again on CPU threads"
-                yield from from_beside(wait=True)
+            elif not waiting and side_tasks.unanswered:
+                progress.message = f"{count_text(side_tasks.unanswered, 'world')} again on CPU threads"
+                yield from side_results(wait=True)
             elif not waiting and closed:
                 source.raise_error()
                 return
@@ -180,16 +182,16 @@ def score_worlds(
     except GeneratorExit:
         raise
     except BaseException as error:  # even ctrl-C loses no outcome that has arrived
-        if besides.check_pool is not None and not isinstance(error, Exception):
-            besides.check_pool.hurry()
-        yield from from_beside()
-        for answered in besides.first.made([], engine.name) if besides.first is not None else ():
-            yield from went_on(first, answered)
+        if side_tasks.check_pool is not None and not isinstance(error, Exception):
+            side_tasks.check_pool.hurry()
+        yield from side_results()
+        for answered in side_tasks.first.checked_results([], engine.name) if side_tasks.first is not None else ():
+            yield from finish_or_retry(first, answered)
         raise
     finally:
         with defer_signals(afterwards=True), ExitStack() as closing:  # a second ctrl-C skips nothing of it
             closing.callback(source.close)
-            closing.callback(besides.close)
+            closing.callback(side_tasks.close)
 
 
 class WorldSource(Generic[AnyWorld]):
@@ -255,19 +257,19 @@ class _SideTasks(Generic[AnyWorld]):
     first: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""
     _numbers: Iterator[int] = field(default_factory=count)
-    _asked: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
+    _in_flight: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
     """Number of a task → the attempt that it makes, the world, and the name of the engine."""
 
     @property
     def unanswered(self) -> int:
         """Number of worlds that are being simulated."""
-        return len(self._asked)
+        return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. That
         process simulates one box first: it may have to compile a kernel, which takes as long as many worlds."""
-        self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.own, len(jobs))
-        name = BESIDE.get(self.engines.own.name)
+        self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
+        name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
             return
         if self.sim.physics.cone is not Cone.ELLIPTIC or self.sim.has_soft:
@@ -280,22 +282,22 @@ class _SideTasks(Generic[AnyWorld]):
 
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
         """Begin an attempt at a world. False if it is not made beside the engine of the run."""
-        making = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
+        runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
         world, before, _ = pending
         # if boxes of a plan may sink, they do in all its worlds with errors
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
         few = attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
-        traits = {"doubles": attempt.doubles, "soft": making.is_soft(world), "few": few}
-        name = self.engines.beside(world.job, making.sim, **traits)
+        traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": few}
+        name = self.engines.beside(world.job, runner.sim, **traits)
         if name is not None:
-            self._ask(making, pending, name)
+            self._ask(runner, pending, name)
         return name is not None
 
-    def _ask(self, making: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str) -> None:
-        (job,) = making.attempt.apply_to_jobs([ready_for(engine, pending[0].job)])
+    def _ask(self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str) -> None:
+        (job,) = runner.attempt.apply_to_jobs([ready_for(engine, pending[0].job)])
         number = next(self._numbers)
-        self._asked[number] = making, pending, engine
-        self.engines.helper.begin(Task(number, engine, job, making.sim))
+        self._in_flight[number] = runner, pending, engine
+        self.engines.helper.begin(Task(number, engine, job, runner.sim))
 
     def ended(self, *, wait: bool) -> Iterator[tuple[AttemptRecipe, Pending[AnyWorld]]]:
         """The attempts that have ended, and the worlds with their outcomes.
@@ -303,29 +305,29 @@ class _SideTasks(Generic[AnyWorld]):
         Args:
             wait: True: wait for at least one, if any attempt is running.
         """
-        if self._asked:
+        if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._asked:  # READY, of this run or the one before
+                if answer.number not in self._in_flight:  # READY, of this run or the one before
                     continue
-                making, pending, engine = self._asked.pop(answer.number)
-                for answered in self._made(making, pending, engine, answer):
+                runner, pending, engine = self._in_flight.pop(answer.number)
+                for answered in self._answered(runner, pending, engine, answer):
                     if answered is not None:
-                        yield making.attempt, answered
+                        yield runner.attempt, answered
 
-    def _made(
-        self, making: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
-    ) -> Iterator[Made[AnyWorld] | None]:
+    def _answered(
+        self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
+    ) -> Iterator[AttemptResult[AnyWorld] | None]:
         """The world with the outcome of an answer. Without an outcome the fallback is asked beside the run. If it has
         no outcome either, it simulates the world in this process."""
         fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps
-            yield from making.made([(pending, answer.outcome)], engine)
+            yield from runner.checked_results([(pending, answer.outcome)], engine)
         elif fallback is not None and engine != fallback.name:
-            self.engines.note_failure(engine, making.attempt.number, 1, answer.message)
-            self._ask(making, pending, fallback.name)
+            self.engines.note_failure(engine, runner.attempt.number, 1, answer.message)
+            self._ask(runner, pending, fallback.name)
         else:
-            yield from making.had_fallback([pending])
+            yield from runner.run_fallback([pending])
 
     def close(self) -> None:
         """End the side tasks."""

@@ -172,33 +172,33 @@ BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
 class Engines:
     """The engine of a run and its fallback, which is built when a world needs it."""
 
-    own: Engine
+    primary: Engine
     progress: Progress
 
     @property
     def has_fallback(self) -> bool:
         """Whether the engine of the run has a fallback. It is not built for this answer."""
-        return self.own.name in FALLBACKS
+        return self.primary.name in FALLBACKS
 
     @cached_property
     def fallback(self) -> Engine | None:
-        name = FALLBACKS.get(self.own.name)
+        name = FALLBACKS.get(self.primary.name)
         return make_engine(name) if name is not None else None
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
         """The engine of a job; ``doubles``: the attempt wants double precision; ``soft``: it has soft boxes."""
         if not self.has_fallback:
-            return self.own
+            return self.primary
         needs = {
             Capability.SOFT: soft,
             Capability.SHEETS: bool(job.scene.pieces),
             Capability.FLOAT64: doubles,
             Capability.CG: sim.solver is Solver.CG,
         }
-        missing = [need for need, needed in needs.items() if needed and need not in self.own.capabilities]
-        foreign = isinstance(job.start, KeptState) and job.start.engine != self.own.name
+        missing = [need for need, needed in needs.items() if needed and need not in self.primary.capabilities]
+        foreign = isinstance(job.start, KeptState) and job.start.engine != self.primary.name
         if not missing and not foreign:
-            return self.own
+            return self.primary
         assert self.fallback is not None
         if missing:
             self.note(_FALLBACK_NOTES[missing[0]].format(self.fallback.name))
@@ -211,14 +211,14 @@ class Engines:
             few: whether few worlds need that attempt. A job with a drive, or with a state from which other worlds
                 start, stays with the engine of the run: there may be many of these.
         """
-        if self.own.name not in BESIDE:
+        if self.primary.name not in BESIDE:
             return None
-        maker = self.for_job(job, sim, doubles=doubles, soft=soft)
-        if maker is not self.own:
-            return maker.name
+        engine = self.for_job(job, sim, doubles=doubles, soft=soft)
+        if engine is not self.primary:
+            return engine.name
         if not few or job.settles:
             return None
-        name = BESIDE[self.own.name]
+        name = BESIDE[self.primary.name]
         self.note(f"worlds were simulated again on {name}, in stiffer contacts")
         return name
 

@@ -97,25 +97,25 @@ def make_engine(
         InputError: no such engine, or it does not have this option.
         EngineUnavailable: it cannot run here; the line says why.
     """
-    given = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
-    check_options(name, **given)
+    options = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
+    check_options(name, **options)
     module_name, class_name, its_options = ENGINES[name]
     try:
         module = importlib.import_module(module_name)
     except ImportError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {error}") from error
     try:
-        engine: Engine = getattr(module, class_name)(*(given[option] for option in its_options))
+        engine: Engine = getattr(module, class_name)(*(options[option] for option in its_options))
     except OSError as error:
         raise EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}") from error
     return engine
 
 
-def check_options(name: str, **given: Any) -> None:
+def check_options(name: str, **options: Any) -> None:
     """Raises InputError if there is no such engine, or it does not have one of these options."""
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
-    for option, value in given.items():
+    for option, value in options.items():
         if value is None or has_option(name, option):
             continue
         if option == "world_timeout_s":

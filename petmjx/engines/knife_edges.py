@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
@@ -83,17 +84,32 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
         verdict: only loads that set the flag of a world with this verdict; None: any load.
     """
     return min(
-        (edge for edge in edges if verdict is None or sets_flag(edge, verdict)),
+        (edge for edge in edges if verdict is None or _edge_sets_flag(edge, verdict)),
         key=lambda edge: abs(edge.edge_m),
         default=None,
     )
 
 
-def sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
-    """Whether a load sets the flag: it is near an edge, or less near and on the side that the verdict contradicts."""
-    away_m = abs(edge.edge_m) - _ROUNDING_M
-    contradicts = (edge.edge_m < 0) if verdict is Verdict.STABLE else (edge.edge_m >= 0)
-    return away_m <= KNIFE_EDGE_M or (edge.when != AT_REST and contradicts and away_m <= NEAR_M)
+def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
+    """(…) whether loads at these distances from edges set the flag: they are near an edge, or less near and on the side
+    that the verdict contradicts. NaN sets none.
+
+    Args:
+        verdict: of the world; None: the side does not count.
+        rounding_m: largest error of the distances, m; so much further counts as near.
+    """
+    away_m = np.abs(edge_m) - rounding_m
+    near = away_m <= KNIFE_EDGE_M
+    if verdict is None:
+        return near
+    contradicts = (edge_m < 0) if verdict is Verdict.STABLE else (edge_m >= 0)
+    return near | (contradicts & (away_m <= NEAR_M))
+
+
+def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
+    """Whether a load whose distance a table keeps sets the flag. At rest its side does not count."""
+    side = None if edge.when == AT_REST else verdict
+    return bool(sets_flag(np.array([edge.edge_m]), side, rounding_m=_ROUNDING_M)[0])
 
 
 def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:

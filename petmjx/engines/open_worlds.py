@@ -175,7 +175,7 @@ class OpenWorlds(ABC):
     a missing scene) changes nothing.
 
     A world goes on by the rules of the placement (docs/rules.md): each of its boxes is placed when those before it
-    rest, and when the last one rests it pauses. Then more boxes can be put into it. The course of a world depends on
+    rest, and when the last one rests it pauses. Then more boxes can be put into it. What happens in a world depends on
     its scene alone: neither on other worlds, nor on the number of calls in which its boxes came. So after a wait in
     vain a world pauses when a short wait is over, since more boxes may come; without more, ``finish`` waits on.
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_softness
-from petmjx.engines.knife_edges import AT_REST, BY_PLAN, KNIFE_EDGE_M, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when
+from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
 from petmjx.engines.mujoco.box_motion import tilt_deg
 from petmjx.engines.verdict import Flag, Outcome, Verdict, margin_of
 from petmjx.options.simulation import Check, Simulation
@@ -99,9 +99,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
             outcome.rest_edge_m, outcome.rest_edge_box = _least(rest_edge_m)
             near += of_rest[k]
         outcome.boxes = replace(outcome.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
-        contradicts = (edge_m < 0) if outcome.verdict is Verdict.STABLE else (edge_m >= 0)
-        is_near = np.fmin.reduce(np.abs(np.concatenate(near))) <= KNIFE_EDGE_M
-        if is_near or (contradicts & (np.abs(edge_m) <= NEAR_M)).any():
+        if sets_flag(np.concatenate(near), None).any() or sets_flag(edge_m, outcome.verdict).any():
             outcome.flags |= Flag.KNIFE_EDGE
 
 

@@ -44,35 +44,35 @@ class UserEngine(Engine):
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
-        self.name, self._own, self._threads = engine.name, engine, threads
+        self.name, self._engine, self._threads = engine.name, engine, threads
         self.devices = int(getattr(engine, "devices", 1))
         if dated := [name for name in _OLD_FLAGS if getattr(engine, name, False)]:
             warnings.warn(f"engine {self.name}: {', '.join(dated)} has no effect; say capabilities", stacklevel=2)
 
     @property
     def capabilities(self) -> Capability:
-        return getattr(self._own, "capabilities", super().capabilities)
+        return getattr(self._engine, "capabilities", super().capabilities)
 
     @property
     def tells(self) -> bool:
-        return getattr(self._own.run, "says_at_hand", False)
+        return getattr(self._engine.run, "says_at_hand", False)
 
     @property
     def streams(self) -> bool:
-        return getattr(self._own.run, "takes_stream", False)
+        return getattr(self._engine.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
         """The open worlds of the engine, if it has them; else the default of ``Engine``."""
-        opens = getattr(self._own, "open", None)
+        opens = getattr(self._engine, "open", None)
         worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
         return worlds
 
     @property
     def device(self) -> str:
-        return getattr(self._own, "device", "") or device_name(self.name, self._threads)
+        return getattr(self._engine, "device", "") or device_name(self.name, self._threads)
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        return self._own.run(jobs, sim, progress)
+        return self._engine.run(jobs, sim, progress)
 
 
 @contextmanager

@@ -91,7 +91,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return {name: values[0] for name, values in self.episodes.observed(_FIRST).items()}
 
     def _info(self) -> dict[str, Any]:
-        return {name: values[0] for name, values in self.episodes.told(_FIRST).items()}
+        return {name: values[0] for name, values in self.episodes.info_of(_FIRST).items()}
 
 
 def check_render_mode(render_mode: str | None) -> None:

@@ -60,14 +60,14 @@ class PalletizingOptions:
     most_illegal: int = 20
 
     @classmethod
-    def of(cls, given: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """These options, and the remaining entries of ``given``.
+    def of(cls, arguments: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
+        """These options, and the remaining entries of ``arguments``.
 
         Raises:
             InputError: an unusable value.
         """
         names = {field.name for field in fields(cls)}
-        options = cls(**{name: value for name, value in given.items() if name in names})
+        options = cls(**{name: value for name, value in arguments.items() if name in names})
         for name, least, most in (
             ("orders_seed", 0, None),
             ("look_ahead", 1, 512),
@@ -86,7 +86,7 @@ class PalletizingOptions:
                 raise InputError(f"unknown {name} {value!r}; {hint(value, choices)}")
         if options.buffer > options.look_ahead:
             raise InputError(f"buffer must be at most look_ahead, {options.look_ahead}, got {options.buffer}")
-        return options, {name: value for name, value in given.items() if name not in names}
+        return options, {name: value for name, value in arguments.items() if name not in names}
 
     def read_orders(self) -> Orders:
         """The orders.

@@ -52,8 +52,8 @@ class Episodes:
         InputError: an unusable option.
     """
 
-    def __init__(self, n: int, given: dict[str, Any]) -> None:
-        self.options, of_pallets = PalletizingOptions.of(given)
+    def __init__(self, n: int, options: dict[str, Any]) -> None:
+        self.options, of_pallets = PalletizingOptions.of(options)
         self.weights = self.options.weights
         self.orders = self.options.read_orders()
         self.pallets = Pallets(n, **of_pallets)
@@ -148,8 +148,8 @@ class Episodes:
         self._maps.load(rows, report.top_force_n)
         self._verdict[rows], self._reason[rows] = report.verdict, report.reason
         self._culprit[rows], self._margin[rows] = report.culprit, np.nan_to_num(report.margin, nan=-1.0)
-        made = Placement(report, volume, self._mass[rows], self._room_mm3, higher, self.options.max_height_mm)
-        return report, {name: value(made) for name, (_, value) in TERMS.items() if name in self.weights}
+        placement = Placement(report, volume, self._mass[rows], self._room_mm3, higher, self.options.max_height_mm)
+        return report, {name: value(placement) for name, (_, value) in TERMS.items() if name in self.weights}
 
     @property
     def _room_mm3(self) -> float:
@@ -183,7 +183,7 @@ class Episodes:
             observation["candidates"] = self.table.features(rows)
         return observation
 
-    def told(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
+    def info_of(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """The ``info`` values of episodes after a step."""
         return {
             "verdict": self._verdict[rows].astype(object),

@@ -121,7 +121,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         self._over[rows] = False
 
     def _info(self, rows: NDArray[np.int64]) -> Info:
-        return self._spread(rows, self.episodes.told(rows))
+        return self._spread(rows, self.episodes.info_of(rows))
 
     def _spread(self, rows: NDArray[np.int64], values: dict[str, NDArray[Any]]) -> Info:
         """Values of some environments in Gymnasium's form: arrays for all environments, with masks of the environments
@@ -146,7 +146,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
         terms = {name: values[rows] for name, values in so_far.items() if name.startswith("reward_")}
-        info = self._spread(rows, terms | self.episodes.told(rows))
+        info = self._spread(rows, terms | self.episodes.info_of(rows))
         return {"final_obs": last, "_final_obs": known, "final_info": info, "_final_info": known.copy()}
 
     def _checked_mask(self, mask: Any) -> NDArray[np.bool_]:

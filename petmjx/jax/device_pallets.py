@@ -116,7 +116,7 @@ class Device:
         after: OpenState = placed(open_, box, gets)
         return after
 
-    def told(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
+    def results(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
         """The results of worlds. Worlds without ``known`` have the reason ``ended``, and no numbers."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
@@ -178,7 +178,7 @@ class DeviceState:
         """See ``petmjx.jax.place``."""
         gets = gets & self._can(self.open)
         after = self.device.placed(self.open, self.device.new_box(self.open, size, corner, mass), gets)
-        return replace(self, open=after), self.device.told(after, gets | (after.state.status == Status.PAUSED))
+        return replace(self, open=after), self.device.results(after, gets | (after.state.status == Status.PAUSED))
 
     def try_all(self, size: jax.Array, corner: jax.Array, mass: jax.Array, pallet: jax.Array) -> PlacementArrays:
         """See ``petmjx.jax.try_all``."""
@@ -187,7 +187,7 @@ class DeviceState:
         forks = OpenState(take_rows(self.open.worlds, rows), take_rows(self.open.state, rows))
         gets = valid & self._can(forks)
         after = self.device.placed(forks, self.device.new_box(forks, size, corner, mass), gets)
-        return self.device.told(after, gets)
+        return self.device.results(after, gets)
 
     def _can(self, open_: OpenState) -> jax.Array:
         """(n,) whether a pallet may get a box."""

@@ -69,10 +69,10 @@ class Host:
             row_shape = values.shape[values.ndim - beyond :]
             rows.append(np.broadcast_to(values, (*shape, *row_shape)).reshape(-1, *row_shape))
         size, corner, mass, count, *box = rows
-        columns = self._asked(size, corner, mass, count, box, keeps=keeps)
+        columns = self._try_placements(size, corner, mass, count, box, keeps=keeps)
         return [values.reshape(*shape, *values.shape[1:]) for values in columns]
 
-    def _asked(
+    def _try_placements(
         self,
         size: NDArray[Any],
         corner: NDArray[Any],
@@ -93,7 +93,7 @@ class Host:
             pinned: set[int] = set()
             if len(others):
                 other_slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
-                write_results(columns, others, self._pallets.told(np.array(other_slots)))
+                write_results(columns, others, self._pallets.results(np.array(other_slots)))
             if not len(rows):
                 return columns
             slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in rows]
@@ -103,7 +103,7 @@ class Host:
                 return columns
             into: list[int] = []
             fresh: list[int] = []
-            made: dict[bytes, int] = {}
+            world_of_key: dict[bytes, int] = {}
             for row in rows.tolist():
                 k = int(count[row])
                 key = _key(
@@ -113,15 +113,15 @@ class Host:
                 )
                 if key in self._slots:
                     self._slots.move_to_end(key)
-                elif key not in made:
-                    made[key] = self._spare(pinned)
+                elif key not in world_of_key:
+                    world_of_key[key] = self._spare(pinned)
                     fresh.append(len(into))
-                into.append(self._slots.get(key, made.get(key, -1)))
+                into.append(self._slots.get(key, world_of_key.get(key, -1)))
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(made)  # only now, since they have their boxes
-            write_results(columns, rows, self._pallets.told(np.array(into)))
+            self._slots.update(world_of_key)  # only now, since they have their boxes
+            write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 
     def _placed(self, request: Placements, bases: NDArray[np.int64]) -> None:

@@ -45,14 +45,14 @@ def empty(
     integer_of(n, "n", 1, MOST_PALLETS)
     sim = Simulation(**{"carrier": carrier, **options})
     check_open(sim)
-    made, _ = open_engine(engine, n, {})
-    if made.name == "mujoco":
-        return empty_host(n, sim, made, integer_of(most_boxes, "most_boxes", 1, 512))
-    if made.name in ("mjx-warp", "mjx-warp-cpu"):
+    runner, _ = open_engine(engine, n, {})
+    if runner.name == "mujoco":
+        return empty_host(n, sim, runner, integer_of(most_boxes, "most_boxes", 1, 512))
+    if runner.name in ("mjx-warp", "mjx-warp-cpu"):
         from petmjx.jax.device_pallets import empty_device  # loads Warp
 
-        return empty_device(n, sim, made, integer_of(most_boxes, "most_boxes", 1, 512))
-    raise InputError(f"engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu, got {made.name}")
+        return empty_device(n, sim, runner, integer_of(most_boxes, "most_boxes", 1, 512))
+    raise InputError(f"engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu, got {runner.name}")
 
 
 def place(

@@ -86,9 +86,9 @@ def free_places(
         nothing = np.zeros(0, np.intp)
         return Places(nothing, placements.pallet, np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool) if hulls else None)
     row, corner, support, centred = (np.concatenate(values) for values in zip(*parts, strict=True))
-    given = np.argsort(row, kind="stable")
-    row, corner, support = row[given], corner[given], support[given]
-    return Places(row, placements.pallet[row], corner, support, centred[given] if hulls else None)
+    by_row = np.argsort(row, kind="stable")
+    row, corner, support = row[by_row], corner[by_row], support[by_row]
+    return Places(row, placements.pallet[row], corner, support, centred[by_row] if hulls else None)
 
 
 def _lowered_boxes(

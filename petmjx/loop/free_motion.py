@@ -140,7 +140,7 @@ def release(
         EngineUnavailable: the engine cannot run here.
     """
     sim = _options(physics, ground)
-    given: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         "size_mm": size_mm,
         "mass_kg": mass_kg,
         "pos_m": pos_m,
@@ -149,18 +149,18 @@ def release(
         "angvel_rad_s": angvel_rad_s,
     }
     optional = {"inertia_kg_m2": inertia_kg_m2, "friction": friction, "restitution": restitution}
-    given |= {name: values for name, values in optional.items() if values is not None}
-    boxes, axes = _box_arguments({name: _numbers(name, values) for name, values in given.items()})
+    arguments |= {name: values for name, values in optional.items() if values is not None}
+    boxes, axes = _box_arguments({name: _numbers(name, values) for name, values in arguments.items()})
     times, steps, share = _steps(times_s, sim.physics.timestep_s)
     below = _ground(sim, ground, smooth=friction is not None)
     scenes = _scenes(boxes, below, sim)
     velocity = np.concatenate([boxes["vel_m_s"], boxes["angvel_rad_s"]], axis=-1)
     bodies = FreeBodies(scenes, velocity, np.unique(steps).astype(np.int32), below.is_plane)
-    runner, made = ready_engine(engine, {}, gpu=len(scenes) >= MANY_WORLDS)
+    runner, owned = ready_engine(engine, {}, gpu=len(scenes) >= MANY_WORLDS)
     try:
         poses = _poses(runner, bodies, sim, boxes.get("restitution")).swapaxes(1, 2)
     finally:
-        if made:
+        if owned:
             runner.close()
     rows = np.searchsorted(bodies.steps, steps)
     pos, quat = _interpolated_poses(poses[:, :, rows[0]], poses[:, :, rows[1]], share)
@@ -183,13 +183,13 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
     if (restitution[..., 0] != of_world[:, None]).any():
         raise InputError("restitution must be the same for all boxes of a world")
     landing_s = sim.physics.landing_s or LANDING_S
-    made: dict[int, FloatArray] = {}
+    poses_of_world: dict[int, FloatArray] = {}
     for share in np.unique(of_world).tolist():
         rows = np.flatnonzero(of_world == share)
         bounces = sim.changed(physics=sim.physics.changed(landing_s=landing_s, restitution=share))
         alike = replace(bodies, scenes=tuple(bodies.scenes[row] for row in rows), velocity=bodies.velocity[rows])
-        made |= dict(zip(rows.tolist(), runner.paths(alike, bounces), strict=True))
-    return np.stack([made[world] for world in range(len(of_world))])
+        poses_of_world |= dict(zip(rows.tolist(), runner.paths(alike, bounces), strict=True))
+    return np.stack([poses_of_world[world] for world in range(len(of_world))])
 
 
 def _options(physics: Any, ground: Any) -> Simulation:
@@ -198,9 +198,9 @@ def _options(physics: Any, ground: Any) -> Simulation:
         raise InputError(f"physics must be the name of a preset, a table or a record, {shown_value(physics)}")
     sim = Simulation(physics=physics, placing="exact")
     fixed = [str(carrier) for carrier, extent in CARRIER_EXTENT_M.items() if extent is not None]
-    named = isinstance(ground, str) and ground in (PLANE, *fixed)
-    made = isinstance(ground, Path | OwnCarrier) or (isinstance(ground, str) and ground.lower().endswith(".toml"))
-    if not named and not made:
+    is_named = isinstance(ground, str) and ground in (PLANE, *fixed)
+    has_boards = isinstance(ground, Path | OwnCarrier) or (isinstance(ground, str) and ground.lower().endswith(".toml"))
+    if not is_named and not has_boards:
         raise InputError(
             f"ground must be {', '.join(map(repr, (PLANE, *fixed)))} or a TOML file of boards, {shown_value(ground)}"
         )
@@ -208,8 +208,8 @@ def _options(physics: Any, ground: Any) -> Simulation:
 
 
 def _ground(sim: Simulation, ground: Any, *, smooth: bool) -> Ground:
-    made = Ground.plane(sim.physics) if ground == PLANE else Ground.of_carrier(sim)
-    return made.smooth if smooth else made
+    surface = Ground.plane(sim.physics) if ground == PLANE else Ground.of_carrier(sim)
+    return surface.smooth if smooth else surface
 
 
 def _numbers(name: str, values: Any) -> FloatArray:

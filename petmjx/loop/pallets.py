@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -82,7 +83,7 @@ class Pallets(Closable):
             raise InputError(f"{other}: pallets have no such option; of run options they have {', '.join(OF_RUN)}")
         self.simulation = Simulation(**{"carrier": carrier, **of_simulation})
         check_open(self.simulation)
-        self._engine, self._own = open_engine(engine, self.n, of_run)
+        self._engine, self._owns_engine = open_engine(engine, self.n, of_run)
         self._lock = threading.RLock()
         self._standing = PalletWorlds(self.n, self._engine, self.simulation, self.most_boxes)
         self._worlds, self._boxes = self._standing.worlds, self._standing.boxes
@@ -150,7 +151,7 @@ class Pallets(Closable):
             InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
         """
         with self._using():
-            request = self._asked(size_mm, corner_mm, mass_kg, pallet)
+            request = self._placements(size_mm, corner_mm, mass_kg, pallet)
             once_each(request.pallet)
             return self._standing.place(request, meanwhile)
 
@@ -185,7 +186,7 @@ class Pallets(Closable):
         shaken = drive_of(drive, level, direction_deg, self.simulation)
         number = None if errors is None else integer_of(errors, "errors", 1, 100_000)
         with self._using():
-            request = self._asked(size_mm, corner_mm, mass_kg, pallet)
+            request = self._placements(size_mm, corner_mm, mass_kg, pallet)
             if not len(request):
                 return PlacementResults.of_readings(
                     request.pallet, self._worlds.readings([]), self.simulation.thresholds
@@ -241,11 +242,16 @@ class Pallets(Closable):
 
     # ------------------------------------------------------------------ what is there
 
-    def told(self, pallet: Any = None) -> PlacementResults:
+    def results(self, pallet: Any = None) -> PlacementResults:
         """The current results of pallets; None: all."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             return PlacementResults.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
+
+    def told(self, pallet: Any = None) -> PlacementResults:
+        """The name of ``results`` in version 0.2."""
+        warnings.warn("Pallets.told is now Pallets.results", DeprecationWarning, stacklevel=2)
+        return self.results(pallet)
 
     def plan(self, pallet: int = 0, plan_id: str | None = None, **fields: Any) -> Plan:
         """A pallet's boxes as a plan; ``fields`` are those of ``Plan.from_boxes``, such as ``article=["tea", …]``.
@@ -354,12 +360,12 @@ class Pallets(Closable):
         with self._lock:
             self._check_placing()
             self._is_closed = True
-            if self._own:
+            if self._owns_engine:
                 self._engine.close()
 
     # ------------------------------------------------------------------ steps
 
-    def _asked(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Placements:
+    def _placements(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Placements:
         request = placements_of(size_mm, corner_mm, mass_kg, pallet, self.n)
         if (dead := request.pallet[self._standing.dead[request.pallet]]).size:
             raise InputError(f"pallet: {dead[0]} has fallen; reset it, or take its last box back")

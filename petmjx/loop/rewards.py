@@ -25,7 +25,7 @@ class Placement:
         higher_mm: (m,) growth of the pallet's height; ``max_height_mm``: the highest allowed top.
     """
 
-    told: PlacementResults
+    results: PlacementResults
     volume_mm3: FloatArray
     mass_kg: FloatArray
     room_mm3: float
@@ -34,29 +34,29 @@ class Placement:
 
 
 def _utilisation(placed: Placement) -> FloatArray:
-    return placed.told.stable * (placed.volume_mm3 / placed.room_mm3)
+    return placed.results.stable * (placed.volume_mm3 / placed.room_mm3)
 
 
 def _margin(placed: Placement) -> FloatArray:
-    return np.nan_to_num(placed.told.margin, nan=-1.0).clip(-1.0, 1.0)
+    return np.nan_to_num(placed.results.margin, nan=-1.0).clip(-1.0, 1.0)
 
 
 def _load(placed: Placement) -> FloatArray:
-    largest = np.nan_to_num(placed.told.top_force_n).max(axis=1, initial=0.0)
+    largest = np.nan_to_num(placed.results.top_force_n).max(axis=1, initial=0.0)
     return np.asarray(-largest / (STANDARD_GRAVITY * placed.mass_kg))
 
 
 TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
-    "placed": ("1 for a box that stands", lambda p: np.where(p.told.stable, 1.0, 0.0)),
+    "placed": ("1 for a box that stands", lambda p: np.where(p.results.stable, 1.0, 0.0)),
     "utilisation": ("the box's volume as a share of the room over the carrier, if it stands", _utilisation),
-    "fall": ("-1 where the pallet does not stand", lambda p: np.where(p.told.stable, 0.0, -1.0)),
+    "fall": ("-1 where the pallet does not stand", lambda p: np.where(p.results.stable, 0.0, -1.0)),
     "margin": ("the pallet's margin, from -1 to 1; -1 where invalid", _margin),
     "load": ("minus the largest force on a box's top, as a share of the weight of all boxes", _load),
     "height": (
         "minus the increase of the pallet's height, as a share of the largest height",
         lambda p: -p.higher_mm / p.max_height_mm,
     ),
-    "illegal": ("-1 for an action that the mask excludes", lambda p: np.zeros(len(p.told))),
+    "illegal": ("-1 for an action that the mask excludes", lambda p: np.zeros(len(p.results))),
 }
 """Name of a term → its description, and the function for its value."""
 

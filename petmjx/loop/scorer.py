@@ -67,7 +67,7 @@ class Scorer(Closable):
         if other := next((name for name in of_run if name not in OF_RUN), None):
             raise InputError(f"{other}: a Scorer has no such option; of run options it has {', '.join(OF_RUN)}")
         self.simulation = Simulation(**of_simulation)
-        self._engine, self._own = ready_engine(engine, of_run, gpu=True)
+        self._engine, self._owns_engine = ready_engine(engine, of_run, gpu=True)
 
     @property
     def engine(self) -> str:
@@ -114,7 +114,7 @@ class Scorer(Closable):
     def close(self) -> None:
         """Free the engine's resources. Any later call is an InputError."""
         self._is_closed = True
-        if self._own:
+        if self._owns_engine:
             self._engine.close()
 
     def __enter__(self) -> Self:

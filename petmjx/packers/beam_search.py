@@ -118,7 +118,7 @@ class _SearchBranch(NamedTuple):
     candidate: NextCandidate | None
     filled: RankedPacking
 
-    def made(self) -> _SearchNode:
+    def node(self) -> _SearchNode:
         """The node of this branch, with the candidate's box placed."""
         if self.candidate is None:
             return _SearchNode(self.packing, self.filled)
@@ -166,7 +166,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 best.append(_SearchBranch(packing, first, filled))
                 best.sort(key=lambda next_way: next_way.filled.worth, reverse=True)
                 del best[width:]
-    return [next_way.made() for next_way in best]
+    return [next_way.node() for next_way in best]
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:

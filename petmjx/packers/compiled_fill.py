@@ -134,8 +134,10 @@ class FillKernel:
             return None
         if counts[Count.END] == End.UNSURE:
             return packing.filled(first, highest_mm)
-        made = int(counts[Count.MADE])
-        return packing.filled_with(self._of["made_shape"][:made].tolist(), self._of["made_corner"][:made].tolist())
+        n_placed = int(counts[Count.MADE])
+        return packing.filled_with(
+            self._of["made_shape"][:n_placed].tolist(), self._of["made_corner"][:n_placed].tolist()
+        )
 
     def _go_on(self, how: Begin, answer: Answer = Answer.UNKNOWN) -> None:
         counts = self._of["counts"]

@@ -63,7 +63,7 @@ class MirroredCandidates(Candidates):
         twin._lows, twin._highs = self._lows.copy(), self._highs.copy()
         return twin
 
-    def found(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
+    def candidates(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
         """The c candidates of some shapes.
 
         Returns:
@@ -142,7 +142,7 @@ class FourSidedStream(ItemStream):
         """
         table, kinds = self._table, set(self.seen)
         seen = np.array([column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp)
-        shape, corner, z, support = table.found(seen)
+        shape, corner, z, support = table.candidates(seen)
         fits = (z + table.height[shape] <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= least_support - SHARE_SLACK)
         fits[list(self._refused)] = False
         rows = np.flatnonzero(fits)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -50,15 +51,21 @@ class Packed:
     """The result of ``petmjx.pack``.
 
     Attributes:
-        each: the result of each order, in the order of the input.
+        packed_orders: the result of each order, in the order of the input.
     """
 
-    each: tuple[PackedOrder, ...]
+    packed_orders: tuple[PackedOrder, ...]
+
+    @property
+    def each(self) -> tuple[PackedOrder, ...]:
+        """The name of ``packed_orders`` in version 0.2."""
+        warnings.warn("Packed.each is now Packed.packed_orders", DeprecationWarning, stacklevel=2)
+        return self.packed_orders
 
     @property
     def plans(self) -> list[Plan]:
         """The plans, for ``petmjx.score`` and ``petmjx.save_plans``. An order has no plan if no box has a place."""
-        return [packed.plan for packed in self.each if packed.plan is not None]
+        return [packed.plan for packed in self.packed_orders if packed.plan is not None]
 
     @property
     def orders(self) -> pd.DataFrame:
@@ -70,7 +77,7 @@ class Packed:
         in which the plan stands; ``share``, their share, with its Wilson 95 % interval ``low``, ``high``; ``tried``,
         the simulated packings; ``good``, whether the plan stands as often as requested.
         """
-        return pd.DataFrame([packed.row() for packed in self.each])
+        return pd.DataFrame([packed.row() for packed in self.packed_orders])
 
     def __repr__(self) -> str:
         orders = self.orders
@@ -94,7 +101,7 @@ class Packed:
         if is_csv(file) or is_parquet_name(file):
             save_plans(self.plans, file)
         else:
-            write_plans(file, ((packed.order_id, packed.placements) for packed in self.each if packed.taken))
+            write_plans(file, ((packed.order_id, packed.placements) for packed in self.packed_orders if packed.taken))
 
 
 def pack(

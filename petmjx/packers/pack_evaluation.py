@@ -69,13 +69,13 @@ class Trial:
 
     def __init__(self, plan_id: str, finalist: Finalist) -> None:
         self.finalist, self.plan = finalist, plan_of(plan_id, finalist)
-        self.asked = self.n_worlds = self.n_standing = 0
+        self.n_requested = self.n_worlds = self.n_standing = 0
         self._nominal: Verdict | None = None
 
     def ask(self, n_worlds: int) -> range:
         """Request the nominal world and ``n_worlds`` worlds with errors. Returns the variants not requested before."""
-        first, self.asked = self.asked, 1 + n_worlds
-        return range(first, self.asked)
+        first, self.n_requested = self.n_requested, 1 + n_worlds
+        return range(first, self.n_requested)
 
     def take(self, variant: int, verdict: Verdict) -> None:
         """Record the verdict of a world."""
@@ -93,13 +93,13 @@ class Trial:
 
     def is_whole(self, options: PhysicalOptions) -> bool:
         """Whether all its worlds have been requested."""
-        return self.asked > options.worlds
+        return self.n_requested > options.worlds
 
     @property
     def judged(self) -> Evaluation:
         """The evaluation so far."""
         assert self._nominal is not None
-        return Evaluation(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing, self.asked)
+        return Evaluation(self.finalist, self.plan, self._nominal, self.n_worlds, self.n_standing, self.n_requested)
 
 
 Asks = list[tuple[Trial, range]]

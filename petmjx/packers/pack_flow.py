@@ -63,7 +63,7 @@ class _OpenOrder:
 
     Attributes:
         number: position in the input.
-        found: its packings.
+        finalists: its packings.
         asking: the generator of ``order_evaluation``, which requests worlds.
         unanswered: number of requested worlds without a result.
     """
@@ -71,7 +71,7 @@ class _OpenOrder:
     number: int
     order_id: str
     order: Order
-    found: Sequence[Finalist]
+    finalists: Sequence[Finalist]
     asking: Generator[Asks, None, list[Evaluation]]
     unanswered: int = 0
 
@@ -103,7 +103,9 @@ class Flow:
         self._searched, self._options, self._worlds = searched, options, worlds
         self._at_a_time = at_a_time
         self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
-        self._open = self._unanswered = self._given = 0  # open orders, their worlds without a result, yielded orders
+        self._open = self._unanswered = self._n_yielded = (
+            0  # open orders, their worlds without a result, yielded orders
+        )
         self._following: list[World] = []
         self._packed: dict[int, PackedOrder] = {}
 
@@ -123,8 +125,8 @@ class Flow:
         yield from self._in_sequence()
 
     def _in_sequence(self) -> Iterator[PackedOrder]:
-        while (packed := self._packed.pop(self._given, None)) is not None:
-            self._given += 1
+        while (packed := self._packed.pop(self._n_yielded, None)) is not None:
+            self._n_yielded += 1
             yield packed
 
     def _more(self) -> list[World]:
@@ -157,7 +159,7 @@ class Flow:
         except StopIteration as end:
             self._open -= 1
             self._packed[order.number] = PackedOrder.of(
-                order.order_id, order.order, order.found, end.value, self._options
+                order.order_id, order.order, order.finalists, end.value, self._options
             )
             return
         for trial, variants in requests:

@@ -142,7 +142,7 @@ def write_samples(
     Raises:
         InputError: as :func:`generate`, or the file cannot be written.
     """
-    made = generate(
+    samples = generate(
         n,
         seed,
         loose_share=loose_share,
@@ -151,7 +151,7 @@ def write_samples(
         workers=workers,
         on_left_out=on_left_out,
     )
-    write_plans(path, made, progress=progress)
+    write_plans(path, samples, progress=progress)
 
 
 def pack_orders(
@@ -273,9 +273,9 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
 
 def _seldom(item: Item) -> dict[str, Any]:
     """The properties of an item that few orders give."""
-    given: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
-    given |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
-    return given | ({"kind": item.kind} if item.kind else {})
+    fields: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
+    fields |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
+    return fields | ({"kind": item.kind} if item.kind else {})
 
 
 def _plain(value_mm: float) -> int | float:

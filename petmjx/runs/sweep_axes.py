@@ -154,31 +154,35 @@ Directions = Annotated[
 ]
 
 
-def _value_list(given: Any) -> tuple[Any, ...]:
+def _value_list(setting: Any) -> tuple[Any, ...]:
     """A value or a list of values (`OneOrMore`) as a list."""
-    return given if isinstance(given, tuple) else (given,)
+    return setting if isinstance(setting, tuple) else (setting,)
 
 
-def _ends(given: Any) -> tuple[float, float]:
+def _ends(setting: Any) -> tuple[float, float]:
     """The smallest and the largest number of a range, a list, or one value."""
-    return (given.low, given.high) if isinstance(given, Range) else (min(_value_list(given)), max(_value_list(given)))
+    return (
+        (setting.low, setting.high)
+        if isinstance(setting, Range)
+        else (min(_value_list(setting)), max(_value_list(setting)))
+    )
 
 
-def _leave_a_mass(given: Any) -> Any:
-    lowest, _ = _ends(given)
+def _leave_a_mass(setting: Any) -> Any:
+    lowest, _ = _ends(setting)
     if lowest < MIN_MASS_FACTOR:
         raise ValueError(f"must be ≥ {MIN_MASS_FACTOR:g}, got {lowest:g}")
-    return given
+    return setting
 
 
 Masses = Annotated[Positives, AfterValidator(_leave_a_mass)]
 
 
-def _are_frictions(given: Any) -> Any:
-    _, highest = _ends(given)
+def _are_frictions(setting: Any) -> Any:
+    _, highest = _ends(setting)
     if highest > MAX_FRICTION_FACTOR:
         raise ValueError(f"must be from 0 to {MAX_FRICTION_FACTOR:g}, got {highest:g}")
-    return given
+    return setting
 
 
 Frictions = Annotated[Positives, AfterValidator(_are_frictions)]
@@ -194,7 +198,7 @@ class _Normal(CheckedRecord):
     mean: Error = Field(0.0, description="mean")
     sd: Spread = Field(description="standard deviation")
 
-    def made(self) -> Distribution:
+    def to_distribution(self) -> Distribution:
         return Distribution(DistributionShape.NORMAL, self.mean, self.sd)
 
 
@@ -209,7 +213,7 @@ class _Uniform(CheckedRecord):
             raise complaint(f"must be ≥ low = {self.low:g}, got {self.high:g}", "high")
         return self
 
-    def made(self) -> Distribution:
+    def to_distribution(self) -> Distribution:
         return Distribution(DistributionShape.UNIFORM, (self.low + self.high) / 2, (self.high - self.low) / 2)
 
 
@@ -217,7 +221,7 @@ class _FixedError(CheckedRecord):
     distribution: Literal["fixed"]
     value: Error = Field(description="the error itself")
 
-    def made(self) -> Distribution:
+    def to_distribution(self) -> Distribution:
         return Distribution(DistributionShape.FIXED, self.value)
 
 
@@ -226,7 +230,7 @@ _Table = Annotated[
     | Annotated[_Uniform, Tag("<uniform>")]
     | Annotated[_FixedError, Tag("<fixed>")],
     by_entry("distribution"),
-    AfterValidator(lambda table: table.made()),
+    AfterValidator(lambda table: table.to_distribution()),
     Tag(TABLE),
 ]
 _Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(DistributionShape.NORMAL, 0.0, sd)), Tag(VALUE)]
@@ -240,11 +244,11 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 def _up_to(largest: float) -> AfterValidator:
     """A check that errors lie in ±``largest``, a smaller range than that of places."""
 
-    def check(given: Any) -> Any:
-        for error in _value_list(given):
+    def check(setting: Any) -> Any:
+        for error in _value_list(setting):
             if max(abs(error.centre), error.spread) > largest:
                 raise ValueError(f"must be from {-largest:g} to {largest:g}, got {error.label()}")
-        return given
+        return setting
 
     return AfterValidator(check)
 
@@ -400,15 +404,15 @@ def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
         ValidationError: names the axis and what it should be.
     """
     checked = _Axes.model_validate(tables)
-    given = {name: getattr(checked, name) for name in tables}
-    return {name: _axis(name, value, sampled) for name, value in given.items() if value is not None}
+    settings = {name: getattr(checked, name) for name in tables}
+    return {name: _axis(name, value, sampled) for name, value in settings.items() if value is not None}
 
 
-def _axis(name: str, given: Any, sampled: bool) -> Axis:
-    if not isinstance(given, Range):
-        return Axis(name, _value_list(given))
-    if not given.continuous:
-        return Axis(name, given.values())
+def _axis(name: str, setting: Any, sampled: bool) -> Axis:
+    if not isinstance(setting, Range):
+        return Axis(name, _value_list(setting))
+    if not setting.continuous:
+        return Axis(name, setting.values())
     if not sampled:
         raise complaint("needs step or count: a grid has no continuous axes", name)
-    return Axis(name, (), given.low, given.high)
+    return Axis(name, (), setting.low, setting.high)

@@ -205,8 +205,8 @@ class Sweep(CheckedRecord):
 
     @property
     def _tolerance(self) -> float:
-        given = self.search.tolerance if self.search is not None else None
-        return given or DEFAULT_TOLERANCE[self.strength]
+        tolerance = self.search.tolerance if self.search is not None else None
+        return tolerance or DEFAULT_TOLERANCE[self.strength]
 
     def resolved(self) -> dict[str, Any]:
         """The sweep as written to ``run.json``: every setting, with defaults, as plain JSON values."""
@@ -289,8 +289,8 @@ class Sweep(CheckedRecord):
 
     @model_validator(mode="after")
     def _axes_do_not_overlap(self) -> Self:
-        given = [kind for kind in AXIS_KINDS.values() if kind.name in self.axes]
-        for one, other in itertools.combinations(given, 2):
+        kinds = [kind for kind in AXIS_KINDS.values() if kind.name in self.axes]
+        for one, other in itertools.combinations(kinds, 2):
             if set(one.changes) & set(other.changes):
                 raise _contradiction(one.name, f"axes.{other.name}: drop one of them")
         return self

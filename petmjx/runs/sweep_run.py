@@ -113,7 +113,7 @@ class Answer:
 
     group: PlacementGroup
     item: SearchItem
-    found: SearchBracket
+    bracket: SearchBracket
     largest_survived: float | None
     first_failed: float | None
     at_largest: Probe | None
@@ -327,16 +327,16 @@ class SweepRun:
         """Fork placements into all their variants. While later placements are simulated, the first drives are prepared,
         since a device waits for them, and worlds of placements that are not driven are yielded."""
         drives: dict[int, Iterable[_DriveWorld]] = {}
-        made = 0
+        n_ready = 0
         for start in self._settling(groups):
             if not self._can_be_driven(start):
                 for variant in self._missing(start.group):
                     yield start.undriven(variant)
                 continue
             of_start = self._drives_of(start)
-            ready = list(islice(of_start, self.batching.drives - made))
+            ready = list(islice(of_start, self.batching.drives - n_ready))
             drives[id(start.group)] = chain(ready, of_start)
-            made += len(ready)
+            n_ready += len(ready)
         in_order = (drive for group in groups for drive in drives.pop(id(group), ()))
         for _, world in self._drive(in_order):
             yield world

@@ -197,7 +197,7 @@ def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> p
 
 def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
     """One row of a search's summary."""
-    group, bracket = answer.group, answer.found
+    group, bracket = answer.group, answer.bracket
     box = bracket.box if bracket.box >= 0 else None
     at_failure: Mapping[str, Any] = answer.at_failure.values if answer.at_failure is not None else {}
     row: dict[str, Any] = {

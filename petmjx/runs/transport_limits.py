@@ -155,8 +155,8 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         """Rising values of an axis that multiplies something."""
         if name not in axes:
             return [1.0]
-        given = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
-        return sorted(value for value in given if isinstance(value, float))
+        factors = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
+        return sorted(value for value in factors if isinstance(value, float))
 
     both = values("friction_factor")
     box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))

@@ -31,7 +31,7 @@ _DOUBTS: Final = {
 """Columns of a search's summary that make an answer doubtful, with the footnotes of tables. A footnote begins with its
 mark."""
 
-_ASKED: Final = ("profile", "direction_deg", "level_g", "scale")
+_STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
 """Columns of axes that the tables always have, and the searched quantities."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
@@ -54,7 +54,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
     """The columns of placement axes, such as turns of film, that have several values in a search."""
     known = (kind.column for kind in AXIS_KINDS.values())
-    return [name for name in known if name in summary and name not in _ASKED and summary[name].nunique() > 1]
+    return [name for name in known if name in summary and name not in _STANDARD_AXES and summary[name].nunique() > 1]
 
 
 def _headers(names: Sequence[str]) -> list[TableColumn]:

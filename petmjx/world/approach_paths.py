@@ -122,10 +122,8 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
     if placing.appears or sim.check is Check.STATIC:
         return None
     if placing.name is Way.TINES:
-        courses = [approach_path_of(scene, sim) for scene in scenes]
-        return ApproachPath(
-            *(np.array(values) for values in zip(*(course for course in courses if course), strict=True))
-        )
+        paths = [approach_path_of(scene, sim) for scene in scenes]
+        return ApproachPath(*(np.array(values) for values in zip(*(path for path in paths if path), strict=True)))
     start, target = (stacked_values(scenes, name) for name in ("start_pos", "target"))
     quat, offset = stacked_values(scenes, "start_quat"), np.zeros(start.shape)
     offset[..., 2] = placing.height_mm / MM_PER_M
@@ -232,7 +230,7 @@ def _approaches(scene: Scene) -> tuple[FloatArray, FloatArray]:
     return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing), scene.approach)
 
 
-def _approaches_of(beside: NDArray[np.bool_], given: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """(…, n, 2) horizontal directions in which boxes go to their places, and (…, n, 2) unit vectors along an axis.
 
     The directions are shares of the distance aside of the options. If the plan gives none, a box goes along x, and
@@ -242,11 +240,11 @@ def _approaches_of(beside: NDArray[np.bool_], given: FloatArray | None) -> tuple
 
     Args:
         beside: the mask of ``_neighbour_mask``.
-        given: (n, 2) directions of the plan; None: it has none.
+        approaches: (n, 2) directions of the plan; None: it has none.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
-    if given is not None:
-        towards = np.where(given.any(axis=1, keepdims=True), given, towards)
+    if approaches is not None:
+        towards = np.where(approaches.any(axis=1, keepdims=True), approaches, towards)
     busy = beside.all(axis=-2) | (towards == 0) & beside.any(axis=-2)
     x_first = np.abs(towards[..., 0]) >= np.abs(towards[..., 1])
     none = ~towards.any(axis=-1)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -88,6 +88,18 @@ def shared_area_m2(one: Face, two: Face) -> float:
 
 def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(p, 2) MuJoCo's solref and (p,) impedances of contacts that act at rest as springs of these stiffnesses."""
+    time_s, damping, impedance = _spring_terms(physics, spring_n_m, inverse_mass)
+    return np.column_stack(np.broadcast_arrays(time_s, damping)), impedance
+
+
+def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tuple[tuple[float, float], Triple]:
+    """MuJoCo's solref and solimp of a contact that acts at rest as a spring of this stiffness."""
+    time_s, damping, impedance = map(float, _spring_terms(physics, spring_n_m, inverse_mass))
+    return (time_s, damping), (impedance, impedance, physics.solimp[2])
+
+
+def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
+    """Both numbers of solref and the impedance, of one contact or (p,) of many."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
     # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
@@ -96,21 +108,8 @@ def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArr
     impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
     longer = np.maximum(lack / (1 - LEAST_IMPEDANCE), 1.0)
     if time_s < 0:
-        return np.column_stack([time_s / longer, damping / longer**0.5]), impedance
-    return np.column_stack([time_s * longer**0.5, np.full_like(longer, damping)]), impedance
-
-
-def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's solref and solimp of a contact that acts at rest as a spring of this stiffness."""
-    time_s, damping = physics.solref
-    time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
-    # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
-    stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
-    lack = stiffness / (spring_n_m * inverse_mass)
-    impedance = float(np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1]))
-    longer = max(lack / (1 - LEAST_IMPEDANCE), 1.0)
-    solref = (time_s / longer, damping / longer**0.5) if time_s < 0 else (time_s * longer**0.5, damping)
-    return solref, (impedance, impedance, physics.solimp[2])
+        return time_s / longer, damping / longer**0.5, impedance
+    return time_s * longer**0.5, damping, impedance
 
 
 def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple]:

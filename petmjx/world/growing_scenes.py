@@ -32,7 +32,7 @@ class OpenScenes:
     def __init__(self, scenes: Sequence[Scene], blank: EmptyCarrier) -> None:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
-        self._made = list(scenes)
+        self._scenes = list(scenes)
         """For each world a scene with its first boxes, perhaps with all."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
@@ -40,22 +40,22 @@ class OpenScenes:
         self.set(range(n), scenes)
 
     def __len__(self) -> int:
-        return len(self._made)
+        return len(self._scenes)
 
     def __getitem__(self, world: int) -> Scene:
-        scene, n = self._made[world], int(self._count[world])
+        scene, n = self._scenes[world], int(self._count[world])
         if scene.n_boxes < n:
             rest = NextBoxes(*(values[world, scene.n_boxes : n] for values in self._columns))
             for row in range(len(rest)):
                 scene = self._blank.with_box(scene, rest, row)
-            self._made[world] = scene
+            self._scenes[world] = scene
         return scene
 
     def set(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
         """Replace the scenes of these worlds."""
         for world, scene in zip(worlds, scenes, strict=True):
             self._make_room(scene.n_boxes)
-            self._made[world], self._count[world] = scene, scene.n_boxes
+            self._scenes[world], self._count[world] = scene, scene.n_boxes
             for table, values in zip(self._columns, (scene.half_size, scene.target, scene.mass), strict=True):
                 table[world, : scene.n_boxes], table[world, scene.n_boxes :] = values, np.nan
 
@@ -69,8 +69,8 @@ class OpenScenes:
 
     def copy(self, sources: Sequence[int], into: Sequence[int]) -> None:
         """Copy the scenes of the worlds ``sources`` into the worlds ``into``."""
-        for world, made in zip(into, [self._made[source] for source in sources], strict=True):
-            self._made[world] = made
+        for world, scene in zip(into, [self._scenes[source] for source in sources], strict=True):
+            self._scenes[world] = scene
         for table in (self._count, *self._columns):
             table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
 

@@ -67,8 +67,10 @@ def _placing_notes(placing: Placing, axes: Collection[str], errors: bool) -> Ite
     way = placing.name
     if way is Way.AUTO:
         way = Way.HAND if errors else Way.EXACT
-    given = [name for name in Placing.model_fields if name != "name" and getattr(placing, name) != _default(name)]
-    idle = [f"placing.{name}" for name in given if name not in _USES[way]]
+    changed_fields = [
+        name for name in Placing.model_fields if name != "name" and getattr(placing, name) != _default(name)
+    ]
+    idle = [f"placing.{name}" for name in changed_fields if name not in _USES[way]]
     idle += [name for name, changed in _AXES.items() if name in axes and changed not in _USES[way]]
     if idle:
         verb = "has" if len(idle) == 1 else "have"
@@ -80,13 +82,13 @@ def _default(name: str) -> object:
 
 
 def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool) -> Iterator[str]:
-    given = [name for name in Wrap.model_fields if getattr(wrap, name) != Wrap.model_fields[name].default]
+    changed_fields = [name for name in Wrap.model_fields if getattr(wrap, name) != Wrap.model_fields[name].default]
     holds = wrap.turns > 0 or "wrap_turns" in axes
     if holds and not driven:
         yield "wrap has no effect: there is no profile, and film acts only while a pallet is shaken"
-    elif given and not holds:
-        verb = "has" if len(given) == 1 else "have"
-        yield f"{' and '.join(f'wrap.{name}' for name in given)} {verb} no effect: there are no turns of film"
+    elif changed_fields and not holds:
+        verb = "has" if len(changed_fields) == 1 else "have"
+        yield f"{' and '.join(f'wrap.{name}' for name in changed_fields)} {verb} no effect: there are no turns of film"
 
 
 def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
@@ -144,13 +146,13 @@ def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
 
 def _static_notes(sim: Simulation) -> Iterator[str]:
     """A note on a duration that was given to a static check: the check ends when the pallet rests."""
-    given = sim.duration_s != Simulation.model_fields["duration_s"].default
-    if given and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
+    duration_set = sim.duration_s != Simulation.model_fields["duration_s"].default
+    if duration_set and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (
             f"duration_s of {sim.duration_s:g} s is the longest: with the schedule adaptive a static check ends when "
             "the pallet rests; with the schedule fixed it lasts so long"
         )
-    elif given and sim.check is not Check.STATIC:
+    elif duration_set and sim.check is not Check.STATIC:
         yield "duration_s has no effect: it is of the check static"
 
 

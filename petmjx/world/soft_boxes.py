@@ -175,11 +175,11 @@ def _network_kg(length: float, width: float, height: float) -> float:
     jacobian[rows, edges[:, 1]], jacobian[rows, edges[:, 0]] = along, -along
     flat = jacobian.reshape(len(edges), -1)
     matrix = flat.T @ (spring[:, None] * flat)
-    given = np.zeros((len(points), 3), bool)
-    given[POINTS[:, 2] != 0] = True
+    fixed = np.zeros((len(points), 3), bool)
+    fixed[POINTS[:, 2] != 0] = True
     down = np.zeros((len(points), 3))
     down[POINTS[:, 2] > 0, 2] = -1.0
-    free, moved = ~given.ravel(), down.ravel()
+    free, moved = ~fixed.ravel(), down.ravel()
     moved[free] = np.linalg.solve(matrix[np.ix_(free, free)], -(matrix @ moved)[free])
     return float(moved @ matrix @ moved)
 
@@ -296,15 +296,15 @@ def soft_friction(scene: Scene) -> SoftFriction:
     box_friction = np.where(alike == LARGER, box_friction, alike)
     with_boards = table[np.ix_(surface[soft], shapes.surface[boards])]
     bare = with_boards == LARGER
-    given = np.where(bare, np.maximum(box_friction[soft][:, None], shapes.friction[boards, 0]), with_boards)
-    of_carrier = float(np.where(given > box_friction[soft][:, None] + 1e-9, given, 0.0).max())
+    board_friction = np.where(bare, np.maximum(box_friction[soft][:, None], shapes.friction[boards, 0]), with_boards)
+    of_carrier = float(np.where(board_friction > box_friction[soft][:, None] + 1e-9, board_friction, 0.0).max())
     pair_friction = table[np.ix_(surface[soft], surface)]
     pair_friction = np.where(
         pair_friction == LARGER, np.maximum(scene.friction[soft, 0][:, None], scene.friction[:, 0]), pair_friction
     )
     np.putmask(pair_friction, np.arange(scene.n_boxes) == soft[:, None], box_friction[soft])
     larger = np.maximum(box_friction[soft][:, None], box_friction), np.maximum(box_friction[soft], of_carrier)[:, None]
-    if not (np.allclose(larger[0], pair_friction) and np.allclose(larger[1], given)):
+    if not (np.allclose(larger[0], pair_friction) and np.allclose(larger[1], board_friction)):
         raise InputError(
             "soft: MuJoCo takes the larger friction of two soft boxes, and these materials have pairs with a "
             "smaller one: leave materials out, or name friction_pairs that fit"

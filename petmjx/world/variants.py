@@ -135,9 +135,9 @@ class PlacementChange:
             "force_n": self.placing_force_n,
             "tines_mm": self.tines_height_mm,
         }
-        given = {name: value for name, value in other.items() if value is not None}
+        changes = {name: value for name, value in other.items() if value is not None}
         chosen = placing.for_errors if errors else placing
-        return chosen.changed(**given) if given else chosen
+        return chosen.changed(**changes) if changes else chosen
 
     @cached_property
     def random(self) -> bool:

@@ -98,18 +98,18 @@ def test_on_mjx_warp_pallets_go_on_to_the_score_from_where_they_stand() -> None:
     engine = warp_engine()
     pallets, _ = placed_box_by_box(engine, ("hand-one-box", "hand-falls-off"), 4)
     box = {"size_mm": (200, 200, 200), "corner_mm": (700, 400, 0), "mass_kg": 3, "pallet": 0}
-    before, tried = pallets.told(), pallets.try_all(**box)
-    assert_same(pallets.told(), before)
+    before, tried = pallets.results(), pallets.try_all(**box)
+    assert_same(pallets.results(), before)
     assert_same(pallets.place(**box), tried)
     assert tried.n_boxes.tolist() == [2]
     assert_scored(pallets, engine)
     pallets.take_back(0)
-    assert_same(pallets.told(), before)
+    assert_same(pallets.results(), before)
 
 
 def test_a_candidate_is_told_of_as_if_it_were_placed_and_changes_nothing(pallets: Pallets) -> None:
     pallets.place(**carton((0, 0, 0), (100, 100, 0), (0, 0, 0)))
-    before = pallets.told()
+    before = pallets.results()
     corners, which = (
         np.array([(0, 0, 200), (300, 100, 200), (0, 0, 200), (160, 100, 200), (500, 0, 0)]),
         [2, 1, 0, 1, 1],
@@ -124,35 +124,35 @@ def test_a_candidate_is_told_of_as_if_it_were_placed_and_changes_nothing(pallets
     assert tried.stable.tolist() == [True, False, True, True, True]
     assert (tried.culprit[1], tried.reason[1]) == (1, "tilt")
     assert tried.margin[1] < 0 < tried.margin[3] < 1
-    assert_same(pallets.told(), before)
+    assert_same(pallets.results(), before)
     for row, pallet in enumerate(which):
         placed = pallets.place(**{name: [values[row]] for name, values in candidates.items()})
         assert_same(placed, tried[row])
         pallets.take_back(pallet)
-        assert_same(pallets.told(), before)
+        assert_same(pallets.results(), before)
     np.testing.assert_allclose(tried.top_force_n[0, 0], 9.81, rtol=0.01)
 
 
 def test_boxes_are_taken_back_pallets_forked_and_reset(pallets: Pallets) -> None:
     pallets.place(**carton((0, 0, 0)), pallet=1)
-    one = pallets.told(1)
+    one = pallets.results(1)
     pallets.place(**carton((10, 0, 200)), pallet=1)
-    two = pallets.told(1)
+    two = pallets.results(1)
     pallets.fork([1, 1], [0, 2])
-    assert_same(pallets.told(2), two, "pallet")
+    assert_same(pallets.results(2), two, "pallet")
     pallets.place(**carton((300, 0, 400)), pallet=2)  # falls
-    assert not pallets.told(2).stable[0]
+    assert not pallets.results(2).stable[0]
     assert pallets.n_boxes.tolist() == [2, 2, 3]
     pallets.take_back(2)
-    assert_same(pallets.told(2), two, "pallet")
+    assert_same(pallets.results(2), two, "pallet")
     pallets.take_back(2)  # built anew
-    assert_same(pallets.told(2), one, "pallet")
-    assert_same(pallets.told(1), two)
+    assert_same(pallets.results(2), one, "pallet")
+    assert_same(pallets.results(1), two)
     pallets.reset([0, 1])
     assert pallets.n_boxes.tolist() == [0, 0, 1]
     pallets.place(**carton((0, 0, 0)), pallet=1)
-    assert_same(pallets.told(1), one)
-    assert pallets.told(0).n_boxes.tolist() == [0]
+    assert_same(pallets.results(1), one)
+    assert pallets.results(0).n_boxes.tolist() == [0]
 
 
 def test_while_pallets_come_to_rest_others_ask_where_boxes_are_and_of_nothing_else(pallets: Pallets) -> None:
@@ -162,7 +162,12 @@ def test_while_pallets_come_to_rest_others_ask_where_boxes_are_and_of_nothing_el
 
     def meanwhile() -> None:
         answers.append((pallets.boxes()[1], pallets.places(size_mm=(400, 300, 200), pallet=0), pallets.height_map(400)))
-        for ask in (pallets.told, pallets.reset, pallets.close, lambda: pallets.place(**carton((0, 0, 0)), pallet=0)):
+        for ask in (
+            pallets.results,
+            pallets.reset,
+            pallets.close,
+            lambda: pallets.place(**carton((0, 0, 0)), pallet=0),
+        ):
             with pytest.raises(InputError, match="meanwhile: "):
                 ask()
 
@@ -175,7 +180,7 @@ def test_while_pallets_come_to_rest_others_ask_where_boxes_are_and_of_nothing_el
     assert heights[0, 0, 0] == 200
     with pytest.raises(ZeroDivisionError):
         pallets.place(**carton((400, 0, 0)), pallet=0, meanwhile=lambda: 1 / 0)
-    assert pallets.told(0).n_boxes == 2  # the box was placed all the same
+    assert pallets.results(0).n_boxes == 2  # the box was placed all the same
 
 
 def test_errors_and_drives(pallets: Pallets) -> None:

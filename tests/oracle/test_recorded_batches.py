@@ -151,15 +151,15 @@ def test_recorded_worlds_of_warp_are_the_same_to_the_last_bit(
     if room is not None:
         monkeypatch.setattr(frame_buffers, "FRAMES_PER_WORLD", 0)
         monkeypatch.setattr(frame_buffers, "FRAMES_PER_BLOCK", room)
-    marched = run_all(engine, recorded(piles()), SIM)
+    batched = run_all(engine, recorded(piles()), SIM)
     exact = run_all(MujocoEngine(1), recorded(piles()), SIM)
-    for one, plain, twin in zip(marched, plain_piles(), exact, strict=True):
+    for one, plain, twin in zip(batched, plain_piles(), exact, strict=True):
         assert_same(one, plain)
         assert one.flags == plain.flags
         assert_ends(one)
         compare(one, twin)
     (alone,) = run_all(engine, recorded(piles())[1:2], SIM)
-    assert_equal(history_of(alone), history_of(marched[1]))
+    assert_equal(history_of(alone), history_of(batched[1]))
 
 
 def compare(outcome: Outcome, twin: Outcome) -> None:

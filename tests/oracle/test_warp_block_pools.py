@@ -36,31 +36,31 @@ def few_worlds(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Worlds for which blocks for few boxes were asked for; they are on this device."""
     counts: list[int] = []
 
-    def fleet_for_few(pool: Any, worlds: int, lanes: int | None) -> Any:
+    def pool_for_few(pool: Any, worlds: int, lanes: int | None) -> Any:
         counts.append(worlds)
         return replace(pool, least=1)
 
-    monkeypatch.setattr(block_pool, "small_world_pool", fleet_for_few)
+    monkeypatch.setattr(block_pool, "small_world_pool", pool_for_few)
     monkeypatch.setattr(block_pool, "tail_pool", lambda pool, lanes: replace(pool, last=True))
     return counts
 
 
-def kinds(chosen_fleets: Any) -> list[str]:
-    return ["last" if pool.last else "few" if pool.least else str(pool.n_boxes) for pool in chosen_fleets]
+def kinds(pools: Any) -> list[str]:
+    return ["last" if pool.last else "few" if pool.least else str(pool.n_boxes) for pool in pools]
 
 
 def test_the_largest_worlds_come_first_behind_the_extra_ones(few_worlds: list[int]) -> None:
-    chosen_fleets = BlockPools(None, lambda launch: 3).of(group(widths={SMALL: 40, LARGE: 120}))
-    assert kinds(chosen_fleets) == ["last", "few", "120", "40"]
-    assert [pool.n_boxes for pool in chosen_fleets] == [40, 40, 120, 40]
+    pools = BlockPools(None, lambda launch: 3).of(group(widths={SMALL: 40, LARGE: 120}))
+    assert kinds(pools) == ["last", "few", "120", "40"]
+    assert [pool.n_boxes for pool in pools] == [40, 40, 120, 40]
     assert few_worlds == [2]
-    assert {pool.blocks for pool in chosen_fleets} == {3}
+    assert {pool.blocks for pool in pools} == {3}
 
 
 def test_stiff_contacts_have_no_blocks_for_few_boxes(few_worlds: list[int]) -> None:
-    chosen_fleets = BlockPools(None, lambda launch: 3).of(group(STIFF, {SMALL: 40, LARGE: 120}))
-    assert kinds(chosen_fleets) == ["last", "120", "40"]
-    assert chosen_fleets[0].n_boxes == 40
+    pools = BlockPools(None, lambda launch: 3).of(group(STIFF, {SMALL: 40, LARGE: 120}))
+    assert kinds(pools) == ["last", "120", "40"]
+    assert pools[0].n_boxes == 40
     assert few_worlds == []
 
 

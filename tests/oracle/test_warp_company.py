@@ -149,7 +149,7 @@ def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
         return rows
 
     monkeypatch.setattr(GroupHandover, "put_into", watched)
-    monkeypatch.setattr(RowPrefetcher, "made", True)  # what is not is waited for
+    monkeypatch.setattr(RowPrefetcher, "ready", True)  # what is not is waited for
     monkeypatch.setattr(GroupHandover, "leave", leaves)
     monkeypatch.setattr(RowPrefetcher, "take", taken)
     scenes = tiny_scenes(TINY[:3])
@@ -182,7 +182,7 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
         return next_table
 
     monkeypatch.setattr(GroupHandover, "put_into", watched)
-    monkeypatch.setattr(RowPrefetcher, "made", True)  # what is not is waited for
+    monkeypatch.setattr(RowPrefetcher, "ready", True)  # what is not is waited for
     monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)  # all may be left, as soon as there are tables for them
     monkeypatch.setattr(mjx_warp, "LOADING_NS", 0)
     some = engine(group_size=32, slice_ns=SOME_NS if polls == 10_000 else STEP_NS)

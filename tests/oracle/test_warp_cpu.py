@@ -160,7 +160,7 @@ def test_pallets_compile_nothing_after_the_first_placements() -> None:
         for rows in ([3], [0, 1, 2, 8], [5, 7], range(8)):
             pallets.reset(list(rows))
             pallets.place(**box, corner_mm=[(400, 300, 0)] * len(rows), pallet=list(rows))
-            pallets.told(list(rows))
+            pallets.results(list(rows))
         assert compiled == []
         jax.jit(lambda x: x + 1)(np.arange(7))
     assert compiled, "the listener hears of programs"

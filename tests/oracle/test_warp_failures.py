@@ -86,7 +86,7 @@ def test_what_overflows_for_ever_is_invalid(monkeypatch: pytest.MonkeyPatch) -> 
     small = engine()
     outcome = simulate(small, tiny_scenes(("hand-one-box",)), SHORT)["hand-one-box"]
     assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OVERFLOW)
-    (growth,) = small._fleets._growth.values()
+    (growth,) = small._pools._growth.values()
     room, most = GRANULE + MORE_BOXES, most_room(SIZES[0].most_boxes)
     assert growth // 2 * room < most <= growth * room
 

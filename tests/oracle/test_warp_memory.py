@@ -32,7 +32,7 @@ from support.tiny_worlds import (
     assert_equal_worlds,
     engine,
     out_of_memory,
-    room_for_one_fleet,
+    room_for_one_pool,
     sizes_apart,
     tiny,
     tiny_scenes,
@@ -55,7 +55,7 @@ pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 @pytest.mark.slow
 def test_each_size_alone_may_have_room(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
     sizes_apart(monkeypatch, 4)
-    tried = room_for_one_fleet(monkeypatch)
+    tried = room_for_one_pool(monkeypatch)
     scenes = {**tiny_scenes(("hand-one-box", "hand-bridge")), "five": make_scene(5)}
     outcomes = simulate(engine(), scenes, SHORT)
     assert outcomes.pop("five").reason is not Reason.OUT_OF_MEMORY

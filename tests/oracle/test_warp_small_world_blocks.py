@@ -19,7 +19,7 @@ from support.tiny_worlds import (
     TINY,
     assert_equal_worlds,
     engine,
-    room_for_one_fleet,
+    room_for_one_pool,
     tiny_scenes,
     watched_queues,
 )
@@ -42,7 +42,7 @@ ONE = BlockPool(Launch(4, SIZES[0].threads, 2, 0, 37, hands=False), 4, 40, 1, 42
 
 @pytest.fixture
 def taken(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
-    """Worlds that each fleet has taken, slice after slice; without blocks for last worlds."""
+    """Worlds that each pool has taken, slice after slice; without blocks for last worlds."""
     monkeypatch.setattr(block_pool, "tail_pool", lambda *_: None)
     return watched_queues(monkeypatch)
 
@@ -110,7 +110,7 @@ def test_on_a_cpu_there_are_none() -> None:
 def test_memory_without_room_for_them_has_room_for_others(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    tried = room_for_one_fleet(monkeypatch)
+    tried = room_for_one_pool(monkeypatch)
     monkeypatch.setattr(block_pool, "small_world_pool", lambda pool, *_: replace(pool, n_boxes=1, least=1))
     assert_equal_worlds(simulate(engine(), tiny_scenes(TINY[:1]), SHORT), crowd)
     assert tried == [2, 1]

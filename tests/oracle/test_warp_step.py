@@ -19,7 +19,7 @@ from petmjx.world.scene import Scene, build_scene
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
-from support.marching import OneStep
+from support.one_step import OneStep
 from support.plans import Box, heap, on_boards
 from support.worlds import make_plan
 

@@ -89,9 +89,9 @@ def test_a_hand_that_meets_a_wall_stops_at_its_force(force_n: float) -> None:
     boxes = [wall, ((300.0, 300.0, 300.0), (340.0, 0.0, 0.0), 6.0)]
     scene = from_the_side(boxes, sim, (-1.0, 0.0))
     outcome, history = watched(scene, sim)
-    course = approach_path_of(scene, sim)
-    assert course is not None
-    arrives = begins(history, 1) + int(course.steps[1]) - 1
+    path = approach_path_of(scene, sim)
+    assert path is not None
+    arrives = begins(history, 1) + int(path.steps[1]) - 1
     assert abs(pressed_n(history, arrives, 0, 1)[0]) == pytest.approx(force_n, rel=0.05)
     assert history.pos[-1, 1, 0] == pytest.approx(0.4 + 0.15, abs=0.001)
     assert outcome.culprit == 1  # 60 mm short of its place
@@ -120,10 +120,10 @@ def test_a_box_comes_from_where_nothing_stands() -> None:
     """The second box comes from +x, the third, in a corner, from −x and +y; the last one goes between two."""
     places = [(300.0, 0.0, 0.0), (600.0, 0.0, 0.0), (300.0, 300.0, 0.0), (0.0, 300.0, 0.0), (0.0, 0.0, 0.0)]
     sim = simulation(name="hand", side_mm=20.0, height_mm=5.0)
-    course = approach_path_of(make_scene([(CUBE[0], place, 6.0) for place in places], sim), sim)
-    assert course is not None
+    path = approach_path_of(make_scene([(CUBE[0], place, 6.0) for place in places], sim), sim)
+    assert path is not None
     np.testing.assert_allclose(
-        course.offset * 1000, [(0, 0, 5), (20, 0, 5), (0, 20, 5), (-20, 0, 5), (-20, -20, 5)], atol=1e-9
+        path.offset * 1000, [(0, 0, 5), (20, 0, 5), (0, 20, 5), (-20, 0, 5), (-20, -20, 5)], atol=1e-9
     )
 
 

@@ -67,7 +67,7 @@ def assert_equal_worlds(outcomes: dict[str, Outcome], expected: dict[str, Outcom
 
 
 def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, int], None]) -> list[Rollout]:
-    """Before programs and buffers are made ``look`` sees each fleet: most boxes, most contacts, blocks. It may raise.
+    """Before programs and buffers are made ``look`` sees each pool: most boxes, most contacts, blocks. It may raise.
     Returns a list of what is made."""
     made: list[Rollout] = []
 
@@ -81,7 +81,7 @@ def watched_rollouts(monkeypatch: pytest.MonkeyPatch, look: Callable[[int, int, 
     return made
 
 
-def room_for_one_fleet(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+def room_for_one_pool(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """A device that holds blocks of one size, however few of them, but not of two. Returns a list of how many sizes
     were tried."""
     tried: list[int] = []
@@ -110,7 +110,7 @@ def sizes_apart(monkeypatch: pytest.MonkeyPatch, most_boxes: int) -> None:
 
 
 def watched_queues(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
-    """Worlds that each fleet has taken, slice after slice, with those that have ended."""
+    """Worlds that each pool has taken, slice after slice, with those that have ended."""
     queue_counts: list[list[int]] = []
     wait = Rollout.wait
 

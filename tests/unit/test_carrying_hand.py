@@ -70,10 +70,10 @@ def pair() -> Pair:
 
 
 def test_boxes_begin_at_the_same_place(pair: Pair) -> None:
-    course = approach_path_of(pair.live.scene, SIM)
-    assert course is not None
+    path = approach_path_of(pair.live.scene, SIM)
+    assert path is not None
     place = pair.live.pose[2, :3]
-    planned = pair.live.release.pos[2] + course.offset[2]
+    planned = pair.live.release.pos[2] + path.offset[2]
     assert np.abs(place - planned).max() > 0.002  # it went aside
     np.testing.assert_allclose(pair.state.qpos[0, 2, :3], place, atol=1e-6)
     assert int(pair.state.carried_steps[0]) == pair.of_c.steps

@@ -17,7 +17,7 @@ from test_fallback import Scripted, never, scored
 import petmjx
 from petmjx.analysis.story import headline, notes_in_words
 from petmjx.engines.attempts import ATTEMPTS
-from petmjx.engines.knife_edges import WHILE_BUILT, nearest_edge
+from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, nearest_edge, sets_flag
 from petmjx.engines.outcome_checks import edges_again, note_edges, outcome_checks
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
@@ -290,3 +290,24 @@ def test_the_nearest_load_while_a_plan_is_built_is_named() -> None:
     assert nearest is not None
     assert (nearest.box, nearest.step) == (1, 1)
     assert nearest.edge_m == pytest.approx(0.25e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "expected"),
+    [
+        (None, [True, True, False, False, False, False, False]),
+        (Verdict.STABLE, [True, True, False, True, False, False, False]),
+        (Verdict.UNSTABLE, [True, True, True, False, False, False, False]),
+    ],
+)
+def test_a_load_sets_the_flag_near_an_edge_and_less_near_on_the_wrong_side(
+    verdict: Verdict | None, expected: list[bool]
+) -> None:
+    edge_m = np.array([0.0005, -0.0005, 0.0008, -0.0008, 0.0012, -0.0012, np.nan])
+    assert sets_flag(edge_m, verdict).tolist() == expected
+    if verdict is not None:  # tables have rounded the distances
+        for k in range(2):
+            rounded = KnifeEdge(float(edge_m[k]) * (1 + 1e-7), 3, BY_PLAN)
+            assert nearest_edge([rounded], verdict) is rounded
+        sides = [KnifeEdge(float(value), 3, AT_REST) for value in edge_m[2:]]
+        assert nearest_edge(sides, verdict) is None, "at rest the side does not count"

@@ -66,11 +66,11 @@ def test_tables_are_made_once_their_rows_are_there_or_the_device_is_nearly_idle(
     monkeypatch.setattr(RowPrefetcher, "prepare", lambda *_: None)
     groups = groups_of([SMALL] * 13)
     groups.take()
-    course = GroupSequence(groups, Simulation(), Progress(), most_left=4, alone=False)
+    sequence = GroupSequence(groups, Simulation(), Progress(), most_left=4, alone=False)
     for made, due in ((False, [False, False, False, True, False]), (True, [False, True, True, True, False])):
-        monkeypatch.setattr(RowPrefetcher, "made", made)
-        assert [course.next_is_due(rest, 6, 2) for rest in (7, 6, 3, 2, 0)] == due
-    course.close()
+        monkeypatch.setattr(RowPrefetcher, "ready", made)
+        assert [sequence.next_is_due(rest, 6, 2) for rest in (7, 6, 3, 2, 0)] == due
+    sequence.close()
 
 
 def test_a_part_that_is_refused_is_so_once_the_group_before_has_ended() -> None:

@@ -177,3 +177,21 @@ def test_old_names_warn() -> None:
 
     with pytest.warns(FutureWarning, match=r"petmjx\.Told is now petmjx\.PlacementResults"):
         assert petmjx.Told is petmjx.PlacementResults
+
+
+def test_old_attributes_warn() -> None:
+    import pandas as pd
+
+    import petmjx
+    from petmjx.analysis.kpis import Kpis
+
+    plans: dict[str, petmjx.Plan] = {}
+    rating = Kpis(pd.DataFrame(), {}, (), (), plans, {})
+    with pytest.warns(DeprecationWarning, match=r"Kpis\.found is now Kpis\.plans_by_id"):
+        assert rating.found is plans
+    pallets = petmjx.Pallets(2, engine="mujoco")
+    with pytest.warns(DeprecationWarning, match=r"Pallets\.told is now Pallets\.results"):
+        answer = pallets.told(1)
+    assert answer.pallet.tolist() == [1]
+    assert answer.verdict.tolist() == pallets.results(1).verdict.tolist()
+    pallets.close()

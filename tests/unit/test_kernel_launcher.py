@@ -38,12 +38,12 @@ def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkey
         loaded.append(module)
         return load(module, *args, **options)
 
-    marching = KernelLauncher.__new__(KernelLauncher)
-    marching.pools = tuple(BlockPool(launch, 1, 8, 1, 80, 64) for launch in launches)
+    launcher = KernelLauncher.__new__(KernelLauncher)
+    launcher.pools = tuple(BlockPool(launch, 1, 8, 1, 80, 64) for launch in launches)
     with monkeypatch.context() as patched:
         patched.setattr(wp.Module, "load", watched)
         patched.setattr(kernel_launcher, "kernel", lambda launch: kernels[launch.threads])
-        marching.load()
+        launcher.load()
     assert len(loaded) == 2 + len(modules)
     assert set(loaded) == {kernels[128].module, kernels[256].module} | modules
     for number, kernel in kernels.items():

@@ -57,7 +57,7 @@ def test_what_is_lent_is_bounded() -> None:
     models = [templates.filled(scene, np.arange(1)) for _ in range(MOST_SPARE + 3)]
     for model in models:
         templates.give_back(model, scene, 1)
-    (template,) = templates._made.values()
+    (template,) = templates._by_key.values()
     assert len(template._spare) == MOST_SPARE
     assert isinstance(models[0].data, mujoco.MjData)
 

@@ -351,10 +351,12 @@ def test_plans_depend_on_the_order_alone(packed: petmjx.Packed, small_orders: Pa
 def test_without_worlds_only_exact_placement_counts() -> None:
     packed_orders = petmjx.pack(n=1, seed=4, width=1, branch=1, worlds=0, clearances_mm=[0], **FAST)
     assert "errors" not in repr(packed_orders)
-    row, packing = packed_orders.orders.iloc[0], packed_orders.each[0].taken
+    row, packing = packed_orders.orders.iloc[0], packed_orders.packed_orders[0].taken
     assert packing is not None
     assert (row["verdict"], row["n_worlds"], row["tried"], row["good"]) == ("stable", 0, 1, True)
     assert row["utilisation"] == pytest.approx(packing.finalist.utilisation)
+    with pytest.warns(DeprecationWarning, match="Packed.each is now Packed.packed_orders"):
+        assert packed_orders.each is packed_orders.packed_orders
 
 
 @pytest.mark.parametrize(

@@ -88,9 +88,9 @@ def test_a_plan_says_from_where_its_boxes_come(tmp_path: Path) -> None:
         save_plans(plan, tmp_path / name)
         (read,) = petmjx.load_plans(tmp_path / name).plans
         np.testing.assert_array_equal(read.approach_deg, [np.nan, 90.0])
-        course = approach_path_of(build_scene(read, sim), sim)
-        assert course is not None
-        np.testing.assert_allclose(course.offset * 1000, [[0, 0, 5], [0, -5, 5]], atol=1e-9)
+        path = approach_path_of(build_scene(read, sim), sim)
+        assert path is not None
+        np.testing.assert_allclose(path.offset * 1000, [[0, 0, 5], [0, -5, 5]], atol=1e-9)
     plain = petmjx.Plan.from_boxes("p", size_mm=size, corner_mm=corner, mass_kg=[6, 6])
     assert plain.approach_deg is None
 
@@ -129,9 +129,9 @@ def test_a_run_goes_on_only_with_the_same_approaches(tmp_path: Path) -> None:
 def test_tines_tilt_a_box_by_half_of_the_threshold_at_most() -> None:
     """How a box was let go must not be taken for a sign: 28 mm wide it would lie at 21°."""
     sim = Simulation(placing="tines")
-    course = approach_path_of(make_scene([((28.0, 300.0, 20.0), (0.0, 0.0, 0.0), 0.5)], sim), sim)
-    assert course is not None
-    tilt_deg = 2 * np.degrees(np.arccos(abs(course.quat[0, 0])))
+    path = approach_path_of(make_scene([((28.0, 300.0, 20.0), (0.0, 0.0, 0.0), 0.5)], sim), sim)
+    assert path is not None
+    tilt_deg = 2 * np.degrees(np.arccos(abs(path.quat[0, 0])))
     assert tilt_deg == pytest.approx(sim.thresholds.tilt_deg / 2)
 
 

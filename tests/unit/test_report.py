@@ -118,7 +118,7 @@ def test_nothing_of_a_plan_becomes_markup(tmp_path: Path) -> None:
 def test_plans_are_found_again_only_if_they_are_what_was_simulated(tmp_path: Path) -> None:
     run = scored(tmp_path, 4)
     (opened,) = open_runs([run])
-    assert (len(opened.found.plans), opened.found.note) == (4, "")
+    assert (len(opened.plan_files.plans), opened.plan_files.note) == (4, "")
     assert opened.worlds["height_m"].tolist() == [0.4] * 4
     assert opened.worlds["mass_kg"][0] == sum(2.0 + box % 7 for box in range(12))
     entries = json.loads((tmp_path / "plans.json").read_text())
@@ -127,11 +127,11 @@ def test_plans_are_found_again_only_if_they_are_what_was_simulated(tmp_path: Pat
     moved.write_text(json.dumps(entries))
     (tmp_path / "plans.json").unlink()
     (opened,) = open_runs([run])
-    assert opened.found.note.startswith("4 plans of 4 not found again (gone: ")
+    assert opened.plan_files.note.startswith("4 plans of 4 not found again (gone: ")
     checked(page_of(run))
     (opened,) = open_runs([run], [moved])
-    assert sorted(opened.found.plans) == ["plan-0", "plan-2", "plan-3"]
-    assert opened.found.note == "1 plan of 4 not found again (1 plan changed since)"
+    assert sorted(opened.plan_files.plans) == ["plan-0", "plan-2", "plan-3"]
+    assert opened.plan_files.note == "1 plan of 4 not found again (1 plan changed since)"
     with pytest.raises(InputError, match="no such file"):
         open_runs([run], [tmp_path / "nowhere.json"])
 

@@ -179,7 +179,7 @@ def test_markup_is_text(open_page: OpenPage, tmp_path: Path) -> None:
 
 
 def test_two_runs_stand_side_by_side(open_page: OpenPage, run: Path, tmp_path: Path) -> None:
-    plans = list(open_runs([run])[0].found.plans.values())
+    plans = list(open_runs([run])[0].plan_files.plans.values())
     other = write_run(tmp_path / "other", plans, [standing(plan) for plan in plans])
     opened = opened_report(open_page, report_page(open_runs([run, other])))
     opened.page.get_by_role("link", name="plan-3", exact=True).click()

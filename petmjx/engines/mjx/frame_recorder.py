@@ -60,21 +60,21 @@ class Recorder:
         intervals = [None if job.record is None else job.record.interval_s for job in jobs]
         steps = [0 if interval is None else max(seconds_to_steps(interval, timestep_s), 1) for interval in intervals]
         self.every = np.array(steps, np.int32)
-        self._found: dict[int, list[Frames]] = {row: [] for row in np.flatnonzero(self.every).tolist()}
+        self._recorded: dict[int, list[Frames]] = {row: [] for row in np.flatnonzero(self.every).tolist()}
 
     @property
     def idle(self) -> bool:
         """Whether no world is recorded."""
-        return not self._found
+        return not self._recorded
 
     def add(self, row: int, frames: Frames) -> None:
         """Append frames of a world. They are later than its earlier frames, and may have columns for more boxes."""
         n = self._jobs[row].scene.n_boxes
-        self._found[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
+        self._recorded[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
 
     def add_trail(self, trail: Trail) -> None:
         """Append the frames that are due in the steps of a chunk."""
-        rows = list(self._found)
+        rows = list(self._recorded)
         columns: list[Any] = [np.asarray(values)[:, rows] for values in trail]
         some = Trail(*columns)
         regular = (some.number >= 0) & (some.number % self.every[rows] == 0) & (some.placed > 0)
@@ -100,7 +100,7 @@ class Recorder:
             world: the world's last state: one row, on the host.
             time_s: gives the time after a step.
         """
-        frames = self._found.pop(row, None)
+        frames = self._recorded.pop(row, None)
         if frames is None:
             return None
         job = self._jobs[row]

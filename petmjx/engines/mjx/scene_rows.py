@@ -70,8 +70,8 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
         numbers, plain = group
         some = [scenes[number] for number in numbers]
         if plain:
-            release, course = releases_of(some, sim), approach_paths_of(some, sim)
-            _put_plain(rows, np.array(numbers), some, release, course)
+            release, path = releases_of(some, sim), approach_paths_of(some, sim)
+            _put_plain(rows, np.array(numbers), some, release, path)
         else:
             _put(rows, numbers[0], some[0], sim)
 
@@ -134,17 +134,17 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
 
 
 def _put_plain(
-    rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, course: ApproachPath | None
+    rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, path: ApproachPath | None
 ) -> None:
     """Fill in plain scenes that are stackable."""
     k, s = scenes[0].n_boxes, len(scenes[0].carrier.half_size)
     half = stacked_values(scenes, "half_size")
     quat, place = stacked_values(scenes, "start_quat"), release.pos
     rows["half"][at, :k], rows["target"][at, :k] = half, stacked_values(scenes, "target")
-    if course is not None:
-        place, quat, rows["appears"][at] = place + course.lift, course.quat, False
-        rows["way_offset"][at, :k], rows["way_steps"][at, :k] = course.offset, course.steps
-        rows["falls"][at, :k] = course.falls
+    if path is not None:
+        place, quat, rows["appears"][at] = place + path.lift, path.quat, False
+        rows["way_offset"][at, :k], rows["way_steps"][at, :k] = path.offset, path.steps
+        rows["falls"][at, :k] = path.falls
     rows["start"][at, :k, :3], rows["start"][at, :k, 3:] = place, quat
     if scenes[0].wrap.holds:
         for row, scene in zip(at.tolist(), scenes, strict=True):
@@ -170,11 +170,11 @@ def _put(rows: Rows, row: int, scene: Scene, sim: Simulation) -> None:
     k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
     rows["half"][row, :k], rows["middle"][row, :k] = scene.half_size, scene.middle
     rows["target"][row, :k] = scene.target
-    place, quat, course = release.pos, scene.start_quat, approach_path_of(scene, sim)
-    if course is not None:
-        place, quat, rows["appears"][row] = place + course.lift, course.quat, False
-        rows["way_offset"][row, :k], rows["way_steps"][row, :k] = course.offset, course.steps
-        rows["falls"][row, :k] = course.falls
+    place, quat, path = release.pos, scene.start_quat, approach_path_of(scene, sim)
+    if path is not None:
+        place, quat, rows["appears"][row] = place + path.lift, path.quat, False
+        rows["way_offset"][row, :k], rows["way_steps"][row, :k] = path.offset, path.steps
+        rows["falls"][row, :k] = path.falls
     rows["start"][row, :k, :3], rows["start"][row, :k, 3:] = scene.frames(place, quat), quat
     if scene.wrap.holds:
         rows["wrap_press"][row, :k], rows["wrap_hold"][row, :k] = film_of(scene)

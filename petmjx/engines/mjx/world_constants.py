@@ -37,7 +37,7 @@ class Worlds(NamedTuple):
     ``profile_steps`` counts the drive's samples; ``drive_steps`` counts the steps to the world's end, unless it rests
     earlier. ``allowed_sway``, m, is that of the drive.
 
-    Course: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
+    Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
     ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest, the world waits for more
     (petmjx/engines/open_worlds.py).
 
@@ -131,8 +131,8 @@ def upload_worlds(
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare, ready)
     of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
     of_jobs = {name: joined_rows([values], spare) for name, values in of_jobs.items()}
-    made = of_scenes | of_jobs | {"pauses": np.zeros(rows, np.bool_)}
-    return Worlds(**dict(zip(made, device_arrays(made.values()), strict=True)))
+    columns = of_scenes | of_jobs | {"pauses": np.zeros(rows, np.bool_)}
+    return Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
 
 
 _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0, rest_s=0.0)

@@ -120,9 +120,9 @@ class LiveWorld:
         set_options(model, self._sim)
         self._take(ModelInstance(model, mujoco.MjData(model)))
 
-    def _take(self, made: ModelInstance) -> None:
+    def _take(self, instance: ModelInstance) -> None:
         """Use this model and data, whose bodies are in ``order``."""
-        self.model, self.data = made
+        self.model, self.data = instance
         self.capacity = len(self.order)
         self._row = np.argsort(self.order)
         self.geom_bodies = geom_bodies(self.model, self.order)
@@ -147,7 +147,7 @@ class LiveWorld:
         return release_of(self.scene, self._sim)
 
     @cached_property
-    def course(self) -> ApproachPath | None:
+    def approach_path(self) -> ApproachPath | None:
         """The approach paths of the boxes; None: they appear at their places."""
         return approach_path_of(self.scene, self._sim)
 
@@ -199,7 +199,7 @@ class LiveWorld:
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
-        for name in ("release", "course"):  # are computed again
+        for name in ("release", "approach_path"):  # are computed again
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
@@ -241,8 +241,8 @@ class LiveWorld:
         row = self._row[box]
         place = self.release.place_of(box, self.scene, self.pose[:, 2], self.carrier_pose[2])
         quat = self.scene.start_quat[box]
-        if self.course is not None:
-            place, quat = self._take_up(self.course, box, place)
+        if self.approach_path is not None:
+            place, quat = self._take_up(self.approach_path, box, place)
         self._poses[row, :3] = self.scene.frame(box, place, quat)
         self._poses[row, 3:] = quat
         self._velocities[row] = 0.0
@@ -254,25 +254,25 @@ class LiveWorld:
             waiting_kg = float(self.scene.mass[self.n_placed :].sum())
             press_waiting(self.model, self.data, waiting_kg, self._sim.physics.gravity_m_s2)
 
-    def _take_up(self, course: ApproachPath, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _take_up(self, path: ApproachPath, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(3,) the place at which a box begins, m, and (4,) its orientation. A carried box then has a hand.
 
         Args:
             rest: (3,) the place at which it would rest, m.
         """
         scene, physics = self.scene, self._sim.physics
-        end, quat = rest + course.lift[box], course.quat[box]
-        planned, pose = end + course.offset[box], self.pose[:box]
+        end, quat = rest + path.lift[box], path.quat[box]
+        planned, pose = end + path.offset[box], self.pose[:box]
         box_reach = reach(quat[None], scene.half_size[box, None])[0]
         reaches = reach(pose[:, 3:], scene.half_size[:box])
         begin = free_begin(planned, box_reach, pose[:, :3], reaches, most_aside_m(scene.placing))
-        steps = int(course.steps[box])
+        steps = int(path.steps[box])
         if steps and (begin != planned).any():
             length = float(np.linalg.norm(begin - end))
             steps = int(way_steps(length, scene.mass[box], scene.placing, physics.timestep_s))
         if steps:
             ends = scene.frame(box, begin, quat), scene.frame(box, end, quat)
-            falls = bool(course.falls[box])
+            falls = bool(path.falls[box])
             self.hand = Hand(scene, box, *ends, quat, steps, falls, physics.gravity_m_s2, physics.timestep_s)
         return begin, quat
 

@@ -60,7 +60,7 @@ class Templates:
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
         self._lock = threading.Lock()
-        self._made: OrderedDict[tuple[object, ...], _Template] = OrderedDict()
+        self._by_key: OrderedDict[tuple[object, ...], _Template] = OrderedDict()
 
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
@@ -81,21 +81,21 @@ class Templates:
         """
         key = _key(scene, len(order))
         with self._lock:
-            template = self._made.get(key)
+            template = self._by_key.get(key)
             if template is not None:
-                self._made.move_to_end(key)
+                self._by_key.move_to_end(key)
         if template is None:
             template = _Template(scene, self._sim, len(order))
             with self._lock:
-                self._made[key] = template
-                if len(self._made) > MOST_KEPT:
-                    self._made.popitem(last=False)
+                self._by_key[key] = template
+                if len(self._by_key) > MOST_KEPT:
+                    self._by_key.popitem(last=False)
         return template.filled(scene, order)
 
     def give_back(self, filled: ModelInstance, scene: Scene, count: int) -> None:
         """Take back model and data that no world uses any more, for the next world."""
         with self._lock:
-            template = self._made.get(_key(scene, count))
+            template = self._by_key.get(_key(scene, count))
         if template is not None:
             template.give_back(filled)
 

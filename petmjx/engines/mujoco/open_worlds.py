@@ -135,8 +135,8 @@ class OpenWorld(WorldRun):
         )
 
 
-Given = TypeVar("Given")
-Made = TypeVar("Made")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class MujocoWorlds(OpenWorlds):
@@ -151,14 +151,14 @@ class MujocoWorlds(OpenWorlds):
         super().__init__(scenes, sim)
         self._sim, self._threads = sim, threads
         self._stop, self._templates = threading.Event(), Templates.of(sim)
-        self._worlds = self._each(self._begin, scenes)
+        self._worlds = self._map(self._begin, scenes)
 
     def go_on(self) -> None:
         """As for all engines."""
-        self._each(OpenWorld.go_on, [world for world in self._worlds if not (world.paused or world.ended)])
+        self._map(OpenWorld.go_on, [world for world in self._worlds if not (world.paused or world.ended)])
 
     def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        for world, begun in zip(worlds, self._each(self._begin, scenes), strict=True):
+        for world, begun in zip(worlds, self._map(self._begin, scenes), strict=True):
             self._worlds[world] = begun
 
     def _ended(self, worlds: Sequence[int]) -> list[bool]:
@@ -181,7 +181,7 @@ class MujocoWorlds(OpenWorlds):
             scene = self._blank.with_box(self._scenes[world], boxes, row)
             return self._worlds[world].tried(scene), scene
 
-        trials = self._each(lambda pair: tried(*pair), enumerate(worlds))
+        trials = self._map(lambda pair: tried(*pair), enumerate(worlds))
         return Readings.of([reading for reading, _ in trials], [scene for _, scene in trials])
 
     def _try_scenes(
@@ -193,19 +193,19 @@ class MujocoWorlds(OpenWorlds):
             return twin.finish(number, drive)
 
         numbered = zip(range(len(worlds)), worlds, scenes, drives, strict=True)
-        return self._each(lambda pair: end(*pair), numbered)
+        return self._map(lambda pair: end(*pair), numbered)
 
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         def end(number: int, world: int, drive: Drive | None) -> Outcome:
             return self._worlds[world].fork().finish(number, drive)
 
         numbered = zip(range(len(worlds)), worlds, drives, strict=True)
-        return self._each(lambda pair: end(*pair), numbered)
+        return self._map(lambda pair: end(*pair), numbered)
 
     def _begin(self, scene: Scene) -> OpenWorld:
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
 
-    def _each(self, work: Callable[[Given], Made], of: Iterable[Given]) -> list[Made]:
+    def _map(self, work: Callable[[Item], Result], of: Iterable[Item]) -> list[Result]:
         """The results of ``work`` for each item, on threads. An interruption stops worlds within a few dozen steps;
         they can go on later."""
         try:

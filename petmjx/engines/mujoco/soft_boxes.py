@@ -51,8 +51,8 @@ class SoftWorld(LiveWorld):
         set_options(model, self._sim)
         self._take(ModelInstance(model, mujoco.MjData(model)))
 
-    def _take(self, made: ModelInstance) -> None:
-        self.model, self.data = made
+    def _take(self, instance: ModelInstance) -> None:
+        self.model, self.data = instance
         self.capacity = count = len(self.order)
         self._has_waiting = False
         self._warnings = self.data.warning.number

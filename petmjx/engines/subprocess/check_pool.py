@@ -65,7 +65,7 @@ class CheckPool(Generic[Key]):
 
     def __init__(self, processes: int) -> None:
         self._check_pool = [_CheckProcess[Key]() for _ in range(processes)]
-        self._found: list[tuple[Key, Outcome]] = []
+        self._finished: list[tuple[Key, Outcome]] = []
         self._until_s: float | None = None
 
     @classmethod
@@ -104,7 +104,7 @@ class CheckPool(Generic[Key]):
             self._take(looker, wait=False)
         while wait and not until() and (busy := [looker for looker in self._check_pool if looker.unanswered]):
             self._take(busy[0], wait=True, until=until)
-        finished, self._found = self._found, []
+        finished, self._finished = self._finished, []
         return finished
 
     def _begin(self, keys: list[Key], look: Look) -> None:
@@ -128,7 +128,7 @@ class CheckPool(Generic[Key]):
 
     def _look(self, keys: list[Key], look: Look) -> None:
         """Check outcomes in this process."""
-        self._found += zip(keys, outcome_checks(*look), strict=True)
+        self._finished += zip(keys, outcome_checks(*look), strict=True)
 
     def _take(self, looker: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
         """Take the answers of a process. With ``wait``, wait for at least one, unless other work is due (``until``). A
@@ -158,7 +158,7 @@ class CheckPool(Generic[Key]):
             outcomes, edges = answer
             for outcome, sent, (plan_edge_m, rest_edge_m) in zip(outcomes, look[0], edges, strict=True):
                 outcome.boxes = replace(sent.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
-            self._found += zip(keys, outcomes, strict=True)
+            self._finished += zip(keys, outcomes, strict=True)
 
     def close(self) -> None:
         """End the processes. Unanswered checks are dropped."""

@@ -114,7 +114,7 @@ class MjxWarpEngine(Engine):
         self._running = RunLock(self.name)
         self._kept: dict[tuple[Launch, ...], tuple[object, Rollout]] = {}
         """The last rollout for each set of launches, with its key."""
-        self._fleets = BlockPools(lanes, self._blocks)
+        self._pools = BlockPools(lanes, self._blocks)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> WarpWorlds:
         """See ``Engine.open``."""
@@ -145,23 +145,23 @@ class MjxWarpEngine(Engine):
         if stream.ended:
             return
         with self._running:
-            yield from self._outcomes(self._course(stream, sim, progress or Progress()))
+            yield from self._outcomes(self._sequence(stream, sim, progress or Progress()))
 
-    def _course(self, jobs: JobStream[Any], sim: Simulation, progress: Progress) -> GroupSequence:
+    def _sequence(self, jobs: JobStream[Any], sim: Simulation, progress: Progress) -> GroupSequence:
         most_left = 0 if jobs.feedback else self.group_size // LEFT_SHARE
         alone = jobs.closed and jobs.ready == 1 and not jobs.feedback
         groups = Groups.of(jobs, self.group_size, READY_SHARE * most_left, self.granule)
         return GroupSequence(groups, sim, progress, most_left, alone)
 
-    def _outcomes(self, course: GroupSequence) -> Iterator[Outcome]:
+    def _outcomes(self, sequence: GroupSequence) -> Iterator[Outcome]:
         """Outcomes of all jobs of a ``GroupSequence``."""
-        with closing(course):
-            while course.groups:
-                waits = course.waits_for_host
+        with closing(sequence):
+            while sequence.groups:
+                waits = sequence.waits_for_host
                 try:
-                    for outcome in outcomes_of(self._rounds(course), course.sim, course.progress, waits=waits):
+                    for outcome in outcomes_of(self._slices(sequence), sequence.sim, sequence.progress, waits=waits):
                         if outcome is not None:  # None: a pause
-                            del course.asked[outcome.job]
+                            del sequence.in_flight[outcome.job]
                         yield outcome
                 except Exception as error:
                     if not is_out_of_memory(error):
@@ -169,15 +169,16 @@ class MjxWarpEngine(Engine):
                 else:
                     continue
                 self._drop()
-                yield from self._again(course)  # after the ``except`` block: the error's traceback holds the tables
+                yield from self._again(sequence)  # after the ``except`` block: the error's traceback holds the tables
 
-    def _again(self, course: GroupSequence) -> Iterator[Outcome]:
+    def _again(self, sequence: GroupSequence) -> Iterator[Outcome]:
         """After memory ran out, and with it the states of all worlds were lost: simulate the jobs without an outcome
         again, one size or half of them at a time. A world that was alone is given up."""
-        lost, sim, progress = course.lose(), course.sim, course.progress
-        if course.alone and lost:
-            begun = GroupStart(course.next_run(), [*lost.values()], [*lost])
-            yield from outcomes_of(self._launcher(begun, course, waits=True, simulate=False), sim, progress, waits=True)
+        lost, sim, progress = sequence.lose(), sequence.sim, sequence.progress
+        if sequence.alone and lost:
+            begun = GroupStart(sequence.next_run(), [*lost.values()], [*lost])
+            slices = self._launcher(begun, sequence, waits=True, simulate=False)
+            yield from outcomes_of(slices, sim, progress, waits=True)
             return
         numbers = np.array([*lost], int)
         sizes = np.array([size_of(job) for job in lost.values()])
@@ -186,7 +187,7 @@ class MjxWarpEngine(Engine):
             if len(part):
                 progress.message = f"out of device memory, again with {len(part)} of the worlds"
                 jobs = JobStream.of([lost[number] for number in part.tolist()])
-                for outcome in self._outcomes(self._course(jobs, sim, progress)):
+                for outcome in self._outcomes(self._sequence(jobs, sim, progress)):
                     if outcome is not None:
                         outcome.job = int(part[outcome.job])
                     yield outcome
@@ -196,11 +197,11 @@ class MjxWarpEngine(Engine):
         """Slices in flight while the tables of the next group are made."""
         return max(LOADING_NS // max(self.slice_ns, GPU_SLICE_NS), UNDER_WAY)
 
-    def _rounds(self, course: GroupSequence) -> Generator[SliceResult]:
+    def _slices(self, sequence: GroupSequence) -> Generator[SliceResult]:
         """Slice results of one group after another, as long as the groups agree in whether slices wait for the host."""
-        waits = course.waits_for_host
-        while course.groups and course.waits_for_host == waits:
-            yield from self._launcher(course.begin(), course, waits=waits)
+        waits = sequence.waits_for_host
+        while sequence.groups and sequence.waits_for_host == waits:
+            yield from self._launcher(sequence.begin(), sequence, waits=waits)
 
     def _load_group(self, run: Run, jobs: list[Job], most: int = 0, ahead: RowPrefetcher | None = None) -> Group:
         """The tables of a group.
@@ -214,19 +215,19 @@ class MjxWarpEngine(Engine):
         return Group(**vars(load(jobs, rows, width, run.sim, run.timetable, ready)), run=run)
 
     def _launcher(
-        self, begun: GroupStart, course: GroupSequence, *, waits: bool, simulate: bool = True
+        self, begun: GroupStart, sequence: GroupSequence, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
         """Run time slices until all worlds of a group have ended, or are left to the next group. While the device runs
         a slice, the host makes outcomes of ended worlds, from which more jobs may follow. If none can follow and no
         world is recorded, the next slice is already in flight.
 
         Args:
-            course: its waiting jobs may join the group; its next group takes over the last worlds.
+            sequence: its waiting jobs may join the group; its next group takes over the last worlds.
             waits: the next slice waits for the host.
             simulate: False if memory has run out; all worlds are given up then.
         """
         jobs, numbers, sim = begun.jobs, begun.numbers, begun.run.sim
-        group, queues, emitted = self._begin(begun, course)
+        group, queues, emitted = self._begin(begun, sequence)
         begun = begun._replace(left=None)  # its table is no longer needed
         rollout = self._rollout(group) if simulate else None
         at_once = 1 if waits else UNDER_WAY
@@ -252,7 +253,7 @@ class MjxWarpEngine(Engine):
                 emitted[ended] = True
                 picked = read_back(ended, group.table, group.worlds, sim)
                 if rollout is not None:
-                    self._take(group, numbers, queues, course)
+                    self._take(group, numbers, queues, sequence)
                     if not emitted[: len(jobs)].all():
                         rollout.keep_under_way(at_once, group, queues.order)
                     else:
@@ -260,32 +261,32 @@ class MjxWarpEngine(Engine):
                 if frames is not None:
                     hand_over(frames, group.recorder)
                 yield SliceResult(picked, group.recorder, jobs, numbers)
-                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, numbers, queues, course):
+                if rollout is not None and emitted[: len(jobs)].all() and self._take(group, numbers, queues, sequence):
                     rollout.keep_under_way(at_once, group, queues.order)
                 if rollout is None or not group.recorder.idle:
                     continue
                 rest = np.flatnonzero(~emitted[: len(jobs)])
-                most = READY_SHARE * course.most_left
-                if leaving is None and course.next_is_due(len(rest), most, rollout.launcher.blocks):
+                most = READY_SHARE * sequence.most_left
+                if leaving is None and sequence.next_is_due(len(rest), most, rollout.launcher.blocks):
                     rollout.keep_under_way(self._while_loading, group, queues.order)
-                    leaving = self._leaving(course, begun, rest, len(group.table.status))
-                if leaving is not None and 0 < len(rest) <= course.most_left:
+                    leaving = self._leaving(sequence, begun, rest, len(group.table.status))
+                if leaving is not None and 0 < len(rest) <= sequence.most_left:
                     rollout.finish(group)
                     leaving.leave(group.table, emitted, most)
-                    course.left = leaving
+                    sequence.left = leaving
                     return
         except BaseException:
             self._drop()  # the memory of a call that did not return is lost
             raise
 
-    def _begin(self, begun: GroupStart, course: GroupSequence) -> tuple[Group, Queues, NDArray[np.bool_]]:
+    def _begin(self, begun: GroupStart, sequence: GroupSequence) -> tuple[Group, Queues, NDArray[np.bool_]]:
         """The tables of a group, its queues, and the mask of rows whose outcomes the group before has given already."""
         run, jobs, _, left = begun
         if left is not None and left.ready is not None:
             group, queues = left.ready
         else:
-            rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if course.groups.grows else 0
-            group, queues = self._load(run, jobs, len(left.jobs) if left is not None else 0, rows, course)
+            rows = min(max(SPARE_ROWS * len(jobs), self.least_rows), self.group_size) if sequence.groups.grows else 0
+            group, queues = self._load(run, jobs, len(left.jobs) if left is not None else 0, rows, sequence)
         emitted = np.zeros(len(group.table.status), bool)
         if left is not None:
             n_own = len(jobs) - len(left.jobs)
@@ -293,18 +294,18 @@ class MjxWarpEngine(Engine):
             group.table = left.put_into(group.table, n_own)
         return group, queues, emitted
 
-    def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, course: GroupSequence) -> tuple[Group, Queues]:
+    def _load(self, run: Run, jobs: list[Job], n_left: int, rows: int, sequence: GroupSequence) -> tuple[Group, Queues]:
         """The tables of a group, with at least ``rows`` rows, and its queues. The last ``n_left`` jobs come first in
         the queues, since they may go on for long."""
         run = replace(run, needs=run.needs.of_sizes(jobs))
-        group = self._load_group(run, jobs, rows, course.ahead)
+        group = self._load_group(run, jobs, rows, sequence.ahead)
         queues, n_own = Queues(run.needs.sizes, size_of, len(group.table.status)), len(jobs) - n_left
         if n_left:
             queues.add(jobs[n_own:], n_own, run.sim)
         queues.add(jobs[:n_own], 0, run.sim)
         return group, queues
 
-    def _leaving(self, course: GroupSequence, begun: GroupStart, rest: NDArray[np.int64], rows: int) -> GroupHandover:
+    def _leaving(self, sequence: GroupSequence, begun: GroupStart, rest: NDArray[np.int64], rows: int) -> GroupHandover:
         """The handover of a group's remaining worlds to the next group, with the tables of that group.
 
         Args:
@@ -316,28 +317,28 @@ class MjxWarpEngine(Engine):
             [begun.jobs[row] for row in rest.tolist()], [begun.numbers[row] for row in rest.tolist()], rest
         )
         try:
-            together = [*course.groups.following(), *left.jobs]
-            left.ready = self._load(course.next_run(), together, len(rest), rows, course)
+            together = [*sequence.groups.following(), *left.jobs]
+            left.ready = self._load(sequence.next_run(), together, len(rest), rows, sequence)
         except Exception as error:
             if not is_out_of_memory(error):
                 raise
         return left
 
-    def _take(self, group: Group, numbers: list[int], queues: Queues, course: GroupSequence) -> bool:
+    def _take(self, group: Group, numbers: list[int], queues: Queues, sequence: GroupSequence) -> bool:
         """Put waiting jobs into free rows of a group, in order, until one does not fit. Returns whether any was
         added."""
         free = min(len(group.table.status), self.group_size) - len(group.jobs)
-        fitting = list(takewhile(group.fits, course.groups.waiting(free)))
+        fitting = list(takewhile(group.fits, sequence.groups.waiting(free)))
         if not fitting:
             return False
-        course.groups.join(len(fitting))
+        sequence.groups.join(len(fitting))
         queues.add(fitting, len(group.jobs), group.run.sim)
         for first in range(0, len(fitting), MORE_AT_ONCE):
             some = fitting[first : first + MORE_AT_ONCE]
             width, run = group.table.qpos.shape[1], group.run
-            made = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
-            group.add(some, *made)
-            course.join(some, numbers)
+            new_rows = tables(some, MORE_AT_ONCE, width, group.profile_rows, run.sim, run.timetable, group.boards)
+            group.add(some, *new_rows)
+            sequence.join(some, numbers)
         return True
 
     def _make_room(self, group: Group, rows: NDArray[np.int64]) -> Rollout | None:
@@ -346,7 +347,7 @@ class MjxWarpEngine(Engine):
         sizes = np.array([size_of(group.jobs[row]) for row in rows.tolist()])
         for size in np.unique(sizes).tolist():
             some = rows[sizes == size]
-            growth = self._fleets.grow(group.run, size)
+            growth = self._pools.grow(group.run, size)
             if growth is None:
                 group.give_up(some, Flag.NONE)
                 continue
@@ -362,7 +363,7 @@ class MjxWarpEngine(Engine):
         """The rollout for a group, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. With
         blocks of two sizes the error of memory is raised instead."""
         run = group.run
-        pools = self._fleets.of(group)
+        pools = self._pools.of(group)
         launches = tuple(pool.launch for pool in pools)
         key = run.sim, run.timetable, pools
         if launches in self._kept and self._kept[launches][0] == key:

@@ -50,7 +50,7 @@ class Groups:
         self._dealt: list[Job] = []
         self._known: Sequence[Job] = ()
         self._next: Sequence[Job] = ()
-        self._each = 0
+        self._equal_size = 0
 
     @staticmethod
     def of(jobs: JobStream[Any], size: int, left: int, granule: int) -> Groups:
@@ -99,7 +99,7 @@ class Groups:
                 self._part = self._part or self._jobs.take(most, least=size, wait=wait)
                 self._meet(self._part)
                 self._part = ()
-            self._next, self._known = self._known[: self._each], self._known[self._each :]
+            self._next, self._known = self._known[: self._equal_size], self._known[self._equal_size :]
         return self._next
 
     def _meet(self, jobs: Sequence[Job]) -> None:
@@ -107,7 +107,7 @@ class Groups:
         if jobs:
             needs = self.needs | KernelFeatures.of(jobs, self._granule)
             shares = len(jobs) > self._size or not self._jobs.ended
-            self._each = _equal(len(jobs), self._size - (self._left if shares else 0))
+            self._equal_size = _equal(len(jobs), self._size - (self._left if shares else 0))
             self.needs, self._known = needs, jobs
             self._part_size = min(GROWTH * self._part_size, self._most)
 
@@ -129,8 +129,8 @@ class GrowingGroups(Groups):
             if not self._known and (jobs := self._jobs.peek(sys.maxsize, least=least, wait=wait)):
                 needs = KernelFeatures.of(jobs, self._granule)
                 self._known = self._jobs.take(len(jobs))
-                self.needs, self._each = needs, _equal(len(jobs), self._size)
-            self._next, self._known = self._known[: self._each], self._known[self._each :]
+                self.needs, self._equal_size = needs, _equal(len(jobs), self._size)
+            self._next, self._known = self._known[: self._equal_size], self._known[self._equal_size :]
         return self._next
 
 

@@ -83,7 +83,7 @@ class RowPrefetcher:
             self._begun = jobs, width, self._thread.submit(rows_of, [job.scene for job in jobs], width, sim)
 
     @property
-    def made(self) -> bool:
+    def ready(self) -> bool:
         """Whether rows have been begun, and are made or have failed."""
         return self._begun is not None and self._begun[2].done()
 
@@ -124,7 +124,7 @@ class GroupSequence:
         alone: whether there is one job in all.
         left: worlds that the last group has left.
         ahead: prefetches the rows of the next group.
-        asked: number → job, for jobs that have begun and have no outcome yet.
+        in_flight: number → job, for jobs that have begun and have no outcome yet.
     """
 
     groups: Groups
@@ -134,7 +134,7 @@ class GroupSequence:
     alone: bool
     left: GroupHandover | None = None
     ahead: RowPrefetcher = field(default_factory=RowPrefetcher)
-    asked: dict[int, Job] = field(default_factory=dict)
+    in_flight: dict[int, Job] = field(default_factory=dict)
 
     @property
     def waits_for_host(self) -> bool:
@@ -157,14 +157,14 @@ class GroupSequence:
                 prefetched.
         """
         self.ahead.prepare(self.groups, self.sim)
-        return 0 < rest <= most and bool(self.groups.following()) and (rest <= blocks or self.ahead.made)
+        return 0 < rest <= most and bool(self.groups.following()) and (rest <= blocks or self.ahead.ready)
 
     def begin(self) -> GroupStart:
         """The next group."""
         jobs = self.groups.take()
         numbers = list(range(self.groups.first, self.groups.first + len(jobs)))
-        self.asked.update(zip(numbers, jobs, strict=True))
-        run = self.next_run()  # after ``asked``: if memory runs out here, these jobs are lost, not begun for ever
+        self.in_flight.update(zip(numbers, jobs, strict=True))
+        run = self.next_run()  # after ``in_flight``: if memory runs out here, these jobs are lost, not begun for ever
         left, self.left = self.left, None
         if left is not None:
             jobs, numbers = jobs + left.jobs, numbers + left.numbers
@@ -173,11 +173,11 @@ class GroupSequence:
     def join(self, jobs: list[Job], numbers: list[int]) -> None:
         """Record that waiting jobs have joined the current group."""
         numbers += range(self.groups.first + len(numbers), self.groups.first + len(numbers) + len(jobs))
-        self.asked.update(zip(numbers[-len(jobs) :], jobs, strict=True))
+        self.in_flight.update(zip(numbers[-len(jobs) :], jobs, strict=True))
 
     def lose(self) -> dict[int, Job]:
         """Remove and return the jobs without an outcome, whose states are lost."""
-        lost, self.asked, self.left = self.asked, {}, None
+        lost, self.in_flight, self.left = self.in_flight, {}, None
         return lost
 
     def close(self) -> None:

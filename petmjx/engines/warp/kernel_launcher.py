@@ -148,15 +148,15 @@ class KernelLauncher:
         have stay as they are."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
-        given = {**worlds, **state, **counts, "workspace": workspace}
-        given |= {_of_frames(name): values for name, values in frames.items()}
+        arrays = {**worlds, **state, **counts, "workspace": workspace}
+        arrays |= {_of_frames(name): values for name, values in frames.items()}
         call = wp.jax_callable(
             _launch,
             num_outputs=len(_CHANGED),
             graph_mode=wp.JaxCallableGraphMode.NONE,
             in_out_argnames=list(_CHANGED),
         )
-        changed = call(self.id, *(given[name] for name in _INPUTS | _CHANGED))
+        changed = call(self.id, *(arrays[name] for name in _INPUTS | _CHANGED))
         outputs = dict(zip(_CHANGED, changed, strict=True))
         after = {name: outputs.get(name, values) for name, values in state.items()}
         kept = {name: outputs[_of_frames(name)] for name in frames}

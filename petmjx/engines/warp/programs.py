@@ -159,8 +159,8 @@ class Programs:
         after, workspace, frames, counts = self.launcher(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
         # a copy, since the next slice reuses the table's memory
-        looked_at = jnp.concatenate([table.status, *(counts[name] for name in READ_COUNTS)])
-        return table, workspace, looked_at, frames, counts
+        readback = jnp.concatenate([table.status, *(counts[name] for name in READ_COUNTS)])
+        return table, workspace, readback, frames, counts
 
 
 _COMPILING = Lock()

@@ -38,7 +38,7 @@ class SliceResult(NamedTuple):
 
 
 def outcomes_of(
-    rounds: Generator[SliceResult], sim: Simulation, progress: Progress, *, waits: bool
+    slices: Generator[SliceResult], sim: Simulation, progress: Progress, *, waits: bool
 ) -> Iterator[Outcome]:
     """The outcomes of slices' worlds, with the numbers of their jobs in the run.
 
@@ -56,14 +56,14 @@ def outcomes_of(
             progress.at_hand = at_hand
 
     def counted() -> Generator[SliceResult]:
-        with closing(rounds):
-            for next_round in rounds:
-                count(sum(len(batch.rows) for batch in next_round.picked))  # maybe 0 if slices wait
-                yield next_round
+        with closing(slices):
+            for next_slice in slices:
+                count(sum(len(batch.rows) for batch in next_slice.picked))  # maybe 0 if slices wait
+                yield next_slice
 
     try:
-        with closing(counted() if waits else prefetch(counted(), MOST_AHEAD)) as each_slice:
-            for picked, recorder, jobs, numbers in each_slice:
+        with closing(counted() if waits else prefetch(counted(), MOST_AHEAD)) as ready_slices:
+            for picked, recorder, jobs, numbers in ready_slices:
                 if progress.pauses and at_hand <= 0:
                     yield None  # type: ignore[misc]  # who asked for pauses takes it
                 for outcome in outcomes(picked, jobs, sim, recorder):

@@ -24,11 +24,11 @@ class Slice(NamedTuple):
 
     Attributes:
         began: time at which the host began it, s.
-        looked_at: statuses of all rows, then the counts ``READ_COUNTS``.
+        readback: statuses of all rows, then the counts ``READ_COUNTS``.
     """
 
     began: float
-    looked_at: Int[Array, " word"]
+    readback: Int[Array, " word"]
     frames: dict[str, jax.Array]
     counts: dict[str, jax.Array]
 
@@ -61,8 +61,8 @@ class Rollout:
         arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
         program = self.programs.compiled(arguments, group.run.progress)
         began = time.perf_counter()
-        group.table, self.workspace, looked_at, frames, counts = program(*arguments)
-        self._slices.append(Slice(began, looked_at, frames, counts))
+        group.table, self.workspace, readback, frames, counts = program(*arguments)
+        self._slices.append(Slice(began, readback, frames, counts))
 
     def keep_under_way(self, count: int, group: Group, order: Int[Array, "queue world"]) -> None:
         """Begin slices until ``count`` are in flight."""
@@ -78,7 +78,7 @@ class Rollout:
         """Wait for slices in flight, and free the workspace."""
         while self._slices:
             with suppress(jax.errors.JaxRuntimeError):  # the rollout may be closed because of this error
-                self._slices.popleft().looked_at.block_until_ready()
+                self._slices.popleft().readback.block_until_ready()
         if not self.workspace.is_deleted():
             with suppress(jax.errors.JaxRuntimeError):
                 self.workspace.block_until_ready()
@@ -87,16 +87,16 @@ class Rollout:
     def wait(self, group: Group) -> tuple[NDArray[np.int32], Slice]:
         """Wait for the first slice in flight. Returns the statuses of the group's worlds after it, and the slice."""
         ended = self._slices.popleft()
-        looked_at = np.array(ended.looked_at)
+        readback = np.array(ended.readback)
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
         progress = group.run.progress
-        counts = dict(zip(READ_COUNTS, looked_at[-len(READ_COUNTS) :].tolist(), strict=True))
+        counts = dict(zip(READ_COUNTS, readback[-len(READ_COUNTS) :].tolist(), strict=True))
         progress.message = group.run.message
         progress.world_steps += counts["steps"]
         extra = progress.extra
         sums = {"seconds": self._last_end - began, "steps": counts["steps"], "iterations": counts["iterations"]}
         for quantity, amount in sums.items():
-            extra[f"march {quantity}"] = extra.get(f"march {quantity}", 0) + amount
-        extra["march lanes"] = max(extra.get("march lanes", 0), self.launcher.lanes)
-        extra["march contacts"] = max(extra.get("march contacts", 0), counts["contacts"])
-        return looked_at[: len(group.jobs)], ended
+            extra[f"kernel {quantity}"] = extra.get(f"kernel {quantity}", 0) + amount
+        extra["kernel lanes"] = max(extra.get("kernel lanes", 0), self.launcher.lanes)
+        extra["kernel contacts"] = max(extra.get("kernel contacts", 0), counts["contacts"])
+        return readback[: len(group.jobs)], ended

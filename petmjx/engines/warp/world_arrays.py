@@ -57,11 +57,11 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
                 annotations[name] = wp.array(dtype=TYPES[kind.dtype], ndim=len(kind.dims))
                 axes[name] = kind.dim_str
     cls.__annotations__ = annotations
-    made: Any = wp.struct(cls)
-    made.shapes = {
+    struct: Any = wp.struct(cls)
+    struct.shapes = {
         name: tuple(int(axis) if axis.isdigit() else axis for axis in of.split()) for name, of in axes.items()
     }
-    return made
+    return struct
 
 
 @record

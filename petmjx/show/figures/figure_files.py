@@ -24,7 +24,7 @@ KINDS: Final = ("pdf", "svg", "png")
 """Possible endings of files."""
 
 
-def figure(found: PackerComparison | CriteriaResults | RunResults, *files: str | PathLike[str]) -> list[Path]:
+def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str | PathLike[str]) -> list[Path]:
     """Draw results as a figure for a paper, as wide as a page's text: ``.pdf``, ``.svg`` or ``.png``.
 
     ``petmjx.figure(petmjx.compare_packers(["A", "B"]), "packers.pdf")``
@@ -32,7 +32,7 @@ def figure(found: PackerComparison | CriteriaResults | RunResults, *files: str |
     The same results give the same bytes, with the same version of matplotlib.
 
     Args:
-        found: the results. A comparison of packers: shares and differences, with a sentence about each two packers.
+        results: the results. A comparison of packers: shares and differences, with a sentence about each two packers.
             Criteria with a run: precision, recall and correlation. A search: the share of plans that survive each
             level. Another sweep: shares along its axes. A score with confidence: the share of each plan that stands.
         files: paths to write; the ending gives the format. Each file appears whole or not at all, and replaces an
@@ -49,7 +49,7 @@ def figure(found: PackerComparison | CriteriaResults | RunResults, *files: str |
     check_figures(paths)
     with paper_style():
         for path in paths:
-            drawn = _drawn_figure(found)  # drawn for each file, because writing changes the figure
+            drawn = _drawn_figure(results)  # drawn for each file, because writing changes the figure
             with atomic_write(path) as temporary:
                 write(drawn, temporary, path.suffix.lower().removeprefix("."))
     return paths
@@ -77,4 +77,4 @@ def _drawn_figure(results: Any) -> Any:
         return draw_criteria(results)
     if isinstance(results, RunResults):
         return draw_answers(results)
-    raise InputError(f"found must be results of compare_packers, criteria, sweep or score, {shown_value(results)}")
+    raise InputError(f"results must be of compare_packers, criteria, sweep or score, {shown_value(results)}")

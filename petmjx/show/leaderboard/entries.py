@@ -48,7 +48,7 @@ class Entry:
     scored: bool = False
 
 
-def packer_sources(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> dict[str, Path]:
+def packer_sources(paths: Mapping[str, Any] | Sequence[Any]) -> dict[str, Path]:
     """Name of each packer → its run or plans. Without names, packers are named after their folders and files.
 
     Raises:
@@ -58,8 +58,8 @@ def packer_sources(paths: Mapping[str, str | Path] | Sequence[str | Path]) -> di
     if isinstance(paths, Mapping):
         pairs = [(name, path_of(path, f"packers[{name!r}]")) for name, path in paths.items()]
     else:
-        given = [path_of(path, f"packers[{number}]") for number, path in enumerate(paths)]
-        pairs = [(_name_of(path), path) for path in given]
+        files = [path_of(path, f"packers[{number}]") for number, path in enumerate(paths)]
+        pairs = [(_name_of(path), path) for path in files]
     names = [name for name, _ in pairs]
     check_names(names)
     for number, (name, path) in enumerate(pairs):

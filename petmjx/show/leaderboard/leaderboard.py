@@ -87,8 +87,8 @@ def leaderboard(
     integer_of(stories, "stories", 0, MOST_STORIES)
     integer_of(replays, "replays", 0)
     folder = path_of(out, "out")
-    given = packers if isinstance(packers, Mapping) else list_of(packers, "packers", object, "runs or files of plans")
-    paths = packer_sources(given)  # type: ignore[arg-type]  # what they hold is checked there
+    sources = packers if isinstance(packers, Mapping) else list_of(packers, "packers", object, "runs or files of plans")
+    paths = packer_sources(sources)
     source = None if orders is None else path_of(orders, "orders")
     if baselines and source is None:
         raise InputError(f"{option('--baselines')} needs {option('--orders')}: petmjx's packers pack them")
@@ -115,10 +115,10 @@ def leaderboard(
         digests = {name: _digest(folder / PLANS / file) for name, file in files.items() if file}
         board = Board(
             rated.entries,
-            rated.found,
-            rate(rated.found),
+            rated.comparison,
+            rate(rated.comparison),
             digests,
-            rated.told,
+            rated.story_entries,
             orders=source is not None,
             stories=stories,
             options=rated.options,
@@ -126,9 +126,11 @@ def leaderboard(
         )
         with atomic_write(folder / PAGE) as file:
             file.write_text(board_page(board), encoding="utf-8", errors="backslashreplace")
-        kept = [ORDERS] if ORDERS in files_of_board.own and source is not None else []
+        kept = [ORDERS] if ORDERS in files_of_board.board_files and source is not None else []
         plan_files = [f"{PLANS}/{name}" for name in files.values() if name]
-        files_of_board.finish(board.to_dict(), [PAGE, *kept, *plan_files, *(story.file for story in rated.told)])
+        files_of_board.finish(
+            board.to_dict(), [PAGE, *kept, *plan_files, *(story.file for story in rated.story_entries)]
+        )
     warn(sample.refusal for sample in rated.samples if sample.refusal)
     return folder / PAGE
 
@@ -143,8 +145,8 @@ class _RatedEntries:
     """
 
     entries: Sequence[Entry]
-    found: PackerComparison
-    told: Sequence[StoryEntry]
+    comparison: PackerComparison
+    story_entries: Sequence[StoryEntry]
     options: Simulation
     samples: Sequence[Sample]
 

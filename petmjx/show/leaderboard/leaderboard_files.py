@@ -59,7 +59,7 @@ class BoardFolder:
         overwrite: replace an existing board. An unfinished board is continued even without it.
 
     Attributes:
-        own: the board's own files, as paths relative to its folder.
+        board_files: the board's own files, as paths relative to its folder.
 
     Raises:
         InputError: the folder holds something else than a leaderboard, a foreign file with the name of a board's file,
@@ -75,7 +75,7 @@ class BoardFolder:
             raise InputError(f"{printable(str(folder))}: is a file; name a folder for the leaderboard")
         before = _board_in(folder)
         self._before: Mapping[str, Any] = before or {}
-        self.own = frozenset(_own_of(self._before))
+        self.board_files = frozenset(_own_of(self._before))
         self._overwrite = overwrite or bool(self._before.get(UNFINISHED))
         if before is None and folder.is_dir():
             with write_errors(folder):
@@ -90,18 +90,18 @@ class BoardFolder:
     def check(self) -> None:
         """Check again that no foreign file would be replaced or removed, since the work in between may take hours."""
         check_outputs(
-            [self._folder / name for name in dict.fromkeys((*self._names, *self.own, *self._runs))],
+            [self._folder / name for name in dict.fromkeys((*self._names, *self.board_files, *self._runs))],
             overwrite=self._overwrite,
             inputs=self._inputs,
             folder=self._folder,
-            is_ours=lambda file: file.relative_to(self._folder).as_posix() in self.own,
+            is_ours=lambda file: file.relative_to(self._folder).as_posix() in self.board_files,
         )
 
     def begin(self) -> None:
         """Make the folder, and write the list of the board's own files before the first of them."""
         self._folder.mkdir(parents=True, exist_ok=True)
-        self.own |= frozenset(self._names)
-        self._write({**self._before, "petmjx": __version__, UNFINISHED: True, FILES: sorted(self.own)})
+        self.board_files |= frozenset(self._names)
+        self._write({**self._before, "petmjx": __version__, UNFINISHED: True, FILES: sorted(self.board_files)})
         self._overwrite = True  # from here on files with these names belong to this board
 
     def finish(self, board: Mapping[str, Any], written: Collection[str]) -> None:
@@ -111,7 +111,7 @@ class BoardFolder:
             written: the files of ``names`` that the board has.
         """
         self.check()
-        for name in self.own.difference(written, (DATA,)):
+        for name in self.board_files.difference(written, (DATA,)):
             (self._folder / name).unlink(missing_ok=True)
         self._write({**board, FILES: sorted({*written, DATA})})
 

@@ -74,10 +74,10 @@ class Board:
     """
 
     entries: Sequence[Entry]
-    found: PackerComparison
+    comparison: PackerComparison
     rating: pd.DataFrame
     digests: Mapping[str, str]
-    told: Sequence[StoryEntry]
+    story_entries: Sequence[StoryEntry]
     orders: bool
     stories: int
     options: Simulation
@@ -88,13 +88,13 @@ class Board:
         return {
             "petmjx": __version__,
             "command": self.command,
-            "confidence": self.found.confidence,
+            "confidence": self.comparison.confidence,
             "rating": self.rating,
-            "packers": self.found.packers,
-            "pairs": self.found.pairs,
-            "sentences": self.found.sentences,
+            "packers": self.comparison.packers,
+            "pairs": self.comparison.pairs,
+            "sentences": self.comparison.sentences,
             "plans_sha256": self.digests,
-            "stories": [vars(story) for story in self.told],
+            "stories": [vars(story) for story in self.story_entries],
             "simulated_again": [sample.to_dict() for sample in self.samples],
             "refused": [{"packer": sample.packer, "why": sample.refusal} for sample in self.samples if sample.refusal],
             "notes": self.notes,
@@ -105,7 +105,7 @@ class Board:
         """Reasons to doubt the board, one line each."""
         lost = [entry.name for entry in self.entries if entry.name not in self.digests]
         lines = [sample.refusal or sample.note for sample in self.samples if sample.refusal or sample.note]
-        lines += self.found.notes
+        lines += self.comparison.notes
         if not self.orders:
             lines.append(
                 "made without orders (--orders): what was ordered is taken from the packers' own plans and runs, so "
@@ -182,7 +182,7 @@ def _rating(board: Board) -> Markup:
         others = [f"{row[column]:,}" for column in ("n_missing", "n_invalid")]
         rows.append([str(row["rank"]), joined_markup(name, mark), percent(row["rating"]), span, stand, *others])
         drawn.append((row["packer"], row["rating"], row["low"], row["high"], f"{percent(row['rating'])} ({span})"))
-    level = f"{100 * board.found.confidence:g} %"
+    level = f"{100 * board.comparison.confidence:g} %"
     heads = ["rank", "packer", "rating", f"{level} interval", "plans that stand", "no plan", "invalid"]
     chart = figure(f"Rating with {level} intervals", intervals("Rating", drawn))
     notes = [element("p", note, class_="note") for note in board.notes]
@@ -204,7 +204,7 @@ def _rerun_text(board: Board) -> Content:
 
 
 def _luck(board: Board) -> Markup:
-    sentences = board.found.sentences
+    sentences = board.comparison.sentences
     items = [element("li", printable(sentence)) for sentence in sentences[:MOST_SENTENCES]]
     more = len(sentences) - MOST_SENTENCES
     rest = element("p", f"{count_text(more, 'pair')} more in leaderboard.json.", class_="hint") if more > 0 else None
@@ -213,7 +213,7 @@ def _luck(board: Board) -> Markup:
 
 
 def _measures(board: Board) -> Markup:
-    means = board.found.packers[board.found.packers["size"] == ALL_SIZES].set_index("packer")
+    means = board.comparison.packers[board.comparison.packers["size"] == ALL_SIZES].set_index("packer")
     columns = [name for name in _MEANS if name in means and means[name].notna().any()]
     rows: list[list[Content]] = []
     for name in board.rating["packer"]:
@@ -226,11 +226,13 @@ def _measures(board: Board) -> Markup:
 
 
 def _story_list(board: Board) -> Content:
-    if not board.told:
+    if not board.story_entries:
         return None
     rows: list[list[Content]] = []
     for name in board.rating["packer"]:
-        links = [joined_markup(_link(story, story.plan_id), " ") for story in board.told if story.packer == name]
+        links = [
+            joined_markup(_link(story, story.plan_id), " ") for story in board.story_entries if story.packer == name
+        ]
         rows.append([name, joined_markup(*links)])
     hint = "Each is a page to play: what happened to one plan, simulated again exactly as it was rated."
     return joined_markup(element("p", hint, class_="hint"), table(["packer", "plans"], rows, texts=2, class_="stories"))
@@ -242,11 +244,11 @@ def _link(story: StoryEntry, text: str) -> Markup:
 
 def _orders(board: Board) -> Content:
     names = list(board.rating["packer"])
-    verdicts = board.found.plans.pivot(index="plan_id", columns="packer", values="verdict")[names]
+    verdicts = board.comparison.plans.pivot(index="plan_id", columns="packer", values="verdict")[names]
     differ = verdicts[verdicts.nunique(axis=1) > 1]
     if differ.empty:
         return None
-    pages = {(story.packer, story.plan_id): story for story in board.told}
+    pages = {(story.packer, story.plan_id): story for story in board.story_entries}
     rows: list[list[Content]] = []
     for plan_id, row in differ.head(MOST_ORDERS).iterrows():
         cells: list[Content] = []

@@ -96,19 +96,19 @@ def nearest_frame(history: History, time_s: float) -> int:
     return int(np.flatnonzero(distance == distance.min())[-1])
 
 
-def moments(story: Story, asked: str | None) -> list[Moment]:
+def moments(story: Story, names: str | None) -> list[Moment]:
     """The requested moments, in the order given.
 
     Args:
-        asked: moments, separated by commas. None: before the first sign, the first sign, and the end; only the end if
+        names: moments, separated by commas. None: before the first sign, the first sign, and the end; only the end if
             nothing failed.
 
     Raises:
         InputError: an unknown name, or a moment that this story does not have.
     """
-    if asked is None:
-        asked = ",".join((BEFORE, FIRST_SIGN, END) if math.isfinite(story.outcome.first_sign_s) else (END,))
-    return [_moment(story, moment_of(part)) for part in asked.split(",")]
+    if names is None:
+        names = ",".join((BEFORE, FIRST_SIGN, END) if math.isfinite(story.outcome.first_sign_s) else (END,))
+    return [_moment(story, moment_of(part)) for part in names.split(",")]
 
 
 def _moment(story: Story, which: str | float) -> Moment:

@@ -77,7 +77,7 @@ def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tu
     for at, run in enumerate(runs):
         if not run.results.keeps_boxes:
             continue
-        known |= (table["run"] == at).to_numpy() & table["plan_id"].isin(run.found.plans.keys()).to_numpy()
+        known |= (table["run"] == at).to_numpy() & table["plan_id"].isin(run.plan_files.plans.keys()).to_numpy()
     rows = np.flatnonzero(known)
     stands = (table["verdict"].iloc[rows] == Verdict.STABLE.value).to_numpy()
     rows = rows[np.argsort(stands, kind="stable")]
@@ -114,7 +114,7 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
         names = list(zip(boxes["item_id"], boxes["article"], strict=True))
         scenes: dict[str, tuple[FloatArray, Body]] = {}
         for plan_id, variant in zip(part["plan_id"], part["variant"], strict=True):
-            plan = run.found.plans[plan_id]
+            plan = run.plan_files.plans[plan_id]
             if plan_id not in scenes:
                 scene = build_scene(plan, sim)
                 scenes[plan_id] = scene.target, scene.carrier

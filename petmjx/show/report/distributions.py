@@ -99,8 +99,8 @@ def distributions(run: ReportRun) -> Markup:
         parts.append(element("div", *shares, class_="charts three"))
         more = element("summary", f"Shift, tilt, force and first sign against size: {len(against)} charts")
         parts.append(element("details", more, element("div", *against, class_="charts three")))
-    if run.found.note and len(sizes) < len(SIZES):
-        parts.append(element("p", f"Without height and weight: {run.found.note}.", class_="hint"))
+    if run.plan_files.note and len(sizes) < len(SIZES):
+        parts.append(element("p", f"Without height and weight: {run.plan_files.note}.", class_="hint"))
     return joined_markup(*parts)
 
 

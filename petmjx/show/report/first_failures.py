@@ -15,7 +15,7 @@ from petmjx.show.report.report_runs import ReportRun
 from petmjx.show.report.svg_charts import WIDTH, Frame, Scale, figure
 from petmjx.show.report.verdict_shares import ORDER, link
 
-MOST_ARTICLES: Final = 12
+MOST_FAILING_ARTICLES: Final = 12
 
 
 def first_boxes(run: ReportRun) -> Markup:
@@ -67,6 +67,6 @@ def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
             "unstable",
             link(run, q=str(article)),
         )
-        for article, count in first.head(MOST_ARTICLES).items()
+        for article, count in first.head(MOST_FAILING_ARTICLES).items()
     ]
     return bars("Articles that fail first", rows, width=WIDTH, names=140)

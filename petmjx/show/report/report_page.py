@@ -63,11 +63,11 @@ def report(
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
     check_writable(path)  # before the work of a large report
-    given: list[Any] = (
+    sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )
     files = [plans] if isinstance(plans, str | Path) else list_of(plans, "plans", object, "paths")
-    text = report_page(open_runs(given, [path_of(file, "plans") for file in files]))
+    text = report_page(open_runs(sources, [path_of(file, "plans") for file in files]))
     with atomic_write(path) as file:
         file.write_text(text, encoding="utf-8", errors="backslashreplace")
     return path
@@ -105,7 +105,7 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
         "command": "sweep" if run.kind in (Kind.GRID, Kind.SEARCH) else "score",
         "floorZ": floor_z_m(simulation_of(run.info)),
         "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
-        "missing": run.found.note,
+        "missing": run.plan_files.note,
         "folder": shlex.quote(printable(str(run.results.path))),
         "nominalSizes": any("size_tolerance" in name for name in run.parameters),
     }
@@ -119,7 +119,7 @@ def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
 
 def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
     """Lines on worlds that the page does not show."""
-    notes = [f"{run.name}: {run.found.note}. These have no 3D picture." for run in runs if run.found.note]
+    notes = [f"{run.name}: {run.plan_files.note}. These have no 3D picture." for run in runs if run.plan_files.note]
     notes += [
         f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
     ]

@@ -25,21 +25,21 @@ class ReportPlans:
     note: str = ""
 
 
-def find_report_plans(run: RunResults, given: Sequence[Path] = ()) -> ReportPlans:
+def find_report_plans(run: RunResults, paths: Sequence[Path] = ()) -> ReportPlans:
     """Find the plans of a run. A report can also be made without them.
 
     Args:
-        given: files or folders to read instead of the files that the run names.
+        paths: files or folders to read instead of the files that the run names.
 
     Raises:
-        InputError: one of ``given`` cannot be used.
+        InputError: one of ``paths`` cannot be used.
     """
     try:
         records = Manifest.read(run.parts, run.info).plans
     except InputError as error:
         return ReportPlans({}, str(error))
     plan_ids = set(run.worlds["plan_id"].unique())
-    plans_again = find_plans(run, records, plan_ids, list(given) or None)
+    plans_again = find_plans(run, records, plan_ids, list(paths) or None)
     return ReportPlans(plans_again.plans, _note(plans_again, len(plan_ids)))
 
 

@@ -39,12 +39,12 @@ class ReportRun:
     Attributes:
         name: its name in the report.
         results: its results.
-        found: its plans, as far as they were found.
+        plan_files: its plans, as far as they were found.
     """
 
     name: str
     results: RunResults
-    found: ReportPlans
+    plan_files: ReportPlans
 
     @property
     def info(self) -> dict[str, Any]:
@@ -76,7 +76,7 @@ class ReportRun:
         if self.kind is Kind.CONFIDENCE:
             worlds = worlds[worlds["variant"] == 0]
         worlds = worlds.sort_values(KEY, kind="stable", ignore_index=True)
-        plans = self.found.plans
+        plans = self.plan_files.plans
         codes, plan_ids = pd.factorize(worlds["plan_id"])
         nothing = float("nan"), float("nan")
         sizes = [_height_and_mass(plans[plan_id]) if plan_id in plans else nothing for plan_id in plan_ids.tolist()]
@@ -101,7 +101,7 @@ class ReportRun:
         """Plan id → articles of its boxes in packing order. The articles come from the plan or from the table
         ``boxes``; without both there are none."""
         articles_by_plan: dict[str, Sequence[str]] = {
-            plan_id: plan.articles for plan_id, plan in self.found.plans.items() if plan_id in plan_ids
+            plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids
         }
         missing = {*plan_ids} - {*articles_by_plan}
         if missing and self.results.keeps_boxes:

@@ -55,8 +55,8 @@ class Scale:
             log_from: the lower end of a logarithmic scale; None: a linear one.
             zero: whether a linear scale begins at 0.
         """
-        given = np.asarray(values, dtype=np.float64)
-        known = given[np.isfinite(given)]
+        numbers = np.asarray(values, dtype=np.float64)
+        known = numbers[np.isfinite(numbers)]
         if log_from is not None:
             high = max(float(known.max(initial=log_from)), log_from * 10)
             return cls(log_from, high, log=True, lowest=lowest)

@@ -106,16 +106,16 @@ class ChainTable(_Table):
         # chains of chains grow fast: count the windows before making them
         if sum(len(member.windows) for member, _, _ in links) > MAX_WINDOWS:
             raise complaint(f"has more than {MAX_WINDOWS:,} windows", name, "of")
-        made = chain(name, links, _USERS, replaces=self.overlap == "replace")
-        pushing_s = sum(window.duration_s for window in made.windows)
+        chained = chain(name, links, _USERS, replaces=self.overlap == "replace")
+        pushing_s = sum(window.duration_s for window in chained.windows)
         if pushing_s > MAX_PUSH_S:
             raise complaint(f"must push for at most {MAX_PUSH_S:g} s in all, got {pushing_s:g} s", name, "of")
-        if made.end_s > MAX_PROFILE_S:
-            raise complaint(f"takes {made.end_s:g} s, more than {MAX_PROFILE_S:g} s", name, "of")
-        strongest = max(abs(component) for window in made.windows for component in window.vector)
+        if chained.end_s > MAX_PROFILE_S:
+            raise complaint(f"takes {chained.end_s:g} s, more than {MAX_PROFILE_S:g} s", name, "of")
+        strongest = max(abs(component) for window in chained.windows for component in window.vector)
         if not strongest <= MAX_FORCE:
             raise complaint(f"has a force of {strongest:g} total weights, more than {MAX_FORCE:g}", name, "of")
-        return made
+        return chained
 
 
 class HalfSineTable(_Table):
@@ -223,9 +223,9 @@ def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
         ValidationError: says which field of which table is wrong, and what it should be.
         InputError: the same about a file that a table names.
     """
-    made: dict[str, Profile] = {}
+    profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():
         if name in BUILT_IN or name in FAMILIES:
             raise complaint(": the name of a built-in profile cannot be used again", name)
-        made[name] = table.profile(name, folder, made)
-    return made
+        profiles[name] = table.profile(name, folder, profiles)
+    return profiles

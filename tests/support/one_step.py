@@ -86,7 +86,7 @@ class OneStep:
         assert int(after.step[0]) == int(counts["steps"][0]) == 1
         assert (self._taken() - before).tolist() == [1, counts["iterations"][0]]
         self.most_contacts = max(self.most_contacts, counts["contacts"][0])
-        assert self.group.run.progress.extra["march contacts"] == self.most_contacts
+        assert self.group.run.progress.extra["kernel contacts"] == self.most_contacts
 
         def joined(carrier: FloatArray, boxes: FloatArray) -> FloatArray:
             return np.vstack([carrier, boxes[0]]).astype(float)
@@ -104,4 +104,4 @@ class OneStep:
     def _taken(self) -> NDArray[np.float64]:
         """Steps and iterations so far, as the progress has them."""
         progress = self.group.run.progress
-        return np.array([progress.world_steps, progress.extra.get("march iterations", 0)])
+        return np.array([progress.world_steps, progress.extra.get("kernel iterations", 0)])
