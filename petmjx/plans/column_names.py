@@ -43,7 +43,8 @@ MASS_UNITS: Final = {
 """Name of a unit of mass → kilograms."""
 
 
-def _words(text: str) -> frozenset[str]:
+def word_set(text: str) -> frozenset[str]:
+    """The words of a text."""
     return frozenset(text.split())
 
 
@@ -55,66 +56,68 @@ _SIZES: Final = {
 }
 _X, _Y, _Z = ("x", "y", "z")
 _AXES: Final = {_X: 0, _Y: 1, _Z: 2}
-_POSITION: Final = _words(
+_POSITION: Final = word_set(
     "pos position positions posn coord coords coordinate coordinates koordinate koordinaten loc location "
     "placement place posizione posicion pozycja poz coordonnee coordonnees coordenada coordenadas coordinata "
     "wspolrzedna wspolrzedne ubicacion emplacement origin start point punkt anchor offset translation xyz flb "
     "flbcoordinates ecke corner coin esquina angolo rog left"
 )
-_LOW: Final = _words("min minimum low lower start begin from von flb front minimal")
-_HIGH: Final = _words("max maximum high upper end to bis rrt far maximal top")
-_CENTRE: Final = _words(
+_LOW: Final = word_set("min minimum low lower start begin from von flb front minimal")
+_HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top")
+_CENTRE: Final = word_set(
     "center centre centers centres centroid mid middle midpoint mitte mittelpunkt zentrum schwerpunkt milieu centro "
     "centroide srodek com"
 )
-_BASE: Final = _words("base bottom unten boden basis bas fondo podstawa")
-_PLACED: Final = _words(
+_BASE: Final = word_set("base bottom unten boden basis bas fondo podstawa")
+_PLACED: Final = word_set(
     "placed rotated packed oriented final actual effective turned platziert gepackt gedreht place tourne girado"
 )
-_DIMENSIONS: Final = _words(
+_DIMENSIONS: Final = word_set(
     "dimension dimensions dims dim size sizes masse abmessung abmessungen abmasse groesse grosse extent extents "
     "dimensiones dimensioni dimensioni wymiary wymiar taille misure medidas shape lxwxh lxbxh lwh lbh whd wdh dwh hwd "
     "wxhxd wxdxh lxlxh bxhxt dimensionen"
 )
-_HALF: Final = _words("half halfsize halfextents halfextent")
-_CONTAINER: Final = _words(
+_HALF: Final = word_set("half halfsize halfextents halfextent")
+_CONTAINER: Final = word_set(
     "container containers bin bins pallet pallets palette paletten paleta palet pale palety bancale bancali truck "
     "carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw camion"
 )
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
-    "weight": _words("weight weights mass masse gewicht gew poids peso pesos waga masa ciezar wt wgt bruttogewicht kg"),
-    "density": _words("density dichte densite densidad densita gestosc"),
-    "volume": _words("volume vol volumen volumes objetosc objem kubatur"),
-    "rotation": _words(
+    "weight": word_set(
+        "weight weights mass masse gewicht gew poids peso pesos waga masa ciezar wt wgt bruttogewicht kg"
+    ),
+    "density": word_set("density dichte densite densidad densita gestosc"),
+    "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
+    "rotation": word_set(
         "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
         "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
         "turned"
     ),
-    "quantity": _words(
+    "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
         "quantita ilosc liczba pieces pcs stuckzahl anzahlstuck pezzi piezas sztuk"
     ),
-    "layers": _words("layers layer tiers lagen lage schichten couches couche capas strati warstwy"),
-    "sequence": _words(
+    "layers": word_set("layers layer tiers lagen lage schichten couches couche capas strati warstwy"),
+    "sequence": word_set(
         "sequence seq step steps order packingorder packorder loadorder loadingorder placementorder rank reihenfolge "
         "schritt packreihenfolge ordre etape secuencia sequenza passo kolejnosc krok paso"
     ),
-    "number": _words(
+    "number": word_set(
         "nr no num number numero nummer index idx lfd lfdnr lp n pos position row zeile ligne fila riga wiersz"
     ),
-    "article": _words(
+    "article": word_set(
         "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
         "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
         "kind name names bezeichnung description beschreibung partno article_id codice codigo code kod item"
     ),
-    "item_id": _words(
+    "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
         "caja bulto collo scatola kiste barcode label ean sscc handle"
     ),
-    "group": _words("group productgroup gruppe warengruppe category kategorie categorie categoria"),
-    "plan": _words("plan plans planid load stack batch solution pattern") | _CONTAINER,
-    "material": _words("werkstoff"),
-    "strength": _words("loadbear strength maxload tragkraft bearing"),
+    "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
+    "plan": word_set("plan plans planid load stack batch solution pattern") | _CONTAINER,
+    "material": word_set("werkstoff"),
+    "strength": word_set("loadbear strength maxload tragkraft bearing"),
 }
 _LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
     (("L", "l", "H"), ("length", "width", "height")),
@@ -135,7 +138,7 @@ first rows tell capitals from small letters."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
 """Letters that stand for a size also alone."""
-_BOX: Final = _words("box item case carton package pkg karton kiste caja colis collo placed dim size")
+_BOX: Final = word_set("box item case carton package pkg karton kiste caja colis collo placed dim size")
 
 _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
 _UNIT_MARK: Final = re.compile(

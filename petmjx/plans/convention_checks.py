@@ -263,7 +263,11 @@ def with_conventions(
         return check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, extent_mm)
 
     odd = [layout for plan in plan_set if (layout := layout_of(plan)) is not None and layout.any]
-    return replace(plan_set, warnings=odd, conventions=_find_conventions(plan_set.plans, odd, extent_mm))
+    readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
+    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # of the others they are known
+    own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
+    conventions = _find_conventions(own, own_odd, extent_mm)
+    return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 
 def _find_conventions(

@@ -83,6 +83,23 @@ def looks_like_table(data: bytes | bytearray) -> bool:
     return separator_mark(first) is not None or sum(_COLUMN.fullmatch(cell) is not None for cell in cells) > _N_NEEDED
 
 
+_LOOKED_AT_TEXT: Final = 1 << 16
+_OWN_JSON: Final = re.compile(rb'"(flb_coordinates|item_sequence|length/mm|weight/kg)"')
+_OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY", b"\xff\xfe", b"\xfe\xff")
+"""First bytes of workbooks and archives of arrays, arrays, and UTF-16."""
+_SCENE: Final = re.compile(rb"<mujoco[\s>/]")
+
+
+def looks_like_own_json(data: bytes | bytearray) -> bool:
+    """Whether a text has fields of BED-BPP's plans or orders near its beginning."""
+    return _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None
+
+
+def is_of_other_tools(data: bytes | bytearray) -> bool:
+    """Whether bytes that are no UTF-8 text of petmjx's forms may be a sheet, an array, UTF-16 or a scene."""
+    return bytes(data[:6]).startswith(_OTHER_TOOLS) or _SCENE.search(data, 0, _LOOKED_AT_TEXT) is not None
+
+
 def looks_like_json(data: bytes | bytearray) -> bool:
     """Whether a text begins as JSON does, and as no table does."""
     return _JSON.match(data) is not None

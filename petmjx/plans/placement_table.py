@@ -254,7 +254,15 @@ PlanFields = dict[str, Any]
 
 
 class TableError(InputError):
-    """A whole table cannot be used."""
+    """A whole table cannot be used.
+
+    Attributes:
+        n_known: number of its columns that have petmjx's names.
+    """
+
+    def __init__(self, message: str, n_known: int = 0) -> None:
+        super().__init__(message)
+        self.n_known = n_known
 
 
 class RefusedPlan(NamedTuple):
@@ -314,7 +322,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
     if missing:
         listing = ", ".join(map(printable_name, names[:30])) or "none"
         columns = "column" if len(missing) == 1 else "columns"
-        raise TableError(f"{columns} {missing_fault(missing)}; there are: {listing}")
+        raise TableError(f"{columns} {missing_fault(missing)}; there are: {listing}", len(positions))
     return positions, unread
 
 
