@@ -104,8 +104,7 @@ class BoxColumns:
         weight_unit: unit that the name or the cells give; "": none.
         weight_is_density: whether ``weight`` is a density, in units of water's or kg/m³.
         plan, article, item_id, group: (n,) names; None: no column.
-        sequence: (n,) packing order; None: no column.
-        sequence_is_sure: whether the column is one of a packing order, and not a running number.
+        sequence: (n,) packing order; None: no column. A running number is none: it may count in any order.
         columns: role → name of its column, for what is not geometry.
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that mean nothing here.
@@ -122,7 +121,6 @@ class BoxColumns:
     item_id: list[str] | None
     group: list[str] | None
     sequence: FloatArray | None
-    sequence_is_sure: bool
     columns: Mapping[str, str]
     faults: Mapping[int, tuple[str, str]]
     unread: tuple[str, ...]
@@ -665,7 +663,6 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
     elif density_index is not None:
         weight, weight_unit = work.numbers(density_index, {"kg/m3": 1.0})
     sequence_index = work.first("sequence", "sequence")
-    sure = sequence_index is not None
     sequence = None
     if sequence_index is not None:
         sequence, _ = work.numbers(sequence_index, {"": 1.0})
@@ -698,7 +695,6 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
         item_id,
         group,
         sequence,
-        sure,
         {role: name for role, name in named.items() if name},
         work.faults,
         tuple(name for name in header if name not in known),

@@ -23,8 +23,9 @@ from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.text import count_text, printable_name
 from petmjx.plans.column_names import column_meanings
+from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.nested_json import BoxList, box_lists, decoded_json
-from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 from petmjx.plans.raw_tables import RawTable, decoded_text
 from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
@@ -66,6 +67,9 @@ class BoxSource:
     notes: tuple[str, ...] = ()
 
 
+MOST_BYTES: Final = 32 << 20
+"""Largest file of another tool: 200,000 boxes. As Python values they take ten times as much memory."""
+
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
 PACKINGSOLVER: Final = replace(_UPRIGHT, name="packingsolver's certificate")
@@ -85,27 +89,35 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
     Raises:
         InputError: the file is none of the known forms, or is damaged. The error does not name the file.
     """
+    if len(data) > MOST_BYTES:
+        raise NoBoxes(f"is larger than {MOST_BYTES >> 20} MiB, too large for a file of another tool")
     head = bytes(data[:8])
     if head.startswith(b"\x93NUMPY"):
         return _sources_of_arrays({"": _loaded_array(data)})
     if head.startswith(b"PK\x03\x04"):
         if b".npy" in bytes(data[: 1 << 16]):
             return _sources_of_arrays(_loaded_arrays(data))
+        if (kind := foreign_kind(data)) is not None and "ZIP" in kind:
+            raise InputError(kind)
         return sources_of_tables(read_raw_tables(data))
     text, _ = decoded_text(data)
     start = text.lstrip("\ufeff \t\r\n")
     if start.startswith("<"):
-        if re.search(r"<mujoco[\s>]", start[:20_000]):
+        if re.search(r"<mujoco[\s>/]", start[:20_000]):
             return [_scene(text)]
-        raise InputError(foreign_kind(start.encode()[:4096]) or "is XML of another kind")
+        raise NoBoxes(foreign_kind(start.encode()[:4096]) or "is XML of another kind")
     if start[:1] in ("{", "[") and not re.match(r"\[\s*[A-Za-z]", start):
-        value = decoded_json(start)
+        try:
+            value = decoded_json(start)
+        except InputError as error:
+            kind = NoBoxes if start.startswith("{") or "nested" in str(error) else InputError
+            raise kind(str(error)) from None
         sources = [_with_known_form(boxes) for boxes in box_lists(value)]
         if not sources:
-            raise InputError("has no list of boxes: petmjx looks for objects with places and sizes")
+            raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
         return sources
     if (kind := foreign_kind(data)) is not None:
-        raise InputError(kind)
+        raise NoBoxes(kind)
     if (printed := _printed(text)) is not None:
         return [printed]
     return sources_of_tables(read_raw_tables(data))
@@ -526,6 +538,35 @@ def sources_of_object(value: Any) -> list[BoxSource]:
     if not sources:
         raise InputError("holds no boxes: petmjx looks for objects with places and sizes")
     return sources
+
+
+def sources_of_frame(frame: Any) -> list[BoxSource]:
+    """The boxes of a data frame whose columns have other names. Rows count from 0.
+
+    Raises:
+        NoBoxes: the frame is no table.
+    """
+    try:
+        if hasattr(frame, "iloc") and hasattr(frame, "columns"):
+            header = tuple(str(name) for name in frame.columns)
+            rows = [tuple(_plain(cell) for cell in row) for row in frame.itertuples(index=False, name=None)]
+        else:
+            import pyarrow as pa
+
+            table = pa.table(frame)
+            header = tuple(table.column_names)
+            rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
+    except Exception as error:  # whatever an object raises that is no table
+        raise NoBoxes(f"is no table: {type(error).__name__}") from None
+    places = [f"row {number}" for number in range(len(rows))]
+    raw = RawTable(header, rows, places, decimal_of(rows))
+    return [_with_known_form(BoxList(raw, "", ("",) * len(rows)), "a data frame")]
+
+
+def _plain(cell: Any) -> Any:
+    """A cell of pandas as a Python value; None where it is missing."""
+    cell = cell.item() if isinstance(cell, np.generic) else cell
+    return None if cell is None or (isinstance(cell, float) and np.isnan(cell)) else cell
 
 
 def _bins_of(value: Any) -> list[Any]:

@@ -18,6 +18,7 @@ from petmjx.common.text import count_text, first_names, printable, printable_nam
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns, box_columns, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import PACKINGSOLVER, BoxSource, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.json_reader import unpacked_bytes
@@ -90,7 +91,7 @@ def plans_of_sources(
     chosen = _with_items(sources, path, items)
     columns = box_columns(chosen, wishes.columns)
     if not columns.geometries or not columns.n_boxes:
-        raise InputError(_no_geometry(columns, sources, path, source))
+        raise _no_geometry(columns, sources, path, source)
     return _Builder(columns, source, wishes).plans()
 
 
@@ -202,8 +203,8 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
     return best
 
 
-def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> str:
-    """Why a file has no places or sizes, and what to do."""
+def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> InputError:
+    """Why a file has no places or sizes, and what to do. ``NoBoxes``: it seems to be no file of boxes at all."""
     boxes = columns.source.boxes
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
@@ -211,25 +212,19 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     sized = boxes.has_sizes or bool(kinds & {"size", "sizes"})
     places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"})
     if not columns.n_boxes:
-        return "holds no box"
-    if (
-        quantities
-        and (sized or {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z"})
-        and not (sized and places_named)
-    ):
+        return InputError("holds no box")
+    items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
+    if quantities and (items_of_packingsolver or (sized and not places_named)):
         what = "quantities and layers" if "layers" in kinds else "quantities"
-        return f"has types of boxes with {what}, and no places: {PACK.format(file=file)}"
-    names = ", ".join(map(printable_name, boxes.table.header[:20]))
+        return InputError(f"has types of boxes with {what}, and no places: {PACK.format(file=file)}")
+    names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
     if places_named and not sized:
-        return f"has places of boxes, but no sizes: name a file that has them with --items FILE; there are {names}"
+        return InputError(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
     if sized and not places_named:
-        return f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; there are {names}"
-    missing = [
-        what
-        for what, known in (("places (x, y, z)", places_named), ("sizes (length, width, height)", sized))
-        if not known
-    ] or ["all three sizes or all three coordinates"]
-    return f"lacks {' and '.join(missing)}; there are {names}; say which with --columns x=NAME,…"
+        return InputError(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
+    if sized:
+        return InputError(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
+    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; say which with --columns x=NAME,…")
 
 
 # Rows become plans.
@@ -271,6 +266,9 @@ class _Builder:
             if bad:
                 more = f" (and {count_text(len(bad) - 1, 'more row')})" if len(bad) > 1 else ""
                 refused.append(RefusedPlan(name, f"{where}, {self.places[bad[0]]}: {self.faults[bad[0]]}{more}"))
+                continue
+            if (twice := self._repeated(rows)) is not None:
+                refused.append(RefusedPlan(name, f"{where}, {twice}"))
                 continue
             sequence, order = self._sequence(rows, low[rows], size[rows])
             good[name] = rows
@@ -426,11 +424,8 @@ class _Builder:
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
         """(n,) packing order of a plan's rows, from 1, and where it is from."""
-        sequence = self.columns.sequence
-        if sequence is not None and self.columns.sequence_is_sure:
-            whole = sequence[rows]
-            if (whole == np.rint(whole)).all() and len(np.unique(whole)) == len(whole):
-                return whole.astype(np.int64), "sequence"
+        if self.columns.sequence is not None:
+            return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
         in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
         at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
@@ -438,6 +433,22 @@ class _Builder:
             order[np.argsort(low[:, 2], kind="stable")] = np.arange(1, len(rows) + 1)
             return order, "height"
         return order, "rows"
+
+    def _repeated(self, rows: NDArray[np.int64]) -> str | None:
+        """The fault of a plan whose packing order has a number twice, or one that is not whole; None: it has none."""
+        sequence = self.columns.sequence
+        if sequence is None:
+            return None
+        name, seen = self.columns.columns["sequence"], dict[float, int]()
+        for row in rows.tolist():
+            value = float(sequence[row])
+            if not value.is_integer():
+                return f"{self.places[row]}: {name} must be a whole number, got {value:g}"
+            if value in seen:
+                plans = "" if self.columns.plan else "; several plans? then name their column: --columns plan=NAME"
+                return f"{self.places[seen[value]]} and {self.places[row]}: {name} {value:g} is there twice{plans}"
+            seen[value] = row
+        return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
         """Where the packing order is from, with a note if it is not the column of one."""

@@ -32,7 +32,10 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
     """
     data, fault = unpacked_bytes(path)
     if data.startswith(_UTF16_MARKS) and b"\0" in data[2:4]:
-        return bytearray(), "is UTF-16 text; plans must be UTF-8"
+        try:
+            data = bytearray(data.decode("utf-16").encode())
+        except UnicodeError as error:
+            return bytearray(), f"is damaged UTF-16 text ({error.args[-1]})"
     if (kind := foreign_kind(data)) is not None:
         return bytearray(), kind
     if data.startswith(_UTF8_MARK):

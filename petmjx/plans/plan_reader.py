@@ -25,6 +25,7 @@ from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import (
     CSV_SUFFIXES,
     PARQUET_SUFFIX,
+    NoBoxes,
     SupportsArrow,
     is_csv,
     is_of_other_tools,
@@ -56,8 +57,6 @@ MOST_LINES: Final = 100_000
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names of a data frame, and of another object, in messages."""
-NO_BOXES: Final = "has no list of boxes"
-"""Part of the message about JSON in which no list of boxes is."""
 _MOSTLY_OWN: Final = 4
 """A table with more of petmjx's own names of columns is meant to be one of petmjx's."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
@@ -275,13 +274,31 @@ class _PlanLoader:
         from petmjx.plans.placement_table import TableError
         from petmjx.plans.table_files import frame_table
 
+        self.most_skipped = MOST_LINES
         try:
             table = frame_table(frame)
         except TableError as error:
-            raise InputError(f"{FRAME}: {error}") from None
-        self.most_skipped = MOST_LINES
-        self._read_table(FRAME, lambda: table)
+            fault = error if error.is_own else self._read_foreign_frame(frame)
+            if fault is not None:
+                own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
+                raise InputError(f"{FRAME}: {error if own else fault}") from None
+        else:
+            self._take_table(FRAME, table, self.given)
         self._count_unlisted(FRAME)
+
+    def _read_foreign_frame(self, frame: SupportsArrow) -> InputError | None:
+        """Read a data frame with other names of columns. Returns why it cannot be read; None: it was read."""
+        from petmjx.plans.foreign_formats import sources_of_frame
+        from petmjx.plans.foreign_plans import plans_of_sources
+
+        items = self.options.items
+        try:
+            self._take_foreign(
+                FRAME, lambda wishes: plans_of_sources(sources_of_frame(frame), None, FRAME, wishes, items)
+            )
+        except InputError as error:
+            return error
+        return None
 
     def read_object(self, value: Any) -> None:
         """Read boxes of Python objects in another tool's form.
@@ -302,7 +319,7 @@ class _PlanLoader:
             raise InputError(f"{OBJECT}: {error}") from None
         self._count_unlisted(OBJECT)
 
-    def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> str | None:
+    def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
         """Read a file of another tool. Returns why it cannot be read; None: it was read."""
         from petmjx.plans.foreign_plans import read_foreign
 
@@ -310,7 +327,9 @@ class _PlanLoader:
         try:
             self._take_foreign(source, lambda wishes: read_foreign(data, path, source, wishes, items))
         except InputError as error:
-            return str(error)
+            if self.strict and str(error).startswith(f"{source}: "):  # of a plan or row
+                raise
+            return error
         return None
 
     def _take_foreign(self, source: str, read: Callable[[Wishes], ForeignPlans]) -> None:
@@ -341,7 +360,8 @@ class _PlanLoader:
         if fault is not None and not data:
             whole, packing_fault = unpacked_bytes(path)
             if packing_fault is None and is_of_other_tools(whole):
-                fault = self._read_foreign(source, path, whole)
+                error = self._read_foreign(source, path, whole)
+                fault = None if error is None else str(error)
             if fault is not None:
                 self._skip(source, None, f"{source}: {fault}")
             return
@@ -360,7 +380,7 @@ class _PlanLoader:
             self._read_json(source, path, data, damaged=fault is not None)
 
     def _read_table(
-        self, source: str, read: Callable[[], Table], otherwise: Callable[[], str | None] | None = None
+        self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None = None
     ) -> None:
         """Read a table.
 
@@ -372,9 +392,9 @@ class _PlanLoader:
         try:
             table = read()
         except TableError as error:
-            fault = str(error) if otherwise is None else otherwise()
+            fault = error if otherwise is None or error.is_own else otherwise()
             if fault is not None:
-                own = error.n_known > _MOSTLY_OWN or otherwise is None
+                own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
                 self._skip(source, None, f"{source}: {error if own else fault}", error)
             return
         self._take_table(source, table, self.given)
@@ -447,7 +467,7 @@ class _PlanLoader:
         fault = self._read_foreign(source, path, data)
         if fault is None:
             return False
-        if NO_BOXES in fault or fault.startswith("not JSON"):
+        if isinstance(fault, NoBoxes):
             return True
         self._skip(source, None, f"{source}: {fault}")
         return False

@@ -61,8 +61,6 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     Heights count from the lowest box. If that is not at 0, the reading costs more.
     """
     low, size = layout.low, layout.size
-    if (size <= 0).any():
-        return 100.0, "given", (len(low), 0, 0, 0.0)
     tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
     bottom = float(low[:, 2].min())
     heights = low[:, 2] - bottom

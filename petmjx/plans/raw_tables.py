@@ -19,6 +19,7 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.plans.column_names import column_meanings, is_unit, plain_text
+from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 
 MOST_ROWS: Final = 1_000_000
@@ -125,9 +126,9 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
     if mark is not None:
         delimiter, text, begin = "\t" if mark[1] == "\\t" else mark[1], rest, 2
     if not text.strip():
-        raise InputError("the file is empty")
+        raise NoBoxes("the file is empty")
     if text.count("\0"):
-        raise InputError("is no text")
+        raise NoBoxes("is no text")
     lost: list[tuple[str, str]] = []
     if text.count('"') % 2:
         text = _without_unclosed(text, lost, begin)
@@ -163,7 +164,7 @@ def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     except csv.Error as error:
-        raise InputError(f"is no table: {error}") from error
+        raise NoBoxes(f"is no table: {error}") from error
 
 
 def _delimiter_of(text: str) -> str:
@@ -385,13 +386,19 @@ def _names_unit(name: str) -> bool:
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
-    """Names without repetitions: the second "x" becomes "x (2)"; a name that is empty is "column 3"."""
+    """Names without repetitions; a name that is empty is "column 3".
+
+    Raises:
+        InputError: a name that is known is there twice.
+    """
     seen: Counter[str] = Counter()
     distinct = []
     for number, name in enumerate(names, start=1):
         name = name or f"column {number}"
         seen[name] += 1
-        distinct.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+        if seen[name] == 2 and column_meanings([name])[0] is not None:
+            raise InputError(f"column {printable_name(name)} is there twice")
+        distinct.append(name if seen[name] == 1 else f"{name} again")
     return distinct
 
 
@@ -420,7 +427,7 @@ def _without_header(
     good = [(index, row) for index, row in used if len(row) == width]
     numeric = sum(_mostly_numbers(row) for _, row in good)
     if width < 6 or numeric < 0.8 * max(len(good), 1):
-        raise InputError("has no header with known names of columns")
+        raise NoBoxes("has no header with known names of columns")
     bad = [
         (f"row {index + begin}", f"has {len(row)} fields instead of {width}")
         for index, row in used

@@ -68,7 +68,8 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> _
     for row in columns.faults:
         good[row] = False
     for geometry in columns.geometries:
-        good &= ~(np.isnan(geometry.size).any(axis=1) | np.isnan(geometry.place).any(axis=1))
+        with np.errstate(invalid="ignore"):
+            good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
     chosen: list[NDArray[np.int64]] = []
     containers: list[Mapping[str, float]] = []
     taken = 0
@@ -177,7 +178,7 @@ def choose_reading(
     """
     sample = _sample_of(columns, plans)
     if not sample.rows:
-        row, (column, text) = next(iter(sorted(columns.faults.items())), (0, ("", "no row can be read")))
+        row, (column, text) = next(iter(sorted(columns.faults.items())), (0, ("", "no row has positive sizes")))
         raise InputError(f"{columns.source.boxes.table.places[row]}: {column} {text}" if column else text)
     judged = _judged_candidates(columns, wishes, sample)
     best = judged[0]
@@ -225,8 +226,6 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
 
 def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged:
     """A judged candidate with the cost of its most plausible units."""
-    if judged.layout_cost >= 100.0:
-        return judged
     return replace(judged, unit_cost=_unit_costs(judged, columns, wishes)[0][0])
 
 

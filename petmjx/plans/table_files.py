@@ -59,7 +59,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
                 raise TableError(f"row 1, column {number}: the name is not UTF-8 text{other_encoding(name)}") from error
         raise
     if not data[len(header) :].strip():
-        raise TableError("holds no plan")
+        raise TableError("holds no plan", len(where), is_own=True)
     reader = _CsvReader(delimiter, names, where["plan_id"])
     rows, numbers = reader.read(data)
     decimal = "," if delimiter == ";" and b"," in data and _has_decimal_commas(rows, where) else "."

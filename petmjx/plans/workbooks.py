@@ -116,7 +116,7 @@ def check_archive(data: bytes | bytearray) -> None:
 
 
 def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:
-    tables, fault = [], InputError("holds no table")
+    tables, fault = [], InputError("is a workbook without a table of boxes")
     for title, rows in sheets.items():
         if not any(any(cell is not None for cell in row) for row in rows):
             continue
