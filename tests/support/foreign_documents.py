@@ -27,8 +27,9 @@ class Place:
     """Where a file is damaged, as an error is to name it.
 
     Attributes:
-        row: of tables: the row in the file or sheet, from 1, the header's counted; of texts, XML and JSON
-            Lines: the line, from 1; of JSON and arrays: the index of the box in its plan, from 0. None: the file cannot be opened at all.
+        row: of tables: the row in the file or sheet, from 1, the header's counted; of texts, XML and JSON Lines: the
+            line, from 1; of JSON and arrays: the index of the box in its plan, from 0. None: the file cannot be opened
+            at all.
         column: the header, the key, or the index of the column; "": the whole row, or the file.
     """
 

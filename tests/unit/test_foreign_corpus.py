@@ -20,7 +20,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.foreign_case import Case, buildable, difference, overlaps, plausible
 from support.foreign_files import CASES, KINDS, READABLE, damaged
-from support.foreign_plans import ANCHORS, MM, Packing, View
+from support.foreign_plans import ANCHORS, MM, Convention, Packing, View
+
+import petmjx
 
 SURE = [name for name in READABLE if not CASES[name].may_ask]
 ROUNDED_MM = 0.05
@@ -153,6 +155,14 @@ def test_differences_are_seen() -> None:
     assert case.mismatch([as_read(plan)])
     assert case.mismatch([]) == "0 plans instead of 1"
     assert "no sizes" in CASES["poses-alone.npy"].mismatch([as_read(plan)])
+
+
+def test_plans_of_petmjx_are_compared(tmp_path: Path) -> None:
+    """BED-BPP's own form, which petmjx reads without a guess."""
+    case = replace(CASES["bed-bpp-in-lb.json"], convention=Convention(), form={"length": "mm", "mass": "kg"})
+    plans = petmjx.load_plans(case.write(tmp_path)).plans
+    assert not case.mismatch(plans)
+    assert case.mismatch(plans[::-1])
 
 
 def test_json_by_the_sources_of_its_tools(tmp_path: Path) -> None:
