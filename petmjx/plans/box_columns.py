@@ -349,6 +349,7 @@ class _Extraction:
         if not sizes:
             return []
         size, axes, unit, _, columns = sizes[0]
+        quaternions = self.columns_of("quaternion")
         matrix = next(
             (index for index in range(len(header)) if any(_is_matrix(row[index]) for row in self.table.rows[:3])), None
         )
@@ -362,25 +363,28 @@ class _Extraction:
                     rotations[row], places[row] = array[:3, :3], array[:3, 3]
             columns = {**columns, "pose": header[matrix]}
             return [self._pose(size, places, axes, unit, unit, rotations, columns, matrix, "")]
-        quaternions = self.columns_of("quaternion")
-        places_of = self.place_choices()
+        places_of = self.place_choices() if quaternions else []
         if not places_of:
             return []
         named = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
         listed = [quaternions.get(str(axis), [None])[0] for axis in range(4)]
         orders = [named] if None not in named else [listed, [listed[3], *listed[:3]]] if None not in listed else []
         place, place_unit, anchor, more, _ = places_of[0]
-        geometries = []
+        geometries: list[Geometry] = []
+        poses: list[tuple[int, FloatArray, dict[str, str], int, float]] = []
         for number, order in enumerate(orders):
             indices = [index for index in order if index is not None]
             values = np.stack([self.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
             all_columns = {**columns, **more, "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]]}
-            geometry = self._pose(
-                size, place, axes, unit, place_unit, _rotations_of(values), all_columns, indices[0], anchor
-            )
-            if len(orders) == 2 and number == 1:
-                geometry = replace(geometry, prior=0.4, columns={**all_columns, "order of quaternions": "x, y, z, w"})
-            geometries.append(geometry)
+            if number == 1:
+                all_columns["order of quaternions"] = "x, y, z, w"
+            rotation = _rotations_of(values)
+            poses.append((int((_tilt(rotation) > _LEVEL).sum()), rotation, all_columns, indices[0], 0.4 * number))
+        least = min((tilted for tilted, *_ in poses), default=0)
+        for tilted, rotation, all_columns, index, prior in poses:
+            if tilted == least:
+                geometry = self._pose(size, place, axes, unit, place_unit, rotation, all_columns, index, anchor)
+                geometries.append(replace(geometry, prior=prior))
         return geometries
 
     def _pose(
@@ -396,8 +400,7 @@ class _Extraction:
         anchor: str,
     ) -> Geometry:
         """A geometry of poses. Boxes that are not at right angles are refused."""
-        tilted = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
-        for row in np.flatnonzero(tilted > _LEVEL):
+        for row in np.flatnonzero(_tilt(rotation) > _LEVEL):
             degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
             self.bad(
                 int(row), index, f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
@@ -552,6 +555,12 @@ _LEVEL: Final = 2e-3
 """Largest difference of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
 
+def _tilt(rotation: FloatArray) -> FloatArray:
+    """(n,) largest difference of the axes of (n, 3, 3) rotations from right angles."""
+    tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
+    return tilt
+
+
 def _role_of(meaning: ColumnMeaning) -> str:
     if meaning.kind == "size":
         return role_of(meaning.axis)
@@ -636,15 +645,15 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
     """
     work = _Extraction(source, chosen or {})
     turns = None
-    if not source.boxes.table.has_header:
-        geometries = work.array_choices()
-    elif work.columns_of("quaternion") or any(_is_matrix(cell) for row in work.table.rows[:1] for cell in row):
-        geometries = work.pose_choices()
-    else:
-        geometries = []
+    geometries = work.pose_choices() if source.boxes.table.has_header else work.array_choices()
+    if source.boxes.table.has_header and not geometries:
         places, sizes = work.place_choices(), work.size_choices()
         for size, axes, size_unit, placed, columns in sizes:
             for place, place_unit, anchor, more, up in places:
+                if size_unit and place_unit and size_unit != place_unit:
+                    size = size * LENGTH_UNITS[size_unit]
+                    place = place * LENGTH_UNITS[place_unit]
+                    size_unit = place_unit = "mm"
                 geometries.append(
                     Geometry(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}, named_up=up)
                 )
@@ -670,6 +679,8 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
     plan, plan_name = work.texts("plan", role="plan")
     article, article_name = work.texts("article", role="article")
     item_id, item_name = work.texts("item_id", "number", role="item_id")
+    if item_id is None and article is not None:
+        item_id, item_name = article, article_name
     group, group_name = work.texts("group")
     header = source.boxes.table.header
     named = {

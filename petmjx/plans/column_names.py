@@ -84,7 +84,7 @@ _CONTAINER: Final = word_set(
 )
 _WORDS: Final[dict[Kind, frozenset[str]]] = {
     "weight": word_set(
-        "weight weights mass masse gewicht gew poids peso pesos waga masa ciezar wt wgt bruttogewicht kg"
+        "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wgt bruttogewicht kg"
     ),
     "density": word_set("density dichte densite densidad densita gestosc"),
     "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
@@ -112,7 +112,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     ),
     "item_id": word_set(
         "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
-        "caja bulto collo scatola kiste barcode label ean sscc handle"
+        "caja bulto collo scatola kiste barcode label ean sscc handle partno partnumber"
     ),
     "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
     "plan": word_set("plan plans planid load stack batch solution pattern") | _CONTAINER,
@@ -311,13 +311,13 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
         )
     if edge is not None and not size_word:
         return ColumnMeaning("low" if edge[2] in "0" else f"edge{edge[2]}", edge[1])  # type: ignore[arg-type]  # resolved by the caller
-    if everything & {"quaternion", "quat", "quaternions", "orientation"} and (
-        axis or last == "w" or (index and everything & {"quaternion", "quat", "quaternions"})
-    ):
+    if everything & {"quaternion", "quat", "quaternions", "orientation"} and (axis or last == "w" or index):
         return ColumnMeaning("quaternion", index or axis or last)
     is_dims = bool(words & _DIMENSIONS or context & _DIMENSIONS)
     if "masse" in words and not of_sharp and not index and axis is None:
         is_dims = bool((words | context) & (_DIMENSIONS - {"masse"}))
+    if words & _CONTAINER and words & {"location", "nr", "no", "id"} and axis is None and not index:
+        return None
     is_position = bool(everything & _POSITION) or bool(everything & _CENTRE and (axis or index))
     if size_word and is_position and not is_dims and not index and "left" not in words:
         return ColumnMeaning("position", size_word, anchor=_anchor_of(everything))
@@ -387,6 +387,8 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     """What a name without axes means."""
     words = set(tail)
     joined = "".join(tail)
+    if joined == "m":
+        return "weight"
     if joined in ("fragile", "color", "colour", "farbe", "status", "level"):
         return None
     for kind in _FIRST:
@@ -406,7 +408,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
         return "plan"
     named = {"id", "name", "nr", "no", "number", "nummer", "index", "label", "numer"}
     if words & _WORDS["plan"] and not words & {"item", "box", "case", "article", "artikel", "sku"}:
-        rest = words - _WORDS["plan"] - named
+        rest = words - _WORDS["plan"] - named - {"location"}
         return "plan" if not rest else None
     if words & {"sku", "article", "artikel", "artykul", "articulo", "articolo", "product", "produkt", "produit"}:
         return "article"

@@ -21,7 +21,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind
-from petmjx.common.text import count_text, printable_name
+from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.plans.column_names import column_meanings
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.nested_json import BoxList, box_lists, decoded_json
@@ -79,6 +79,7 @@ PACKVIUM: Final = replace(_UPRIGHT, name="packvium's result")
 BENCHMARK: Final = KnownForm("centres and dimensions as placed", anchor="centre", up="z", sizes="placed")
 SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "placed")
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
+BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
 ARRAY: Final = KnownForm("an array of numbers")
 POSES: Final = KnownForm("poses")
 
@@ -193,6 +194,8 @@ def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     of_benchmark = {"position.x", "dimensions.width", "dimensions.depth", "dimensions.height", "rotation"} <= names
     if of_benchmark and names & {"sku_id", "sku", "skuid"} and "container" in around:
         return BoxSource(boxes, BENCHMARK)
+    if {"flb_coordinates[0]", "orientation"} <= names:
+        return BoxSource(boxes, BED_BPP)
     if {"length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm"} <= names:
         return BoxSource(boxes, OWN)
     if not boxes.table.has_header:
@@ -400,7 +403,11 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
             table = RawTable(header, rows, [f"row {index}" for index in range(len(rows))], title=name)
             return [_with_known_form(BoxList(table, name, ("",) * len(rows)), "a NumPy array")]
     containers = _containers_in(arrays)
-    columns = {name: array for name, array in named.items() if array.ndim <= 2 and not _is_container(name)}
+    columns = {
+        name: array
+        for name, array in named.items()
+        if (array.ndim <= 2 or array.shape[1:] in ((4, 4), (3, 4))) and not _is_container(name)
+    }
     lengths = Counter(len(array) for array in columns.values())
     if len(columns) > 1 and lengths and column_names_known(columns):
         n_rows = lengths.most_common(1)[0][0]
@@ -408,6 +415,10 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         stacked: list[Any] = []
         for name, array in columns.items():
             if len(array) != n_rows:
+                continue
+            if array.ndim == 3:
+                header_list.append(name)
+                stacked.append(array.tolist())
                 continue
             flat = array.reshape(n_rows, -1)
             header_list += [name] if array.ndim == 1 else [f"{name}[{index}]" for index in range(flat.shape[1])]
@@ -434,20 +445,40 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
                 rows.append(tuple(plan[index]))
                 places.append(f"row {index}" if array.ndim == 2 else f"plan {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))
+        if len(named) > 1:
+            parts = ["/".join(filter(None, (name, part))) for part in parts]
         header = tuple(f"column {index}" for index in range(plans.shape[2]))
         table = RawTable(header, rows, places, title=name, has_header=False)
         sources.append(BoxSource(BoxList(table, name, tuple(parts), containers), ARRAY))
     if not sources:
         shapes = ", ".join(f"{name or 'array'} {getattr(array, 'shape', ())}" for name, array in arrays.items())
         raise InputError(f"holds no array of boxes (n, 6 to 64): {printable_name(shapes)}")
-    return sorted(sources, key=lambda source: len(source.boxes.table.rows), reverse=True)
+    return _as_plans(sources)
+
+
+def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
+    """Lists of boxes, those with the same columns as one list of several plans; the longest first."""
+    groups: dict[tuple[str, ...], list[BoxSource]] = {}
+    for source in sources:
+        groups.setdefault(source.boxes.table.header, []).append(source)
+    joined = []
+    for group in groups.values():
+        first = group[0]
+        tables = [source.boxes.table for source in group]
+        several = len(group) > 1
+        places = [f"{table.title}, {place}" if several else place for table in tables for place in table.places]
+        table = replace(tables[0], rows=[row for table in tables for row in table.rows], places=places)
+        parts = tuple(part for source in group for part in source.boxes.parts)
+        joined.append(replace(first, boxes=replace(first.boxes, table=table, parts=parts)))
+    return sorted(joined, key=lambda source: len(source.boxes.table.rows), reverse=True)
 
 
 def column_names_known(columns: Mapping[str, Any]) -> bool:
     """Whether names of arrays are those of sizes and places."""
     names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
     kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
-    return bool(kinds & {"position", "low"}) and bool(kinds & {"size", "high"})
+    posed = any(array.ndim == 3 for array in columns.values())
+    return (posed or bool(kinds & {"position", "low"})) and bool(kinds & {"size", "high"})
 
 
 def _cell_of(value: Any) -> Any:
@@ -484,7 +515,8 @@ def _scene(text: str) -> BoxSource:
         raise InputError(f"is a MuJoCo scene that MuJoCo refuses: {' '.join(str(error).split())}") from None
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    rows, places, others, pallets = [], [], 0, 0
+    rows, places, pallets = [], [], 0
+    others: list[str] = []
     for body in range(1, model.nbody):
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
         if not any(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE for joint in joints):
@@ -498,7 +530,7 @@ def _scene(text: str) -> BoxSource:
             pallets += 1
             continue
         if len(solid) != 1 or model.geom_type[solid[0]] != mujoco.mjtGeom.mjGEOM_BOX:
-            others += 1
+            others.append(name)
             continue
         shape = solid[0]
         size = 2 * model.geom_size[shape]
@@ -507,13 +539,13 @@ def _scene(text: str) -> BoxSource:
         matrix[:3, 3] = data.geom_xpos[shape]
         rows.append((name, *map(float, size), matrix.tolist(), float(model.body_mass[body])))
         places.append(f"body {name}")
+    if others:
+        raise InputError(f"is a MuJoCo scene with free bodies that are not one box each: {first_names(others)}")
     if not rows:
         raise InputError("is a MuJoCo scene without a free body that is one box")
     notes = []
     if pallets:
         notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")
-    if others:
-        notes.append(f"{count_text(others, 'body is', 'bodies are')} not one box each, and left out")
     table = RawTable(("name", "size_x", "size_y", "size_z", "matrix", "mass"), rows, places)
     return BoxSource(BoxList(table, "", ("",) * len(rows)), SCENE, tuple(notes))
 

@@ -114,9 +114,33 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
                 and (joined := _joined(best, other, other.boxes.path or "the other table")) is not None
             ):
                 return joined
+    if path is not None and best.boxes.has_places and not best.boxes.has_sizes:
+        return _with_articles_beside(best, path)
     if best.form == PACKINGSOLVER and path is not None:
         return _with_items_beside(best, path)
     return best
+
+
+_OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
+_MOST_BESIDE: Final = 20
+"""Most files of items that are looked at beside a file of places alone."""
+
+
+def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
+    """Boxes with the sizes of the items in a file beside theirs, if exactly one such file has them."""
+    try:
+        beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
+    except OSError:
+        return best
+    joined = []
+    for file in beside[:_MOST_BESIDE]:
+        try:
+            source = sources_of_bytes(_bytes_of(file), file)[0]
+        except InputError:
+            continue  # another file
+        if source.boxes.has_sizes and (whole := _joined(best, source, file.name)) is not None:
+            joined.append(whole)
+    return joined[0] if len(joined) == 1 else best
 
 
 def _bytes_of(path: Path) -> bytearray:

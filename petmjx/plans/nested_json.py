@@ -29,6 +29,8 @@ _UNPLACED: Final = word_set(
 )
 """Words of lists whose boxes are not in the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
+_LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
+"""Words of lists whose members are parts of one plan."""
 _NAMES: Final = (
     "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
     "binId",
@@ -201,7 +203,7 @@ def _last(path: str) -> str:
 
 
 def _last_step(place: str) -> str:
-    return place.rpartition(".")[2] if not place.endswith("]") else place[place.rfind("[") :]
+    return place.rpartition(".")[2]
 
 
 def _alike(members: Sequence[Mapping[str, Any]]) -> bool:
@@ -359,7 +361,11 @@ def _parts(members: Sequence[_Member]) -> list[str]:
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
         for level in range(depth)
     ]
-    several = [level for level in levels if len({id(holder) for _, holder in level}) > 1]
+    several = [
+        level
+        for level in levels
+        if len({id(holder) for _, holder in level}) > 1 and not _LAYERS.intersection(words_of(level[0][0]))
+    ]
     if not several:
         return [_only_name(members[0].around)] * len(members) if members else []
     names = [[_name_of(step, holder, [inner for _, inner in level]) for step, holder in level] for level in several]
@@ -373,7 +379,7 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
             if (text := _name_text(holder.get(name))) != "":
                 return text
     for step, holder in reversed(around):
-        if step.startswith("[") or not step:
+        if step.endswith("]") or not step:
             for name in ("id", "ID", "name", "bin", "partno"):
                 if (text := _name_text(holder.get(name))) != "":
                     return text
@@ -387,7 +393,8 @@ def _name_of(step: str, holder: Mapping[str, Any], alike: Sequence[Mapping[str, 
         text = _name_text(holder.get(name))
         if text and sum(_name_text(other.get(name)) == text for other in distinct) == 1:
             return text
-    return step.strip("[]") if not step.startswith("[") else f"{int(step.strip('[]')) + 1}"
+    member = re.search(r"\[(\d+)\]$", step)
+    return step if member is None else str(int(member[1]) + 1)
 
 
 def _name_text(value: Any) -> str:

@@ -258,7 +258,7 @@ class _PlanLoader:
             if is_parquet(path):
                 from petmjx.plans.table_files import read_parquet
 
-                self._read_table(source, lambda: read_parquet(path))
+                self._read_table(source, lambda: read_parquet(path), lambda: self._read_foreign_parquet(source, path))
             else:
                 self._read_text(source, path)
         except (OSError, ValueError) as error:
@@ -286,7 +286,16 @@ class _PlanLoader:
             self._take_table(FRAME, table, self.given)
         self._count_unlisted(FRAME)
 
-    def _read_foreign_frame(self, frame: SupportsArrow) -> InputError | None:
+    def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
+        """Read a Parquet file with other names of columns. Returns why it cannot be read; None: it was read."""
+        from petmjx.plans.table_files import parquet_frame
+
+        try:
+            return self._read_foreign_frame(parquet_frame(path), source)
+        except InputError as error:
+            return error
+
+    def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
         """Read a data frame with other names of columns. Returns why it cannot be read; None: it was read."""
         from petmjx.plans.foreign_formats import sources_of_frame
         from petmjx.plans.foreign_plans import plans_of_sources
@@ -294,7 +303,7 @@ class _PlanLoader:
         items = self.options.items
         try:
             self._take_foreign(
-                FRAME, lambda wishes: plans_of_sources(sources_of_frame(frame), None, FRAME, wishes, items)
+                source, lambda wishes: plans_of_sources(sources_of_frame(frame), None, source, wishes, items)
             )
         except InputError as error:
             return error

@@ -210,6 +210,24 @@ def read_parquet(path: Path) -> Table:
     return Table(columns, unread, np.arange(rows.num_rows))
 
 
+def parquet_frame(path: Path) -> pa.Table:
+    """All columns of a Parquet file.
+
+    Raises:
+        TableError: the file is damaged or too large. The error does not name the file.
+        OSError: the file cannot be read.
+    """
+    with open_for_arrow(path) as stream:
+        try:
+            with pq.ParquetFile(stream) as file:
+                names = file.schema_arrow.names
+            return read_within(stream, names)
+        except OversizedFile as error:
+            raise TableError(str(error)) from error
+        except (pa.ArrowException, OSError) as error:
+            raise TableError("is not a whole Parquet file") from error
+
+
 def frame_table(frame: Any) -> Table:
     """The table of a pandas data frame, or of any object with Arrow's stream interface. Rows count from 0.
 
