@@ -358,7 +358,7 @@ class _Extraction:
             for row, cell in enumerate(self.cells(matrix)):
                 array = _matrix_of(cell)
                 if array is None:
-                    self.bad(row, matrix, "must be a 4×4 matrix of numbers")
+                    self.bad(row, matrix, f"must be a 4×4 matrix of numbers{_bad_member(cell)}")
                 else:
                     rotations[row], places[row] = array[:3, :3], array[:3, 3]
             columns = {**columns, "pose": header[matrix]}
@@ -417,9 +417,8 @@ class _Extraction:
             values = np.stack([self._quiet(start + offset) for offset in range(6)], axis=1)
             first, second = values[:, :3], values[:, 3:]
             prior = 0.8 * start
-            with np.errstate(invalid="ignore"):
-                is_size = [(part > 0).all() for part in (first, second)]
-                are_ends = (second > first).all()
+            is_size = [_mostly((part > 0).all(axis=1)) for part in (first, second)]
+            are_ends = _mostly((second > first).all(axis=1))
             listed = tuple(map(role_of, "012"))
             columns = dict(zip((*listed, *_XYZ), names, strict=True))
             if is_size[0]:
@@ -431,10 +430,8 @@ class _Extraction:
                 ends = dict(zip((*_XYZ, *(f"{axis} (far)" for axis in _XYZ)), names, strict=True))
                 corners = Geometry(second - first, first, _XYZ, "", "", "corner", True, ends, prior + 0.2)
                 geometries.append(corners)
-        if geometries:
-            best = geometries[0].columns.values()
-            for name in best:
-                self.numbers(header.index(name), LENGTH_UNITS)  # names bad cells
+        for name in geometries[0].columns.values() if geometries else ():
+            self.numbers(header.index(name), LENGTH_UNITS)  # names bad cells
         return geometries
 
     def array_extras(self, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
@@ -555,6 +552,14 @@ _LEVEL: Final = 2e-3
 """Largest difference of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
 
+_MOST_SOUND: Final = 0.9
+"""Least share of rows without a header that must be what a column is taken for; the others have bad cells."""
+
+
+def _mostly(rows: NDArray[np.bool_]) -> bool:
+    return bool(rows.mean() >= _MOST_SOUND) or bool(rows.sum() >= len(rows) - 1 > 1)
+
+
 def _tilt(rotation: FloatArray) -> FloatArray:
     """(n,) largest difference of the axes of (n, 3, 3) rotations from right angles."""
     tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
@@ -591,6 +596,16 @@ def _matrix_of(cell: Any) -> FloatArray | None:
     if array.shape == (16,):
         array = array.reshape(4, 4)
     return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
+
+
+def _bad_member(cell: Any) -> str:
+    """Which member of a matrix is no number, from 0, for messages; "": its shape is wrong."""
+    flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
+    for index, value in enumerate(flat):
+        number = cell_number(value)
+        if number is None or not np.isfinite(number.value):
+            return f", got {printable_name(str(value))} as number {index}"
+    return ""
 
 
 def _rotations_of(quaternion: FloatArray) -> FloatArray:

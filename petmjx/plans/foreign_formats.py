@@ -288,7 +288,7 @@ _BIN_LINE: Final = re.compile(
 _FIELD_LINE: Final = re.compile(
     r"^(name|partno|part no|color|position|rotation type|W\*H\*D|volume|weight)\s*:\s*(.*)$"
 )
-_PRINTED: Final = ("name", "width", "height", "depth", "weight", "x", "y", "z", "rotation_type")
+_PRINTED: Final = ("name", "width", "height", "depth", "weight", "pos x", "pos y", "pos z", "rotation_type")
 
 
 def _printed(text: str) -> BoxSource | None:
@@ -512,7 +512,10 @@ def _scene(text: str) -> BoxSource:
     try:
         model = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
-        raise InputError(f"is a MuJoCo scene that MuJoCo refuses: {' '.join(str(error).split())}") from None
+        text = " ".join(str(error).split())
+        number = re.search(r"[Ll]ine(?: number)?[ =](\d+)", text)
+        line = "" if number is None else f"line {number[1]}: "
+        raise InputError(f"{line}is a MuJoCo scene that MuJoCo refuses: {text}") from None
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     rows, places, pallets = [], [], 0

@@ -34,11 +34,11 @@ from petmjx.plans.plan_fields import (
     positive_fault,
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
-from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.raw_cells import GROUPED, cell_number, cell_text
 from petmjx.plans.raw_tables import RawTable
 from petmjx.plans.reading_candidates import Candidate, layout_of
-from petmjx.plans.reading_choice import choose_reading, container_of
-from petmjx.plans.readings import Reading, Wishes
+from petmjx.plans.reading_choice import TIE, choose_reading, container_of
+from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
 
 USUAL_KG_M3: Final = 300.0
 """Density of boxes if a file has no weights, that of cartons in BED-BPP's orders. Verdicts hardly depend on it, where
@@ -89,6 +89,32 @@ def plans_of_sources(
 ) -> ForeignPlans:
     """The plans in lists of boxes, the likeliest first. Arguments and errors are those of :func:`read_foreign`."""
     chosen = _with_items(sources, path, items)
+    if chosen.boxes.table.decimal:
+        return _plans_of(chosen, sources, path, source, wishes)
+    try:
+        first = _plans_of(_with_decimal(chosen, ","), sources, path, source, wishes)
+    except InputError:
+        first = None
+    try:
+        second = _plans_of(_with_decimal(chosen, GROUPED), sources, path, source, wishes)
+    except InputError:
+        second = None
+    both = [plans for plans in (first, second) if plans is not None]
+    best = min(both, key=lambda plans: plans.reading.cost, default=None)
+    if best is None or (len(both) == 2 and abs(both[0].reading.cost - both[1].reading.cost) < TIE):
+        return _plans_of(chosen, sources, path, source, wishes)  # names a number that may be two
+    return best
+
+
+def _with_decimal(source: BoxSource, decimal: str) -> BoxSource:
+    note = "decimal commas" if decimal == "," else "marks between thousands"
+    table = replace(source.boxes.table, decimal=decimal, notes=(*source.boxes.table.notes, note))
+    return replace(source, boxes=replace(source.boxes, table=table))
+
+
+def _plans_of(
+    chosen: BoxSource, sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes
+) -> ForeignPlans:
     columns = box_columns(chosen, wishes.columns)
     if not columns.geometries or not columns.n_boxes:
         raise _no_geometry(columns, sources, path, source)
@@ -270,7 +296,13 @@ class _Builder:
         for row, name in enumerate(names):
             rows_of.setdefault(name, []).append(row)
         plans = {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
-        reading, candidate = choose_reading(self.columns, plans, self.wishes)
+        try:
+            reading, candidate = choose_reading(self.columns, plans, self.wishes)
+        except AmbiguousFile:
+            if not self.boxes.table.lost:
+                raise
+            place, fault = self.boxes.table.lost[0]  # what is missing makes the rest implausible
+            raise InputError(f"{place}: {fault}") from None
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         size, low, containers = self._geometry(reading, candidate, plans)
         self._check_ranges(reading, candidate, size, low)
@@ -289,7 +321,7 @@ class _Builder:
             bad = [row for row in rows.tolist() if row in self.faults]
             if bad:
                 more = f" (and {count_text(len(bad) - 1, 'more row')})" if len(bad) > 1 else ""
-                refused.append(RefusedPlan(name, f"{where}, {self.places[bad[0]]}: {self.faults[bad[0]]}{more}"))
+                refused.append(RefusedPlan(name, f"{where}, {self._place_of(bad[0])}: {self.faults[bad[0]]}{more}"))
                 continue
             if (twice := self._repeated(rows)) is not None:
                 refused.append(RefusedPlan(name, f"{where}, {twice}"))
@@ -307,6 +339,12 @@ class _Builder:
         )
         table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
         return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _place_of(self, row: int) -> str:
+        """Where a row is, with the name of its box."""
+        ids = self.columns.item_id
+        name = "" if ids is None or not ids[row] else f" ({printable_name(ids[row])})"
+        return f"{self.places[row]}{name}"
 
     def _plans_with_lost(self, names: Sequence[str]) -> dict[str, tuple[str, str]]:
         """Name of a plan that lacks a row → (place, fault) of the first such row.
@@ -392,7 +430,9 @@ class _Builder:
         sizes, places = reading.length_units
         names = dict(reading.columns)
         axes = candidate.geometry.axes
-        named_sizes = [names.get(role_of(axis), names.get("sizes", role_of(axis))) for axis in axes]
+        named_sizes = [
+            names.get(role_of(axis)) or names.get("sizes") or names.get(f"{axis} (far)", role_of(axis)) for axis in axes
+        ]
         named_places = [names.get(axis, names.get("position", axis)) for axis in "xyz"]
         size_limits = _limits(SMALLEST_MM, LARGEST_MM, sizes)
         place_limits = _limits(-FARTHEST_MM, FARTHEST_MM, places)

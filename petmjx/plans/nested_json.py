@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -85,6 +85,18 @@ class BoxList:
         return bool(self.kinds & {"size", "sizes", "high"})
 
 
+class JsonLines(list[Any]):
+    """The values of JSON lines.
+
+    Attributes:
+        lines: number of each value's line.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[int] = []
+
+
 def decoded_json(text: str) -> Any:
     """The value of a text: JSON, or JSON lines.
 
@@ -98,8 +110,11 @@ def decoded_json(text: str) -> Any:
     except json.JSONDecodeError as error:
         lines = [line for line in text.splitlines() if line.strip()]
         if error.msg == "Extra data" and len(lines) > 1 and all(line.lstrip()[:1] in "{[" for line in lines):
-            values = []
-            for number, line in enumerate(lines, start=1):
+            values = JsonLines()
+            for number, line in enumerate(text.splitlines(), start=1):
+                if not line.strip():
+                    continue
+                values.lines.append(number)
                 try:
                     values.append(json.loads(line))
                 except json.JSONDecodeError as fault:
@@ -139,6 +154,8 @@ def box_lists(value: Any) -> list[BoxList]:
             raise InputError(f"has more than {MOST_ROWS:,} boxes")
     lists = [_box_list(path, members) for path, members in groups.items()]
     lists = [boxes for boxes in lists if boxes is not None]
+    if isinstance(value, JsonLines):
+        lists = [_by_lines(boxes, value.lines) for boxes in lists]
     unplaced = [boxes for boxes in lists if _is_unplaced(boxes.path)]
     placed = [boxes for boxes in lists if not _is_unplaced(boxes.path)]
     left = sum(len(boxes.table.rows) for boxes in unplaced)
@@ -147,8 +164,18 @@ def box_lists(value: Any) -> list[BoxList]:
     return [_with_lines(boxes, lines) for boxes in ranked]
 
 
+def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
+    """Boxes of JSON lines with the numbers of their lines: "[4].items[2]" → "line 5, items[2]"."""
+    places = []
+    for place in boxes.table.places:
+        member = re.match(r"\[(\d+)\]\.?", place)
+        rest = "" if member is None else place[member.end() :]
+        places.append(place if member is None else f"line {lines[int(member[1])]}{f', {rest}' if rest else ''}")
+    return replace(boxes, table=replace(boxes.table, places=places))
+
+
 def _with_lines(boxes: BoxList, lines: tuple[str, ...]) -> BoxList:
-    return BoxList(boxes.table, boxes.path, boxes.parts, boxes.containers, (*boxes.left_out, *lines), boxes.around)
+    return replace(boxes, left_out=(*boxes.left_out, *lines))
 
 
 def _is_unplaced(path: str) -> bool:

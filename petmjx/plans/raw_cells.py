@@ -14,6 +14,9 @@ from petmjx.common.text import printable_name
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text
 from petmjx.plans.file_formats import number_hint
 
+GROUPED: Final = "grouped"
+"""As a decimal sign: there is none, and points and commas stand between thousands."""
+
 
 class CellNumber(NamedTuple):
     """A number in a cell, and the unit that is written behind it ("": none)."""
@@ -56,6 +59,8 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
         text, unit = match[1].strip(), word
     if not text.isascii():
         text = text.replace("\u2212", "-").replace("\u00a0", " ").replace("\u202f", " ").replace("\u2019", "'")
+    if decimal == GROUPED:
+        text, decimal = (text.replace(",", "").replace(".", ""), ".") if _GROUPS.match(text) else (text, "")
     groups = _GROUPS.match(text)
     if groups is not None and groups[1] != decimal and (groups[1] not in ".," or groups[2] == decimal):
         text = text.replace(groups[1], "")

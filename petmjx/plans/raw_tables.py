@@ -158,13 +158,44 @@ def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str
 
 def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
-        for line in text.splitlines():
-            yield re.split(r"\s{2,}|\t", line.strip()) if re.search(r"\S\s{2,}\S", line) else line.split()
+        yield from _spaced_fields(text.splitlines())
         return
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     except csv.Error as error:
         raise NoBoxes(f"is no table: {error}") from error
+
+
+_RULE: Final = re.compile(r"^[\s|+]*[-=]{2,}(?:[\s|+]+[-=]{2,})+[\s|+]*$")
+"""A line of dashes below a header, as printed tables have it."""
+
+
+def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
+    """Fields between white space. Under a line of dashes the dashes say where columns are, so that a cell may be empty;
+    else fields stand between two or more spaces, if that makes more rows alike, or between any.
+    """
+    rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
+    if rule is not None:
+        spans = [match.span() for match in re.finditer(r"[-=]{2,}", lines[rule])]
+        for index, line in enumerate(lines):
+            if index == rule:
+                yield []
+            elif index < rule - 1:
+                yield line.split()
+            else:
+                ends = [*(begin for begin, _ in spans[1:]), None]
+                starts = [0, *(begin for begin, _ in spans[1:])]
+                cells = [line[start:end].strip() for start, end in zip(starts, ends, strict=True)]
+                moved = any(re.search(r"\d\s+\d", cell) for cell in cells)
+                yield line.split() if moved else cells if line.strip() else []
+        return
+    ways = [[re.split(r"\s{2,}|\t", line.strip()) for line in lines], [line.split() for line in lines]]
+
+    def alike(rows: list[list[str]]) -> int:
+        counts = Counter(len(row) for row in rows if len(row) > 1)
+        return max(counts.values(), default=0)
+
+    yield from max(ways, key=alike)  # the first of equals
 
 
 def _delimiter_of(text: str) -> str:
@@ -426,6 +457,10 @@ def _without_header(
     width = widths.most_common(1)[0][0] if widths else 0
     good = [(index, row) for index, row in used if len(row) == width]
     numeric = sum(_mostly_numbers(row) for _, row in good)
+    if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
+        raise InputError(
+            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places"
+        )
     if width < 6 or numeric < 0.8 * max(len(good), 1):
         raise NoBoxes("has no header with known names of columns")
     bad = [
