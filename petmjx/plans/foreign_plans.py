@@ -336,7 +336,7 @@ class _Builder:
         reading = replace(
             reading,
             order=order,
-            notes=tuple(dict.fromkeys(self.notes)),
+            notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
             density_kg_m3=self._density() if self._lacks_masses() else None,
         )
         table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
