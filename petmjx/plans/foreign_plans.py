@@ -17,7 +17,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns, box_columns, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import PACKINGSOLVER, BoxSource, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
@@ -364,7 +364,9 @@ class _Builder:
         return lost
 
     def _plan_names(self) -> list[str]:
-        """(n,) the name of each row's plan."""
+        """(n,) the name of each row's plan. Numbers of containers follow the file's name, so that files do not share
+        them.
+        """
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
         if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
@@ -376,7 +378,12 @@ class _Builder:
         if not any(names):
             self.notes.append(f"no plan_id: {printable_name(stem)}")
             return [stem] * len(names)
-        return [name or stem for name in names]
+        words = words_of(self.columns.columns.get("plan", ""))
+        if "plan" in words or "order" in words:  # names of plans, and no numbers of containers
+            return [name or stem for name in names]
+        if len(set(names)) == 1 and names[0].isdigit():
+            return [stem] * len(names)  # the number of the only container
+        return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _geometry(
         self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]

@@ -20,6 +20,8 @@ from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_
 
 TIE: Final = 1.5
 """Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
+_FEW_BOXES, _FEW_MORE = 6, 1.0
+"""In files of fewer boxes a tie is wider by this: a wrong reading of three boxes is often as plausible by chance."""
 WEAK: Final = 5.0
 """Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
 WEAK_LEAD: Final = 3.0
@@ -182,11 +184,10 @@ def choose_reading(
         raise InputError(f"{columns.source.boxes.table.places[row]}: {column} {text}" if column else text)
     judged = _judged_candidates(columns, wishes, sample)
     best = judged[0]
+    tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
+    lead = max(tie, WEAK_LEAD * (best.layout_cost > WEAK))
     close = [
-        other
-        for other in judged[1:]
-        if other.cost < best.cost + max(TIE, WEAK_LEAD * (best.layout_cost > WEAK))
-        and not same_layouts(best.layouts, other.layouts)
+        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
     readings = [_reading(one, columns, wishes) for one in (best, *close)]
     reading = readings[0]
