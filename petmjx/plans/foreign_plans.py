@@ -299,7 +299,8 @@ class _Builder:
             rows_of.setdefault(name, []).append(row)
         plans = {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
         try:
-            reading, candidate = choose_reading(self.columns, plans, self.wishes)
+            lost = self._plans_with_lost(names)
+            reading, candidate = choose_reading(self.columns, plans, self.wishes, lost)
         except AmbiguousFile:
             if not self.boxes.table.lost:
                 raise
@@ -310,7 +311,6 @@ class _Builder:
         self._check_ranges(reading, candidate, size, low)
         mass = self._masses(reading, size)
         refused: list[RefusedPlan] = []
-        lost = self._plans_with_lost(names)
         good: dict[str, NDArray[np.int64]] = {}
         sequences: list[NDArray[np.int64]] = []
         orders: list[str] = []
@@ -333,6 +333,8 @@ class _Builder:
             sequences.append(sequence)
             orders.append(order)
         order = self._order_note(orders, list(good))
+        if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
+            self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
         reading = replace(
             reading,
             order=order,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -64,8 +64,12 @@ class _Sample:
     containers: tuple[Mapping[str, float], ...]
 
 
-def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> _Sample:
-    """The first plans without bad rows, and rows without faults of the others."""
+def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
+    """The first plans that are whole; if none is, the rows without faults of the first plans.
+
+    Args:
+        damaged: names of plans that lack rows.
+    """
     good = np.ones(columns.n_boxes, bool)
     for row in columns.faults:
         good[row] = False
@@ -76,7 +80,8 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> _
     containers: list[Mapping[str, float]] = []
     taken = 0
     known = columns.source.boxes.containers
-    for name, rows in plans.items():
+    whole = {name: rows for name, rows in plans.items() if name not in damaged and good[rows].all()}
+    for name, rows in (whole or plans).items():
         used = rows[good[rows]]
         if not len(used) or len(chosen) >= _MOST_PLANS or taken >= _MOST_BOXES:
             continue
@@ -167,18 +172,19 @@ def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
 
 
 def choose_reading(
-    columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes
+    columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes, damaged: Collection[str] = ()
 ) -> tuple[Reading, Candidate]:
     """The most plausible reading, and the candidate for :func:`layout_of`.
 
     Args:
         plans: name of a plan → its rows.
+        damaged: names of plans that lack rows.
 
     Raises:
         AmbiguousFile: two readings are about as plausible, or none is.
         InputError: no row can be used.
     """
-    sample = _sample_of(columns, plans)
+    sample = _sample_of(columns, plans, damaged)
     if not sample.rows:
         row, (column, text) = next(iter(sorted(columns.faults.items())), (0, ("", "no row has positive sizes")))
         raise InputError(f"{columns.source.boxes.table.places[row]}: {column} {text}" if column else text)
