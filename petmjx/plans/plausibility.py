@@ -36,6 +36,8 @@ _DECKS_MM: Final = (
 _PALLETS: Final = 10
 """The first of the carriers are pallets; on the others a load lies only if the file says so."""
 _DECK_SPREAD: Final = 0.6
+_LARGE_MM: Final = 1000.0
+"""Least length of a carrier that a load's footprint is evidence of: two cartons also have that of a small one."""
 _NEAR: Final = 0.03
 """Share by which a deck may differ from a usual one."""
 
@@ -233,6 +235,7 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
     usual = any(
         abs(long / side - 1) < _NEAR and abs(short / other - 1) < (_NEAR if known else 0.12)
         for side, other in _DECKS_MM
+        if known or side >= _LARGE_MM
     )
     if usual:
         return -2.0 if known else -1.2
