@@ -20,7 +20,7 @@ from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_
 
 TIE: Final = 1.5
 """Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
-_FEW_BOXES, _FEW_MORE = 6, 1.0
+_FEW_BOXES, _FEW_MORE = 6, 0.8
 """In files of fewer boxes a tie is wider by this: a wrong reading of three boxes is often as plausible by chance."""
 WEAK: Final = 5.0
 """Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
