@@ -398,8 +398,8 @@ def _parts(members: Sequence[_Member]) -> list[str]:
     names = []
     for level in several:
         distinct = {id(holder): (step, holder) for step, holder in level}
-        own = _names_of(list(distinct.values()))
-        by_holder = dict(zip(distinct, own, strict=True))
+        labels = _names_of(list(distinct.values()))
+        by_holder = dict(zip(distinct, labels, strict=True))
         names.append([by_holder[id(holder)] for _, holder in level])
     return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
 

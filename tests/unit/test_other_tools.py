@@ -141,10 +141,10 @@ def test_a_tie_names_both_readings_and_the_option_that_decides(tmp_path: Path) -
 
 def test_a_tie_is_asked_where_somebody_answers(tmp_path: Path) -> None:
     file = write(tmp_path / "cubes.json", {"fitItem": [{**cube, "rotationType": 0} for cube in CUBES]})
-    asked: list[str] = []
+    sources: list[str] = []
 
     def choose(source: str, error: Any) -> Any:
-        asked.append(source)
+        sources.append(source)
         return next(reading for reading in error.readings if reading.up == "y")
 
     token = CHOOSER.set(choose)
@@ -152,7 +152,7 @@ def test_a_tie_is_asked_where_somebody_answers(tmp_path: Path) -> None:
         (plan,) = petmjx.load_plans(file, units="mm").plans
     finally:
         CHOOSER.reset(token)
-    assert asked == [str(file)]
+    assert sources == [str(file)]
     assert sorted(plan.corner_mm[:, 2]) == [0, 0, 300, 300]
 
 
