@@ -172,6 +172,17 @@ def test_columns_that_no_name_tells_can_be_said(tmp_path: Path) -> None:
         petmjx.load_plans(file, columns="length")
 
 
+def test_three_numbers_in_a_cell_and_units_behind_numbers(tmp_path: Path) -> None:
+    rows = ["Karton;Abmessungen (L x B x H) mm;Gewicht;Position (x,y,z) mm"]
+    for row in tower():
+        size, grams = f"{row['length']}x{row['width']}x{row['height']}", 1000 * row["weight"]
+        rows.append(f"{row['id']};{size};{grams} g;({row['x']}, {row['y']}, {row['z']})")
+    (plan,) = petmjx.load_plans(write(tmp_path / "load.csv", "\n".join(rows) + "\n")).plans
+    assert plan.size_mm[2].tolist() == [350, 300, 150]
+    assert plan.corner_mm.tolist() == [[0, 0, 0], [400, 0, 0], [200, 0, 200]]
+    assert plan.mass_kg.tolist() == [6, 5, 4]
+
+
 def test_sizes_come_from_a_table_of_items(tmp_path: Path) -> None:
     places = [{"sku": row["id"], "x": row["x"], "y": row["y"], "z": row["z"]} for row in tower()]
     file = write(tmp_path / "places.json", {"boxes": places})
