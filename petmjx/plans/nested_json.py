@@ -444,7 +444,10 @@ def _container_of(member: _Member) -> dict[str, float]:
     for step, holder in reversed(member.around):
         for name, inner in holder.items():
             words = words_of(str(name))
-            if not (_HOLDERS.intersection(words) or name.lower() in _HOLDERS):
+            is_box = (
+                isinstance(inner, Mapping) and str(name).lower() == "box"
+            )  # beside a list, as py3dbp's web API has it
+            if not (_HOLDERS.intersection(words) or str(name).lower() in _HOLDERS or is_box):
                 continue
             if isinstance(inner, Mapping) and (sizes := _sizes_in(inner)):
                 return sizes
