@@ -30,7 +30,7 @@ _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Boxes and plans by which readings are judged. All others are read in the same way."""
 
-_LOWEST_UNIT_COST: Final = -2.0
+_LOWEST_UNIT_COST: Final = -2.5
 """Least cost of units: boxes of usual sizes and densities on a usual carrier."""
 
 _UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}
