@@ -11,12 +11,13 @@ from petmjx.cli import command_options as opt
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
+from petmjx.options.run_options import READING
 
 SHOWN_SKIPPED = 10
 """Most skipped plans that are shown."""
 
 
-@opt.takes("units", "anchor", "limit", "strict")
+@opt.takes(*READING, "limit", "strict")
 def convert(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
     out: Annotated[
