@@ -104,6 +104,8 @@ Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
 """Fields of ``RunOptions`` that say how files are read."""
+OF_ORDERS: Final = ("units", "columns", "density", "reading")
+"""Those of them that say how files of orders are read."""
 
 _BY_FILE: Final = "found out"
 _OR_BY_FILE: Final = "found out in files of other tools"
