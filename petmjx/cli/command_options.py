@@ -21,7 +21,10 @@ from petmjx.options.simulation import Simulation
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
-PLANS_HELP = "Packing plans: files of BED-BPP's JSON, CSV (both also gzipped) or Parquet, or folders of them."
+PLANS_HELP = (
+    "Packing plans: files of BED-BPP's JSON, CSV (both also gzipped) or Parquet, or of other tools (JSON, tables, "
+    "sheets, arrays, MJCF; petmjx info says how they are read), or folders of them."
+)
 
 PlanPaths = Annotated[
     list[Path] | None,

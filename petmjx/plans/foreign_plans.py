@@ -118,6 +118,8 @@ def _plans_of(
     columns = box_columns(chosen, wishes.columns)
     if not columns.geometries or not columns.n_boxes:
         raise _no_geometry(columns, sources, path, source)
+    written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
+    columns = replace(columns, geometries=written or columns.geometries)
     return _Builder(columns, source, wishes).plans()
 
 
@@ -431,7 +433,8 @@ class _Builder:
         names = dict(reading.columns)
         axes = candidate.geometry.axes
         named_sizes = [
-            names.get(role_of(axis)) or names.get("sizes") or names.get(f"{axis} (far)", role_of(axis)) for axis in axes
+            next(filter(None, map(names.get, (role_of(axis), "sizes", f"{axis} (far)"))), role_of(axis))
+            for axis in axes
         ]
         named_places = [names.get(axis, names.get("position", axis)) for axis in "xyz"]
         size_limits = _limits(SMALLEST_MM, LARGEST_MM, sizes)

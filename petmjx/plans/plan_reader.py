@@ -150,6 +150,10 @@ def read_plans(
         reading: how files of other tools are read; None: as the options say.
     """
     given = InputConventions.checked(options.units, options.anchor)
+    if options.reading is not None:
+        from petmjx.plans.reading_files import read_reading
+
+        read_reading(options.reading)  # an error in it is one of the call, and not of each file
     loading = _PlanLoader(options.limit, options.strict, max_boxes, extent_mm, given, options, reading)
     if is_box_object(paths):
         loading.read_object(paths)
@@ -347,8 +351,8 @@ class _PlanLoader:
         Raises:
             InputError: the form holds no plans, or can be read in two ways.
         """
-        from petmjx.plans.reading_files import CHOOSER, wishes_of, wishes_of_reading
-        from petmjx.plans.readings import AmbiguousFile
+        from petmjx.plans.reading_files import wishes_of, wishes_of_reading
+        from petmjx.plans.readings import CHOOSER, AmbiguousFile
 
         try:
             plans = read(wishes_of(self.options, self.carrier_extent_mm, self.reading))

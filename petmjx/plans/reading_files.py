@@ -1,11 +1,9 @@
-"""Readings that are written down (``--as FILE.toml``), options of reading, and the question which of two readings is
-right."""
+"""Readings that are written down (``--as FILE.toml``), and options of reading."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from contextvars import ContextVar
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,13 +13,10 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
 from petmjx.common.units import LENGTHS_MM, MASSES_KG, plan_units
 from petmjx.options.run_options import RunOptions
+from petmjx.plans.box_columns import ROLES
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.input_conventions import ANCHORS
-from petmjx.plans.readings import ORIGINS, ROTATION_RULES, AmbiguousFile, Reading, Wishes
-
-CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
-"""Asks which reading of a file is right: name of the file, its readings → the right one (None: nobody knows). None:
-nobody is asked, and the file is refused."""
+from petmjx.plans.readings import ORIGINS, ROTATION_RULES, Reading, Wishes
 
 _TEXTS: Final = {
     "anchor": tuple(ANCHORS),
@@ -38,7 +33,8 @@ _FIELDS: Final = ("form", "units", "along", "density", "columns", *_TEXTS)
 def wishes_of_reading(reading: Reading) -> Wishes:
     """A reading as what a caller says: nothing is left open."""
     return Wishes(
-        columns=dict(reading.columns),
+        columns=_choosable(reading.columns),
+        exact=dict(reading.columns),
         units=reading.units,
         masses=reading.masses,
         anchor=reading.anchor,
@@ -105,7 +101,13 @@ def read_reading(path: Path) -> Wishes:
     if density is not None and (isinstance(density, bool) or not isinstance(density, int | float) or density <= 0):
         raise InputError(f"{name}: density must be a number > 0, {shown_value(density)}")
     texts = {field: str(table.get(field, "")) for field in _TEXTS}
-    return Wishes(columns=columns, units=units, along=tuple(along), density_kg_m3=density, **texts)
+    return Wishes(
+        columns=_choosable(columns), exact=columns, units=units, along=tuple(along), density_kg_m3=density, **texts
+    )
+
+
+def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
+    return {role: name for role, name in columns.items() if role in ROLES}
 
 
 def wishes_of(

@@ -9,7 +9,8 @@ refused, never decided in silence.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -143,7 +144,8 @@ class Wishes:
     """What a caller says about a file. Empty values are found out.
 
     Attributes:
-        columns: role → name of the column.
+        columns: role → name of the column, for roles that can be chosen.
+        exact: all columns of a written reading; empty: none was written.
         units: unit of lengths; masses: of masses.
         anchor, up, sizes, origin: as in ``Reading``.
         along: names of the sizes along x, y and z; rule: how boxes are turned; both only from a written reading.
@@ -152,6 +154,7 @@ class Wishes:
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
+    exact: Mapping[str, str] = field(default_factory=dict)
     units: str = ""
     masses: str = ""
     anchor: str = ""
@@ -202,3 +205,8 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     why = "no reading is plausible; the best are" if weak else "can be read in two ways:"
     ways = f"{first} ({one.evidence}), or {second} ({two.evidence})"
     return f"{why} {ways}; say which with {options}, or with --as FILE.toml"
+
+
+CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
+"""Asks which reading of a file is right: name of the file, its readings → the right one (None: nobody knows). None:
+nobody is asked, and the file is refused."""
