@@ -104,7 +104,7 @@ Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
 """Fields of ``RunOptions`` that say how files are read."""
-OF_ORDERS: Final = ("units", "columns", "density", "reading")
+OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
 """Those of them that say how files of orders are read."""
 
 _BY_FILE: Final = "found out"

@@ -134,7 +134,8 @@ def pack(
             such as ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
         options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
             ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``; how a
-            file of orders is read: ``units``, ``columns``, ``density``, ``reading`` (docs/plan-format.md#orders).
+            file of orders is read: ``units``, ``columns``, ``density``, ``items``, ``reading``
+            (docs/plan-format.md#orders).
 
     Raises:
         InputError: orders or options are unusable.

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.common.text import count_text, first_names, printable, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import BoxSource, KnownForm, sources_of_bytes, sources_of_frame
-from petmjx.plans.foreign_plans import USUAL_KG_M3
+from petmjx.plans.foreign_plans import USUAL_KG_M3, bytes_of, with_items_of
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.item_columns import ItemColumns, has_sizes_of_items, item_columns, with_rows
 from petmjx.plans.nested_json import BoxList
@@ -32,7 +32,7 @@ from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Ord
 from petmjx.plans.order_texts import LENGTHS, MPV, SET_ITEMS, THPACK, order_source
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM, positive_fault
 from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
-from petmjx.plans.raw_cells import cell_number
+from petmjx.plans.raw_cells import cell_number, cell_triple
 from petmjx.plans.raw_tables import RawTable
 from petmjx.plans.reading_choice import TIE
 from petmjx.plans.reading_files import wishes_of
@@ -78,20 +78,22 @@ class OrderReading:
         target: what orders are packed on that do not say it themselves: "euro-pallet", "rollcontainer", or sizes in
             millimetres, "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
+        items: file with the sizes and weights of articles, for orders that name articles alone; None: none.
     """
 
     wishes: Wishes = field(default_factory=Wishes)
     target: str = ""
     most_items: int = MOST_ITEMS
+    items: Path | None = None
 
     @classmethod
     def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
-        """What options of a run say about files of orders: units, columns, density and a written reading.
+        """What options of a run say about files of orders: units, columns, density, items and a written reading.
 
         Raises:
             InputError: the target is unknown, or the written reading cannot be read.
         """
-        return cls(wishes_of(options), "" if target is None else target_named(target))
+        return cls(wishes_of(options), "" if target is None else target_named(target), items=options.items)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,17 +130,63 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
         raise
-    if sources[0].boxes.has_places and sources[0].boxes.has_sizes:
+    if _has_three_places(sources[0]) and sources[0].boxes.has_sizes:
         return _orders_of_plans(path, source, reading)
-    return _orders_of(_best_source(sources), source, reading)
+    return _orders_of(_best_source(sources, reading.items), source, reading)
 
 
 def frame_orders(frame: Any, source: str, reading: OrderReading) -> ForeignOrders:
     """The orders in a data frame or a table of Arrow's. Arguments and errors are those of :func:`foreign_orders`."""
-    return _orders_of(_best_source(sources_of_frame(frame)), source, reading)
+    return _orders_of(_best_source(sources_of_frame(frame), reading.items), source, reading)
 
 
-def _best_source(sources: Sequence[BoxSource]) -> BoxSource:
+def _has_three_places(source: BoxSource) -> bool:
+    """Whether a list has coordinates x, y and z. A column "Position" alone may count the rows of an order."""
+    kinds: dict[str, set[str]] = {}
+    for index, meaning in enumerate(source.boxes.meanings):
+        if meaning is None or meaning.of_container:
+            continue
+        kinds.setdefault(meaning.kind, set()).add(meaning.axis)
+        if meaning.kind == "positions":
+            cells = [row[index] for row in source.boxes.table.rows[:50]]
+            if sum(cell_triple(cell, source.boxes.table.decimal) is not None for cell in cells) * 2 > len(cells):
+                return True
+    return "matrix" in kinds or any(len(kinds.get(kind, ())) >= 3 for kind in ("position", "low"))
+
+
+def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:
+    """Lines of orders, with the sizes of their articles from another table of the file, or of a file of items; None:
+    there are no such lines.
+
+    Raises:
+        InputError: the file of items cannot be read, or its items are not those of the orders.
+    """
+    lines = [source for source in sources if not has_sizes_of_items(source) and "quantity" in source.boxes.kinds]
+    if items is not None:
+        name = printable(str(items))
+        try:
+            tables = sources_of_bytes(bytes_of(items), items)
+        except InputError as error:
+            line = str(error)
+            raise InputError(line if line.startswith(name) else f"{name}: {line}") from None
+        for source in lines or sources:
+            for table in filter(has_sizes_of_items, tables):
+                if (joined := with_items_of(source, table, name)) is not None:
+                    return joined
+        raise InputError(f"{name}: its items are not those of the orders")
+    for source in lines:
+        for table in sources:
+            if "quantity" not in table.boxes.kinds and table.boxes.has_sizes:
+                name = f"the sheet {table.boxes.table.title}" if table.boxes.table.title else "the other table"
+                if (joined := with_items_of(source, table, printable(name))) is not None:
+                    return joined
+    return None
+
+
+def _best_source(sources: Sequence[BoxSource], items: Path | None = None) -> BoxSource:
+    """The list of items of a file, with the sizes of their articles."""
+    if (joined := _with_articles(sources, items)) is not None:
+        return joined
     sized = [source for source in sources if has_sizes_of_items(source)]
     best = max(sized or sources, key=lambda source: len(source.boxes.table.rows))
     if set(_PG.values()) <= set(best.boxes.table.header):
@@ -258,7 +306,10 @@ def _no_items(source: BoxSource, columns: ItemColumns | None) -> InputError:
     if not source.boxes.table.has_header:
         return InputError("has no header: a table of items names its columns, such as length, width, height, quantity")
     kind = InputError if source.boxes.kinds else NoBoxes
-    return kind(f"lacks the sizes of items; there are {names}; say which with --columns length=NAME,…")
+    return kind(
+        f"lacks the sizes of items; there are {names}; say which with --columns length=NAME,…; --items FILE names a "
+        "file that has them"
+    )
 
 
 class _OrderBuilder:

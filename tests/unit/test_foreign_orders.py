@@ -106,6 +106,32 @@ def test_sheets_and_several_orders(tmp_path: Path) -> None:
     assert target_extent_mm(orders["A2"].target) == (1200.0, 1000.0)
 
 
+def test_sizes_of_articles_from_another_sheet_or_file(tmp_path: Path) -> None:
+    """A column "Position" that counts rows is no place."""
+    lines = [("Auftrag", "Position", "Artikel", "Menge"), ("A1", 1, "s", 2), ("A1", 2, "l", 1), ("A2", 1, "l", 3)]
+    articles = [("Artikel", "Länge [mm]", "Breite [mm]", "Höhe [mm]", "Gewicht [kg]"), ("l", 600, 400, 250, 12)]
+    articles.append(("s", 400, 300, 200, 6.5))
+    book = openpyxl.Workbook()
+    for title, rows in (("Aufträge", lines), ("Artikelstamm", articles)):
+        page = book.create_sheet(title)
+        for row in rows:
+            page.append(row)
+    book.save(tmp_path / "both.xlsx")
+    sheet(tmp_path / "lines.xlsx", list(lines))
+    pd.DataFrame(articles[1:], columns=articles[0]).to_csv(tmp_path / "articles.csv", index=False)
+    for orders in (
+        read(tmp_path / "both.xlsx", "sizes and weights from the sheet Artikelstamm"),
+        read(tmp_path / "lines.xlsx", "sizes and weights from .*articles.csv", items=tmp_path / "articles.csv"),
+    ):
+        assert near(orders["A1"], [SMALL, SMALL, LARGE])
+        assert near(orders["A2"], [LARGE] * 3)
+    (tmp_path / "other.csv").write_text("name,length,width,height\nx,1,2,3\ny,1,2,3\n")
+    with pytest.raises(InputError, match=r"other.csv: its items are not those of the orders"):
+        list(read_orders(tmp_path / "lines.xlsx", reading=OrderReading(items=tmp_path / "other.csv")))
+    with pytest.raises(InputError, match=r"lines.xlsx: lacks the sizes of items; .*; --items FILE names a file"):
+        list(read_orders(tmp_path / "lines.xlsx"))
+
+
 def test_a_column_called_order_is_a_sequence_or_names_orders(tmp_path: Path) -> None:
     body = "sku,length,width,height,weight\n{}s,400,300,200,6.5\n{}l,600,400,250,12\n{}s,400,300,200,6.5\n"
     (tmp_path / "a.csv").write_text("order," + body.format("2,", "1,", "3,"))
