@@ -12,7 +12,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 
 if TYPE_CHECKING:
-    from petmjx.plans.foreign_orders import OrderReading
+    from petmjx.plans.item_orders import OrderReading
 
 MOST_NAMED: Final = 10
 """Most orders of a kind that get a line each, or that one line names."""

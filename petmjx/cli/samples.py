@@ -60,17 +60,7 @@ def samples(
             "of items with sizes and quantities, or another tool's form (docs/plan-format.md).",
         ),
     ] = None,
-    target: Annotated[
-        str | None,
-        typer.Option(
-            "--target",
-            metavar="NAME|LxW",
-            help="What the orders of a file are packed on that does not say it: "
-            "euro-pallet, rollcontainer, or sizes in mm such as 1200x1000.  [default: the file's container if it is a "
-            "pallet, else euro-pallet]",
-            show_default=False,
-        ),
-    ] = None,
+    target: opt.Target = None,
     packer: Annotated[
         str | None,
         typer.Option(

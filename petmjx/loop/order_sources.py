@@ -20,8 +20,9 @@ from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.articles import Articles, read_articles
 from petmjx.plans.convention_checks import warn
-from petmjx.plans.foreign_orders import OrderReading, frame_orders
+from petmjx.plans.foreign_orders import frame_orders
 from petmjx.plans.item_columns import MOST_PIECES
+from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_generator import Item, Order, draw_order
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM

@@ -32,7 +32,7 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_fields import COM_FIELDS_JSON
 
 if TYPE_CHECKING:
-    from petmjx.plans.foreign_orders import OrderReading
+    from petmjx.plans.item_orders import OrderReading
 
 DEFAULT_LOOSE_SHARE = 0.5
 """Share of a mixed set's plans that are packed loosely. Measured on the first 100 plans of seed 0 (one by one,

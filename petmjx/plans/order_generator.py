@@ -144,6 +144,14 @@ def target_named(text: str) -> str:
     return "x".join(f"{side:g}" for side in sides)
 
 
+def is_target(text: str) -> bool:
+    """Whether a text is the name of a target."""
+    try:
+        return target_named(text) == text
+    except InputError:
+        return False
+
+
 def target_extent_mm(target: str) -> tuple[float, float]:
     """Extents of a target (``Order.target``) along x and y, mm."""
     if target in TARGET_EXTENT_MM:

@@ -4,10 +4,12 @@ anybody."""
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, overload
 
+from petmjx.common.atomic_write import atomic_write
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import is_text, printable, printable_name
@@ -19,7 +21,8 @@ from petmjx.plans.file_formats import (
     looks_like_own_json,
 )
 from petmjx.plans.json_reader import Entry, read_text_bytes, scan_plans, unpacked_bytes
-from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.json_writer import write_orders
+from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, is_target
 from petmjx.plans.plan_fields import (
     COM_FIELDS_JSON,
     LARGEST_KG,
@@ -33,8 +36,10 @@ from petmjx.plans.plan_fields import (
 )
 
 if TYPE_CHECKING:
-    from petmjx.plans.foreign_orders import ForeignOrders, OrderReading
+    from petmjx.plans.item_orders import ForeignOrders, OrderReading
 
+_CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
+"""Appended where a command has no options for reading orders."""
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _FORMS: Final = "orders are BED-BPP's JSON, or tables of items with sizes and quantities (docs/plan-format.md#orders)"
 _MOST_DIGITS: Final = 18
@@ -84,6 +89,19 @@ def read_orders(
             yield entry.plan_id, order
 
 
+def keep_orders(source: Path, path: Path) -> None:
+    """Copy a file of orders. Orders in another form than BED-BPP's are written in BED-BPP's.
+
+    Raises:
+        InputError: a file cannot be read or written.
+    """
+    if _own_bytes(source, printable(str(source))) is None:
+        write_orders(path, read_orders(source, lambda error: None))
+        return
+    with atomic_write(path) as file:
+        shutil.copyfile(source, file)
+
+
 @overload
 def _own_bytes(path: Path, name: str, is_own: Literal[True]) -> bytearray: ...
 
@@ -130,20 +148,21 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
         InputError: the file cannot be read as orders.
     """
     from petmjx.common.arrow_files import parquet_table
-    from petmjx.plans.foreign_orders import OrderReading, foreign_orders, frame_orders
+    from petmjx.plans.foreign_orders import foreign_orders, frame_orders
+    from petmjx.plans.item_orders import TWO_WAYS, OrderReading
 
-    reading = reading or OrderReading()
     try:
         data, _ = unpacked_bytes(path)
         if data.startswith(PARQUET_MAGIC):
-            return frame_orders(parquet_table(path), name, reading)
-        return foreign_orders(data, path, name, reading)
+            return frame_orders(parquet_table(path), name, reading or OrderReading())
+        return foreign_orders(data, path, name, reading or OrderReading())
     except NoBoxes as error:
         if data.lstrip()[:1] in (b"{", b"["):
             return None
         raise InputError(f"{name}: {error}: {_FORMS}") from None
     except InputError as error:
-        raise InputError(f"{name}: {error}") from None
+        decided = f"; {_CONVERT.format(file=name)}" if reading is None and TWO_WAYS in str(error) else ""
+        raise InputError(f"{name}: {error}{decided}") from None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
 
@@ -171,7 +190,7 @@ def _order(entry: Entry, where: str) -> Order:
         raise InputError(f"{where}: must be a JSON object, {_kind(record)}")
     properties = record.get("properties")
     target = properties.get("target") if isinstance(properties, dict) else None
-    if not isinstance(target, str) or target not in TARGET_EXTENT_MM:
+    if not isinstance(target, str) or not is_target(target):
         fault = shown_value(target) if isinstance(target, str) else _kind(target)
         raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, {fault}")
     sequence = record.get("item_sequence")

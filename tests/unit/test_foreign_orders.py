@@ -12,6 +12,7 @@ import numpy as np
 import openpyxl
 import pandas as pd
 import pytest
+from support.command_line import run
 
 import petmjx
 from petmjx.common.errors import InputError, PlanWarning
@@ -19,10 +20,10 @@ from petmjx.loop.order_sources import Orders
 from petmjx.options.run_options import RunOptions
 from petmjx.packers.pack import orders_of, reading_of
 from petmjx.packers.sample_plans import pack_orders
-from petmjx.plans.foreign_orders import SET_KG_M3, OrderReading
 from petmjx.plans.foreign_plans import USUAL_KG_M3
+from petmjx.plans.item_orders import SET_KG_M3, OrderReading
 from petmjx.plans.order_generator import Order, target_extent_mm, target_named
-from petmjx.plans.order_reader import read_orders
+from petmjx.plans.order_reader import keep_orders, read_orders
 
 Boxes = list[tuple[float, float, float, float]]
 
@@ -331,6 +332,41 @@ def test_orders_go_the_way_of_bed_bpps(tmp_path: Path) -> None:
     with pytest.warns(PlanWarning):
         (order,) = Orders(frame).some(0)
     assert order.size_mm.tolist() == [[400, 300, 200]] * 3
+
+
+def test_orders_are_written_as_bed_bpps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is written is read again to the last bit, by commands that have no options for it."""
+    monkeypatch.chdir(tmp_path)
+    Path("items.csv").write_text("sku,length,width,height,qty\na,30,20,15.1,4\nb,20,20,20,1\n")
+    hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes it"
+    with pytest.raises(InputError, match=hint):
+        list(read_orders(Path("items.csv")))
+    convert = ["convert", "items.csv", "--orders", "-o", "orders.json", "--units", "cm", "--target", "1200x1000"]
+    assert run(*convert) == 0
+    out, err = capsys.readouterr()
+    assert out == "1 order (5 boxes) in orders.json\n"
+    assert err.startswith("note: items.csv: read as a table as text; 1 order, 5 boxes; cm; columns length, width,")
+    assert dict(read_orders(Path("orders.json"))) == read(Path("items.csv"), units="cm", target="1200x1000")
+    record = json.loads(Path("orders.json").read_text())["items"]
+    assert record["properties"] == {"target": "1200x1000"}
+    assert record["item_sequence"]["5"] == {
+        "article": "b", "id": "b", "product_group": "", "length/mm": 200, "width/mm": 200, "height/mm": 200,
+        "weight/kg": 0.008 * USUAL_KG_M3, "sequence": 5,
+    }  # fmt: skip
+
+
+def test_a_board_keeps_orders_in_bed_bpps_form(tmp_path: Path) -> None:
+    (tmp_path / "items.csv").write_text("Pallet,length,width,height,weight\na,400,300,200,6.5\nb,600,400,250,12\n")
+    with pytest.warns(PlanWarning):
+        keep_orders(tmp_path / "items.csv", tmp_path / "orders.json")
+    assert {name: boxes_of(order) for name, order in read_orders(tmp_path / "orders.json")} == {
+        "a": [SMALL],
+        "b": [LARGE],
+    }
+    keep_orders(tmp_path / "orders.json", tmp_path / "copy.json")
+    assert (tmp_path / "copy.json").read_bytes() == (tmp_path / "orders.json").read_bytes()
 
 
 def test_targets() -> None:

@@ -29,7 +29,7 @@ from petmjx.gym.actions import _in_turn
 from petmjx.gym.env import PalletizingEnv
 from petmjx.gym.vector_env import PalletizingVectorEnv
 from petmjx.loop.order_sources import Orders
-from petmjx.plans.foreign_orders import SET_KG_M3
+from petmjx.plans.item_orders import SET_KG_M3
 from petmjx.plans.order_generator import Item, Order
 from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 
