@@ -217,7 +217,7 @@ def kpis(
 
     Args:
         plans: as for ``petmjx.score``.
-        orders: BED-BPP's orders file. An order belongs to the plan with its id.
+        orders: file of orders, BED-BPP's or of any other form. An order belongs to the plan with its id.
         run: folders of runs of these plans. The verdicts are those of the first one; ``kpi_6`` is BED-BPP's rule on the
             first one with check ``static``.
         assume_stable: take all plans as stable: ``kpi_6`` is 1. Only without runs.

@@ -180,9 +180,9 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
         ]
         groups = plan.product_groups or ("",) * plan.n_boxes
         items = [
-            Item(name, item_id or name, group, *map(float, size), float(mass))
-            for name, item_id, group, size, mass in zip(
-                names, plan.item_ids, groups, plan.item_size_mm, plan.mass_kg, strict=True
+            Item(name, item_id or name, group, length, width, height, mass)
+            for name, item_id, group, (length, width, height), mass in zip(
+                names, plan.item_ids, groups, plan.item_size_mm.tolist(), plan.mass_kg.tolist(), strict=True
             )
         ]
         orders.append((plan.plan_id, Order(target, tuple(items), tuple(range(1, len(items) + 1)))))

@@ -48,6 +48,9 @@ _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 ROW_LEAD: Final = 0.75
 """Cost by which densities are more plausible if weights are of rows than if they are of boxes, from which on both are
 possible: boxes of 1,500 kg/m³, of which ten make up a row. Weights of boxes are usual."""
+_WATER_KG_M3: Final = 1000.0
+_RELATIVE: Final = 1.5
+"""Densities up to this are in those of water."""
 _FULL: Final = 1.02
 """Largest share of a target that a layer may cover."""
 
@@ -214,7 +217,8 @@ class _OrderBuilder:
             item_id = "" if columns.item_id is None else columns.item_id[row][:LONGEST_NAME]
             name = article or item_id or self.table.places[row]
             group = "" if columns.group is None else columns.group[row][:LONGEST_NAME]
-            item = Item(name, item_id or name, group, *size[row].tolist(), float(mass[row]))
+            length, width, height = size[row].tolist()
+            item = Item(name, item_id or name, group, length, width, height, float(mass[row]))
             items += [item] * int(counts[row])
         return Order(target, tuple(items), tuple(range(1, len(items) + 1)))
 
@@ -373,16 +377,18 @@ class _OrderBuilder:
     def _masses(self, units: _Units, size: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
         """(n,) mass of a box of each row, kg."""
         columns, wishes = self.columns, self.reading.wishes
-        volume = size.prod(axis=1) / 1e9
+        volume: FloatArray = size.prod(axis=1) / 1e9
         usual = SET_KG_M3 if self.form.name in _WITHOUT_MASSES else USUAL_KG_M3
         density = wishes.density_kg_m3 or usual
         if columns.weight is None:
             self._note(f"no weights: {density:g} kg/m³ (--density)")
-            return volume * density
+            by_density: FloatArray = volume * density
+            return by_density
         if columns.weight_is == "density":
-            relative = float(np.nanmax(columns.weight)) <= 1.5
+            relative = float(np.nanmax(columns.weight)) <= _RELATIVE
             self._note(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
-            return volume * columns.weight * (1000.0 if relative else 1.0)
+            of_columns: FloatArray = volume * columns.weight * (_WATER_KG_M3 if relative else 1.0)
+            return of_columns
         name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
         mass = columns.weight * MASS_UNITS[units.mass]
         if units.of_rows:

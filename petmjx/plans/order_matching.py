@@ -382,7 +382,7 @@ def check_orders(
     strict: bool = False,
     articles: Articles | None = None,
 ) -> OrderCheck:
-    """Compare plans with the orders of a BED-BPP orders file. A plan and its order have the same id.
+    """Compare plans with the orders of a file, BED-BPP's or of any other form. A plan and its order have the same id.
 
     Args:
         path: the file, gzipped or not.

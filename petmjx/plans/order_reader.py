@@ -129,7 +129,7 @@ def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
-    like_json = data.lstrip()[:1] in (b"{", b"[")
+    like_json = data.lstrip().startswith((b"{", b"["))
     if not is_own and data.strip() and not (like_json and looks_like_own_json(data)):
         return None
     try:
@@ -157,7 +157,7 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
             return frame_orders(parquet_table(path), name, reading or OrderReading())
         return foreign_orders(data, path, name, reading or OrderReading())
     except NoBoxes as error:
-        if data.lstrip()[:1] in (b"{", b"["):
+        if data.lstrip().startswith((b"{", b"[")):
             return None
         raise InputError(f"{name}: {error}: {_FORMS}") from None
     except InputError as error:

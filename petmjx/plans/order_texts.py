@@ -298,7 +298,7 @@ def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], 
 def _counts_up(lines: Sequence[_Line]) -> bool:
     """Whether the first numbers of lines count from 0 or 1."""
     first = [line.values[0] for line in lines]
-    return first in ([float(number) for number in range(begin, begin + len(first))] for begin in (0, 1))
+    return any(first == list(map(float, range(begin, begin + len(first)))) for begin in (0, 1))
 
 
 # Lists of lengths.
