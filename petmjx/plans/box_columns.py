@@ -263,7 +263,7 @@ class Extraction:
                 values, unit = self.triples(index)
                 order = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
                 factor = 2.0 if meaning.half else 1.0
-                choices.append((values * factor, order, unit, meaning.placed, {"sizes": header[index]}))  # type: ignore[arg-type]  # three, as just checked
+                choices.append((values * factor, order, unit, meaning.placed, {"sizes": header[index]}))
         return choices[:1]
 
     def _placed(self, index: int) -> bool:
@@ -299,11 +299,11 @@ class Extraction:
                     by_axis[role] = [self.fixed[role]]
             if not all(axis in by_axis for axis in _XYZ):
                 continue
-            for indices in _same_prefix(header, [by_axis[axis] for axis in _XYZ]):
-                values, unit = self.joined(indices)
-                words = {meaning.axis for index in indices if (meaning := self.meanings[index]) is not None}
+            for chosen in _same_prefix(header, [by_axis[axis] for axis in _XYZ]):
+                values, unit = self.joined(chosen)
+                words = {meaning.axis for index in chosen if (meaning := self.meanings[index]) is not None}
                 up = "z" if "height" in words else ""
-                columns = {axis: header[index] for axis, index in zip(_XYZ, indices, strict=True)}
+                columns = {axis: header[index] for axis, index in zip(_XYZ, chosen, strict=True)}
                 choices.append((values, unit, anchor, columns, up))
                 break
         for index, meaning in enumerate(self.meanings):
@@ -417,8 +417,8 @@ class Extraction:
             values = np.stack([self._quiet(start + offset) for offset in range(6)], axis=1)
             first, second = values[:, :3], values[:, 3:]
             prior = 0.8 * start
-            is_size = [_mostly((part > 0).all(axis=1)) for part in (first, second)]
-            are_ends = _mostly((second > first).all(axis=1))
+            is_size = [_mostly(np.asarray((part > 0).all(axis=1))) for part in (first, second)]
+            are_ends = _mostly(np.asarray((second > first).all(axis=1)))
             listed = tuple(map(role_of, "012"))
             columns = dict(zip((*listed, *_XYZ), names, strict=True))
             if is_size[0]:
@@ -557,7 +557,8 @@ _MOST_SOUND: Final = 0.9
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:
-    return bool(rows.mean() >= _MOST_SOUND) or bool(rows.sum() >= len(rows) - 1 > 1)
+    sound = int(np.count_nonzero(rows))
+    return sound >= _MOST_SOUND * len(rows) or sound >= len(rows) - 1 > 1
 
 
 def _tilt(rotation: FloatArray) -> FloatArray:

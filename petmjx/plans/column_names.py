@@ -11,6 +11,7 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final, Literal
 
 Kind = Literal[
@@ -245,6 +246,7 @@ def words_of(name: str) -> list[str]:
     return [match[0].lower() for match in _TOKEN.finditer(text)]
 
 
+@lru_cache(maxsize=1 << 14)
 def _meaning(name: str) -> ColumnMeaning | None:
     base, unit = split_unit(name)
     indices = _INDEX.findall(base)

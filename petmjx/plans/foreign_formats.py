@@ -111,8 +111,9 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
         try:
             value = decoded_json(start)
         except InputError as error:
-            kind = NoBoxes if start.startswith("{") or "nested" in str(error) else InputError
-            raise kind(str(error)) from None
+            if start.startswith("{") or "nested" in str(error):  # of which another reader says more
+                raise NoBoxes(str(error)) from None
+            raise
         sources = [_with_known_form(boxes) for boxes in box_lists(value)]
         if not sources:
             raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")

@@ -336,7 +336,7 @@ class _Builder:
         reading = replace(
             reading,
             order=order,
-            notes=tuple(dict.fromkeys(self.notes)),
+            notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
             density_kg_m3=self._density() if self._lacks_masses() else None,
         )
         table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
@@ -468,11 +468,11 @@ class _Builder:
         density = self._density()
         if columns.weight is None:
             self.notes.append(f"no weights: {density:g} kg/m³ (--density)")
-            return volume * density
+            return np.asarray(volume * density)
         if columns.weight_is_density:
             relative = np.nanmax(columns.weight) <= _RELATIVE
             self.notes.append(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
-            return volume * columns.weight * (_WATER_KG_M3 if relative else 1.0)
+            return np.asarray(volume * columns.weight * (_WATER_KG_M3 if relative else 1.0))
         name = columns.columns["weight"]
         mass = columns.weight * MASS_UNITS[reading.masses]
         empty = np.isnan(mass) | ~(mass > 0)
@@ -481,13 +481,13 @@ class _Builder:
             for row in np.flatnonzero(empty).tolist():
                 if self.columns.faults.get(row, ("", ""))[0] == name:
                     self.faults.pop(row, None)
-            return np.where(empty, volume * density, mass)
+            return np.asarray(np.where(empty, volume * density, mass))
         limits = _limits(SMALLEST_KG, LARGEST_KG, reading.masses, MASS_UNITS)
         for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
             fault = positive_fault(name, float(columns.weight[row]), *limits)
             if fault is not None:
                 self.faults.setdefault(row, fault)
-        return mass
+        return np.asarray(mass)
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
         """(n,) packing order of a plan's rows, from 1, and where it is from."""

@@ -152,8 +152,7 @@ def box_lists(value: Any) -> list[BoxList]:
         groups.setdefault(path, []).append(member)
         if len(groups[path]) > MOST_ROWS:
             raise InputError(f"has more than {MOST_ROWS:,} boxes")
-    lists = [_box_list(path, members) for path, members in groups.items()]
-    lists = [boxes for boxes in lists if boxes is not None]
+    lists = [boxes for path, members in groups.items() if (boxes := _box_list(path, members)) is not None]
     if isinstance(value, JsonLines):
         lists = [_by_lines(boxes, value.lines) for boxes in lists]
     unplaced = [boxes for boxes in lists if _is_unplaced(boxes.path)]

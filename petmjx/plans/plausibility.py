@@ -130,7 +130,8 @@ def _contacts(
         sides |= beside | beside.T
     beside_some = wide[2].copy()
     np.fill_diagonal(beside_some, False)
-    return overlapping, floating, share, sides.any(axis=1) | ~beside_some.any(axis=1)
+    touching = np.asarray(sides.any(axis=1) | ~beside_some.any(axis=1))
+    return np.asarray(overlapping), np.asarray(floating), np.asarray(share), touching
 
 
 def _outside(
@@ -139,15 +140,16 @@ def _outside(
     """(n,) boxes outside the container, the cost of the origin, and where that is."""
     n = len(low)
     if np.isnan(container[:2]).any():
-        middle = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
-        return np.zeros(n, bool), 0.0, "middle" if middle else "given"
+        around = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
+        return np.zeros(n, bool), 0.0, "middle" if around else "given"
     # a pallet may be overhung: a tenth of its side is no evidence against a reading
     slack = np.maximum(tolerance, 0.02 * container[:2])
     at_corner = ((low[:, :2] < -slack) | (high[:, :2] > container[:2] + slack)).any(axis=1)
     half = container[:2] / 2
     at_middle = ((low[:, :2] < -half - slack) | (high[:, :2] > half + slack)).any(axis=1)
-    too_high = np.zeros(n, bool) if np.isnan(container[2]) else high[:, 2] > container[2] + 2 * tolerance
-    corner, middle = at_corner | too_high, at_middle | too_high
+    highest = np.inf if np.isnan(container[2]) else container[2] + 2 * tolerance
+    too_high = high[:, 2] > highest
+    corner, middle = np.asarray(at_corner | too_high), np.asarray(at_middle | too_high)
     if _OUTSIDE * middle.mean() + 0.5 < _OUTSIDE * corner.mean():
         return middle, 0.5, "middle"
     return corner, 0.0, "given"

@@ -224,7 +224,7 @@ _NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")
 def _n_known(cells: Sequence[Any]) -> int:
     """How many cells of a row are names of columns that are known."""
     names = [cell if isinstance(cell, str) and len(cell) < 100 and not _NUMERIC.match(cell) else "" for cell in cells]
-    if not any(names) or len(names) > MOST_COLUMNS:
+    if sum(map(bool, names)) < _LEAST_KNOWN or len(names) > MOST_COLUMNS:
         return 0
     meanings = column_meanings(names)
     return len({(meaning.kind, meaning.axis) for meaning in meanings if meaning is not None})

@@ -75,7 +75,8 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
     place = candidate.geometry.place
     order = [0, 1, 2] if candidate.up == "z" else [0, 2, 1]
     size, place = size[:, order], place[:, order]
-    low = place - np.array(ANCHORS[candidate.anchor]) * size  # type: ignore[index]  # a name of ANCHORS
+    shares = {str(name): share for name, share in ANCHORS.items()}[candidate.anchor]
+    low = place - np.array(shares, float) * size
     return Layout(low, size, _container_along(candidate, container or {}, order))
 
 

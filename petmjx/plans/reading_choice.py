@@ -148,7 +148,7 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
                 if len(densities):
                     density = float(np.median(densities))
                     total += density_cost(density)
-            if (length in ("in", "ft")) != (mass == "lb") and len(masses) > 1 and len(lengths) > 1:
+            if (length in ("in", "ft")) != (mass == "lb") and len(masses) > 1:
                 total += 0.7
             costs.append((total, length, mass, density, mean_mm))
     return sorted(costs)
@@ -200,6 +200,8 @@ def choose_reading(
             replace(reading, units=_unit_text(best, columns, entry[1]), masses=entry[2]) for entry in (first, second)
         ]
         raise AmbiguousFile(tie_text(others, weak=False), others)
+    if (rival := _other_mass(best, columns, wishes)) is not None:
+        reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
     return replace(reading, alternatives=alternatives), best.candidate
 
@@ -235,6 +237,17 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     first = costs[0]
     rivals = [entry for entry in costs[1:] if entry[1] != first[1] and entry[0] < first[0] + TIE]
     return [first, *rivals[:1]]
+
+
+def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
+    """Another unit of masses that is about as plausible; None: there is none.
+
+    It is only said: a verdict hardly depends on it, since all boxes have it.
+    """
+    costs = _unit_costs(best, columns, wishes)
+    first = costs[0]
+    rivals = [entry for entry in costs[1:] if entry[1] == first[1] and entry[0] < first[0] + TIE]
+    return rivals[0][2] if rivals else None
 
 
 def _unit_text(best: _Judged, columns: BoxColumns, places: str) -> str:

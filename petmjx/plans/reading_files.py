@@ -101,9 +101,8 @@ def read_reading(path: Path) -> Wishes:
     if density is not None and (isinstance(density, bool) or not isinstance(density, int | float) or density <= 0):
         raise InputError(f"{name}: density must be a number > 0, {shown_value(density)}")
     texts = {field: str(table.get(field, "")) for field in _TEXTS}
-    return Wishes(
-        columns=_choosable(columns), exact=columns, units=units, along=tuple(along), density_kg_m3=density, **texts
-    )
+    wishes = Wishes(columns=_choosable(columns), exact=columns, units=units, along=tuple(along), **texts)  # type: ignore[arg-type]  # fields of texts
+    return replace(wishes, density_kg_m3=density)
 
 
 def _choosable(columns: Mapping[str, str]) -> dict[str, str]:

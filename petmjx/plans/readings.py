@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
@@ -179,27 +179,48 @@ class AmbiguousFile(InputError):
         self.readings = tuple(readings)
 
 
+_UNIT_WORDS: Final = {"mm": "millimetres", "cm": "centimetres", "dm": "decimetres", "m": "metres", "in": "inches"}
+
+
+def _length_words(reading: Reading) -> str:
+    sizes, places = (_UNIT_WORDS.get(unit, unit) for unit in reading.length_units)
+    return f"lengths in {sizes}" if sizes == places else f"sizes in {sizes}, coordinates in {places}"
+
+
+def _size_words(reading: Reading) -> str:
+    return "sizes as placed" if reading.sizes == "placed" else f"sizes before turning ({ROTATION_RULES[reading.rule]})"
+
+
+def _column_words(reading: Reading) -> str:
+    return ", ".join(f"{role}={name}" for role, name in reading.columns.items())
+
+
 _DIFFERENCES: Final = (
-    ("units", "--units", lambda reading: f"lengths in {reading.units}"),
-    ("up", "--up", lambda reading: f"{reading.up} upwards"),
-    ("anchor", "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
-    ("sizes", "--sizes", lambda reading: "sizes as placed" if reading.sizes == "placed" else "sizes before turning"),
-    ("rule", "--sizes", lambda reading: f"turns: {ROTATION_RULES[reading.rule]}"),
-    ("along", "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
-    ("columns", "--columns", lambda reading: ", ".join(f"{role}={name}" for role, name in reading.columns.items())),
+    (("units",), "--units", _length_words),
+    (("up",), "--up", lambda reading: f"{reading.up} upwards"),
+    (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
+    (("sizes", "rule"), "--sizes", _size_words),
 )
+"""Fields of readings, the option that decides between their values, and the values in words."""
+_OF_COLUMNS: Final = (
+    (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
+    (("columns",), "--columns", _column_words),
+)
+"""The same of columns: a difference of these follows from the others, if there are any."""
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     """The line about a tie: the two readings, where they differ, and the options that decide."""
     one, two = readings[0], readings[1]
-    parts = [
-        (option, words(one), words(two))
-        for name, option, words in _DIFFERENCES
-        if getattr(one, name) != getattr(two, name)
-    ]
-    if any(option != "--columns" for option, _, _ in parts):
-        parts = [part for part in parts if part[0] != "--columns" or part[1].count("=") == 0]
+
+    def parts_of(differences: Sequence[Any]) -> list[tuple[str, str, str]]:
+        return [
+            (option, words(one), words(two))
+            for names, option, words in differences
+            if any(getattr(one, name) != getattr(two, name) for name in names)
+        ]
+
+    parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
     options = " or ".join(dict.fromkeys(part[0] for part in parts))
     why = "no reading is plausible; the best are" if weak else "can be read in two ways:"

@@ -227,7 +227,7 @@ class RunOptionsGiven(TypedDict, total=False):
     anchor: Literal["corner", "centre", "base-centre", "far-corner"] | None
     up: Literal["y", "z"] | None
     sizes: Literal["placed", "item"] | None
-    columns: dict | None
+    columns: dict[str, str] | str | None
     density: float | None
     items: str | PathLike[str] | None
     reading: str | PathLike[str] | None

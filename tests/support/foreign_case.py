@@ -164,6 +164,10 @@ class ReadPlan(Protocol):
     item_ids: tuple[str, ...]
 
 
+ROUNDED_KG = 0.0051
+"""By how much a weight may differ: py3dbp writes two digits, which round it by half of the last one."""
+
+
 def difference(right: Packing, read: ReadPlan, free: frozenset[str] = frozenset(), order: str = "known") -> str:
     """How a plan that was read differs from the right one; "": not at all.
 
@@ -200,8 +204,9 @@ def difference(right: Packing, read: ReadPlan, free: frozenset[str] = frozenset(
             continue
         if right.weight is not None:
             mass, weight = np.asarray(read.mass_kg, float), right.weight[of_right]
-            box = int(np.argmax(np.abs(mass / weight - 1)))
-            if abs(mass[box] - weight[box]) > 1e-4 + 1e-3 * weight[box]:
+            excess = np.abs(mass - weight) - ROUNDED_KG - 1e-3 * weight
+            box = int(np.argmax(excess))
+            if excess[box] > 0:
                 return f"box {box}: {mass[box]:g} kg instead of {weight[box]:g}"
         if right.ids and tuple(read.item_ids) != tuple(right.ids[k] for k in of_right):
             return f"ids {tuple(read.item_ids)[:3]} … instead of {tuple(right.ids[k] for k in of_right)[:3]} …"
