@@ -63,7 +63,7 @@ def leaderboard(
     Args:
         packers: name → folder of a run, or plans. Without names, packers are named after their folders and files.
         out: folder of the site.
-        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without orders, the
+        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without them, the
             rating is about the orders for which any packer has a plan, so a packer's rating depends on the other
             packers.
         baselines: also pack the orders with each of petmjx's packers.
