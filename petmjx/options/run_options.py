@@ -245,8 +245,8 @@ class RunOptions(CheckedRecord):
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
-        description="orders that the plans were packed from, in any form (docs/plan-format.md#orders): counts boxes that "
-        "plans leave out, and orders without a plan; changes no verdict",
+        description="orders that the plans were packed from, in any form (docs/plan-format.md#orders): counts boxes "
+        "that plans leave out, and orders without a plan; changes no verdict",
     )
     strict: Annotated[bool, CliFlag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"

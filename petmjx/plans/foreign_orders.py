@@ -18,7 +18,7 @@ from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import BoxSource, sources_of_bytes, sources_of_frame
 from petmjx.plans.foreign_plans import bytes_of, with_items_of
 from petmjx.plans.item_columns import ItemColumns, has_sizes_of_items, item_columns, with_rows
-from petmjx.plans.item_orders import DELI, EURO, PG, ForeignOrders, OrderReading, orders_of_items
+from petmjx.plans.item_orders import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
 from petmjx.plans.nested_json import BoxList
 from petmjx.plans.order_generator import Item, Order, target_named
 from petmjx.plans.order_texts import SET_ITEMS, order_source
@@ -42,9 +42,9 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         NoBoxes: the file holds nothing like boxes.
         InputError: the file cannot be read as orders, or in two ways. The lines do not name the file.
     """
-    text = order_source(data)
-    if text is not None:
-        return _orders_of(text, source, reading)
+    given = order_source(data) or _array_of_sizes(data)
+    if given is not None:
+        return _orders_of(given, source, reading)
     try:
         sources = sources_of_bytes(data, path)
     except InputError:
@@ -62,17 +62,28 @@ def frame_orders(frame: Any, source: str, reading: OrderReading) -> ForeignOrder
 
 
 def _has_three_places(source: BoxSource) -> bool:
-    """Whether a list has coordinates x, y and z. A column "Position" alone may count the rows of an order."""
+    """Whether a list has coordinates x, y and z, and not only empty cells and zeros there. A column "Position" alone
+    may count the rows of an order."""
     kinds: dict[str, set[str]] = {}
+    table = source.boxes.table
     for index, meaning in enumerate(source.boxes.meanings):
         if meaning is None or meaning.of_container:
             continue
-        kinds.setdefault(meaning.kind, set()).add(meaning.axis)
+        cells = [row[index] for row in table.rows[:200]]
         if meaning.kind == "positions":
-            cells = [row[index] for row in source.boxes.table.rows[:50]]
-            if sum(cell_triple(cell, source.boxes.table.decimal) is not None for cell in cells) * 2 > len(cells):
+            if sum(cell_triple(cell, table.decimal) is not None for cell in cells) * 2 > len(cells):
                 return True
-    return "matrix" in kinds or any(len(kinds.get(kind, ())) >= 3 for kind in ("position", "low"))
+        elif meaning.kind in ("position", "low"):
+            if all(cell in (None, "") for cell in cells):
+                continue
+            numbers = [number.value for cell in cells if (number := cell_number(cell, table.decimal)) is not None]
+            zeros = len(numbers) > 1 and not any(numbers)
+            kinds.setdefault("zeros" if zeros else meaning.kind, set()).add(meaning.axis)
+        else:
+            kinds.setdefault(meaning.kind, set()).add(meaning.axis)
+    placed = kinds.get("position", set()) | kinds.get("low", set())
+    zeros_too = placed | (kinds.get("zeros", set()) if placed else set())
+    return "matrix" in kinds or (not table.has_header and bool(table.rows)) or len(zeros_too) >= 3
 
 
 def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:
@@ -124,6 +135,27 @@ def _without_gaps(source: BoxSource, columns: Sequence[str]) -> BoxSource:
         return source
     verb = "lacks" if left == 1 else "lack"
     return with_rows(source, whole, (f"{count_text(left, 'row')} that {verb} a value left out",))
+
+
+def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
+    """The boxes of a NumPy array (n, 3) of sizes, or (orders, n, 3); None: the file is none."""
+    if bytes(data[:6]) != b"\x93NUMPY":
+        return None
+    try:
+        array = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, OSError, EOFError):
+        return None  # the next reader's error says so
+    if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind not in "fiu":
+        return None
+    rows: list[tuple[float, ...]] = []
+    places, parts = [], []
+    for number, order in enumerate(array if array.ndim == 3 else array[None]):
+        for index, row in enumerate(order.tolist()):
+            if any(row):  # arrays of fixed length end with rows of zeros
+                rows.append(tuple(row))
+                places.append(f"row {index}" if array.ndim == 2 else f"order {number}, row {index}")
+                parts.append("" if array.ndim == 2 else str(number))
+    return BoxSource(BoxList(RawTable(_LENGTHS, rows, places), "", tuple(parts)), SIZES)
 
 
 def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:

@@ -21,6 +21,7 @@ from petmjx.plans.box_columns import IGNORED, ROLES, Extraction
 from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
 from petmjx.plans.foreign_formats import BoxSource
 from petmjx.plans.nested_json import BoxList
+from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.raw_cells import cell_number, cell_text
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
@@ -45,12 +46,36 @@ _WEIGHT: Final = word_set(
 )
 _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
-    "scatole colli kartony kartonow paczki units unit einheiten items"
+    "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
 )
-"""Names of columns with quantities, if their cells are whole numbers and no column is called a quantity."""
+_COUNTED: Final = _PIECES | word_set(
+    "nb nbr nombre n no num number of ordered order total gesamt totale bestellt bestellmenge de di anz "
+    "pro per commandes pedidas ordinati zamowione pick picked"
+)
+"""Names of columns with quantities have a word of ``_PIECES``, and only words of ``_COUNTED``; their cells are whole
+numbers, and no column is called a quantity."""
+_QUANTITY: Final = word_set("qta bestellmenge bestellt ordered commande pedida ordinata zamowiono need demand bedarf")
+"""Names of columns with quantities by themselves."""
+_NO_QUANTITY: Final = word_set(
+    "price preis prix precio prezzo cena priority prio profit value wert zone temperature temp color colour farbe date "
+    "datum year zip plz line zeile row ligne riga rotation rotations stackable fragile max min limit layer level class "
+    "klasse vpe lot batch charge stack stacking position pos volume weight index stop destination family customer store "
+    "route dock door aisle"
+)
+"""Words of columns with whole numbers that are no quantities."""
 _LAYER: Final = word_set("layer lage schicht couche capa strato warstwa warstwe warstwie")
 _PER: Final = word_set("per pro je par por na w each a")
-_ARTICLE: Final = word_set("towar goods ware good mercancia merce marchandise")
+_ORDERS: Final = word_set(
+    "order orders auftrag auftrage auftragsnr auftragsnummer bestellung bestellnr bestellnummer commande commandes "
+    "pedido pedidos ordine ordini zamowienie zamowienia po lieferschein lieferung sendung delivery shipment livraison "
+    "entrega consegna dostawa"
+)
+_NUMBERED: Final = word_set("nr no number nummer numero n id num sales purchase customer kunden name code deg")
+"""Names of columns with orders have a word of ``_ORDERS``, and besides only words of ``_NUMBERED``."""
+_ARTICLE: Final = word_set("indeks towar goods ware good mercancia merce marchandise")
+_TYPE: Final = word_set("type typ kind name code")
+_PIECE: Final = word_set("box carton karton case item package")
+"""Names of columns with articles: "Box type"."""
 _ORDER: Final = word_set("order orders ordre")
 """Names of columns with a packing order, which are also those of customers' orders: the values decide."""
 
@@ -74,6 +99,8 @@ class ItemColumns:
         sequence: (n,) order of arrival; None: no column.
         columns: role → name of its column.
         faults: row → (column, text) of its first bad cell.
+        unread: names of columns that are not used, though they hold something.
+        maybe_quantity: the unknown column that may hold quantities, if none is known; "": there is none.
     """
 
     source: BoxSource
@@ -93,6 +120,8 @@ class ItemColumns:
     sequence: FloatArray | None
     columns: Mapping[str, str]
     faults: Mapping[int, tuple[str, str]]
+    unread: tuple[str, ...] = ()
+    maybe_quantity: str = ""
 
     @property
     def n_rows(self) -> int:
@@ -111,7 +140,8 @@ def has_sizes_of_items(source: BoxSource) -> bool:
 def _is_of_packingsolver(header: Sequence[str]) -> bool:
     """Whether columns are those of packingsolver's items: X, Y, Z are sizes there, and no coordinates."""
     upper = {name.upper() for name in header}
-    return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(upper & {"COPIES", "PROFIT"})
+    its_own = upper & {"COPIES", "PROFIT"} or any(name.startswith("ROTATION") for name in upper)
+    return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(its_own)
 
 
 class _ItemExtraction(Extraction):
@@ -164,16 +194,51 @@ class _ItemExtraction(Extraction):
             elif words & _LAYER and words & _PER:
                 self.meanings[index] = ColumnMeaning("quantity")
                 self.of_layer.add(index)
-            elif "quantity" not in known and joined in _PIECES and self._is_whole(index):
+            elif "quantity" not in known and self._is_quantity(words, joined) and self._is_whole(index):
                 self.meanings[index] = ColumnMeaning("quantity")
-            elif meaning is None and joined in _ARTICLE:
+            elif ("plan" not in known and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
+                meaning is None and joined in _ORDERS
+            ):
+                self.meanings[index] = ColumnMeaning("plan")
+            elif meaning is None and (joined in _ARTICLE or (words & _TYPE and words <= _TYPE | _PIECE)):
                 self.meanings[index] = ColumnMeaning("article")
 
+    @staticmethod
+    def _is_quantity(words: set[str], joined: str) -> bool:
+        if words & _PER:
+            return False
+        return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
+
     def _is_whole(self, index: int) -> bool:
-        """Whether most cells of a column are whole numbers, and some are there twice: names would differ."""
+        """Whether most cells of a column are whole numbers which are no names: these count up, or are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
         whole = [number.value for number in numbers if number is not None and number.value.is_integer()]
-        return len(whole) * 2 > len(numbers) and (len(set(whole)) < len(whole) or len(whole) < 3)
+        if len(whole) * 2 <= len(numbers):
+            return False
+        steps = np.diff(whole)
+        return not (len(whole) > 2 and bool((steps > 0).all())) and min(whole) <= MOST_ITEMS
+
+    def maybe_quantity(self) -> str:
+        """The column without a known name whose cells may be quantities: small whole numbers; "": there is none.
+
+        Rows of boxes repeat their articles: there such a column is none.
+        """
+        articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
+        if (
+            articles is not None
+            and len(set(articles)) < len(articles)
+            and "plan" not in {meaning.kind for meaning in self.meanings if meaning is not None}
+        ):
+            return ""
+        for index, name in enumerate(self.table.header):
+            if self.meanings[index] is not None or index in self.taken or set(words_of(name)) & _NO_QUANTITY:
+                continue
+            numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+            values = [number.value for number in numbers if number is not None and not number.unit]
+            whole = len(values) == len(numbers) and all(value.is_integer() for value in values)
+            if whole and self._is_whole(index) and 1 < max(values) <= MOST_ITEMS and min(values) >= 0:
+                return name
+        return ""
 
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
@@ -269,14 +334,21 @@ def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> 
     order = named_order if named_order is not None else order
     article, article_name = work.texts("article", role="article")
     item_id, item_name = work.texts("item_id", role="item_id")
-    group, _ = work.texts("group")
+    group, group_name = work.texts("group")
     if order is not None:
         columns["plan"] = order_name or header[sequence_index or 0]
     columns |= {role: name for role, name in (("article", article_name), ("item_id", item_name)) if name}
     values, size_unit, names = sizes
+    used = {*names, *columns.values(), group_name, *([] if sequence_index is None else [header[sequence_index]])}
+    maybe = "" if quantity is not None or "quantity" in work.chosen else work.maybe_quantity()
+    unread = [
+        name
+        for index, name in enumerate(header)
+        if name not in used and any(cell not in (None, "") for cell in work.cells(index))
+    ]
     return ItemColumns(
         source, values, size_unit, names, weight, unit, weight_is, quantity, layers, per_layer, order, article, item_id,
-        group, sequence, columns, work.faults,
+        group, sequence, columns, work.faults, tuple(unread), maybe,
     )  # fmt: skip
 
 

@@ -56,9 +56,10 @@ _FULL: Final = 1.02
 
 PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")
+SIZES: Final = KnownForm("an array of sizes")
 _WITHOUT_MASSES: Final = (LENGTHS.name, DELI.name)
 """Forms with ``SET_KG_M3``."""
-_NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name)
+_NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
 """Forms whose orders have numbers for names, before which the file's name is put."""
 
 
@@ -136,6 +137,11 @@ class _OrderBuilder:
         self.faults = {row: f"{column} {text}" for row, (column, text) in columns.faults.items()}
 
     def orders(self) -> ForeignOrders:
+        if name := self.columns.maybe_quantity:
+            raise InputError(
+                f"{TWO_WAYS} each row is one box, or {printable_name(name)} counts its boxes; say which with --columns "
+                f"quantity=- or --columns quantity={name}"
+            )
         names = self._names()
         rows_of: dict[str, list[int]] = {}
         for row, name in enumerate(names):
@@ -239,7 +245,7 @@ class _OrderBuilder:
             fault = self.faults.get(row, f"{columns.size_names[0]} must be > 0")
             raise InputError(f"{self.table.places[row]}: {fault}")
         named = wishes.units or columns.size_unit or self.form.units
-        prior = _BIN_PRIOR if self.form is MPV else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
+        prior = _BIN_PRIOR if self.form in (MPV, SIZES) else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
         lengths = {named: 0.0} if named else dict(prior)
         masses: dict[str, float] = {"kg": 0.0}
         weighed = columns.weight is not None and columns.weight_is != "density"
@@ -438,6 +444,8 @@ class _OrderBuilder:
             lengths,
             f"columns {', '.join(map(printable_name, names))}",
             f"packed on {first_names(kinds, 3)}",
+            *(["one box a row"] if columns.quantity is None and self.form.name not in _NUMBERED else []),
+            *([f"not used: {first_names(columns.unread)}"] if columns.unread else []),
         ]
         return f"{self.source}: read as {self.form.name}; {'; '.join([*parts, *dict.fromkeys(self.notes)])}"
 

@@ -215,7 +215,9 @@ def _delimiter_of(text: str) -> str:
         known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
         return (known if known >= _LEAST_KNOWN else 0), even
 
-    return max((*_DELIMITERS, _SPACES), key=merit)
+    lines = [line for line in sample.splitlines()[:_SEARCHED_ROWS] if line.strip()]
+    marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
+    return max(_DELIMITERS if marked else (*_DELIMITERS, _SPACES), key=merit)
 
 
 _NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")

@@ -90,6 +90,47 @@ def test_tables_of_items_are_orders(name: str, tmp_path: Path) -> None:
     assert order.target == "euro-pallet"
 
 
+HEADERS: list[str] = [
+    "Nr zamówienia;Indeks;Długość (mm);Szerokość (mm);Wysokość (mm);Waga (kg);Sztuk",
+    "N° commande;Réf.;Longueur (mm);Largeur (mm);Hauteur (mm);Poids (kg);Nb colis",
+    "Nº pedido;Código;Largo (mm);Ancho (mm);Alto (mm);Peso bruto (kg);Uds.",
+    "N. ordine;Cod. articolo;Lungh. (mm);Largh. (mm);Alt. (mm);Peso (kg);Q.tà",
+    "Auftragsnr.;Material;Länge in mm;Breite in mm;Höhe in mm;Bruttogewicht (kg);Bestellmenge",
+    "PO Number;SKU;Case L (mm);Case W (mm);Case H (mm);Unit weight (kg);Cases Ordered",
+    "orderId;productId;lengthMm;widthMm;heightMm;weightKg;count",
+    "Pallet ID;Box type;Box length [mm];Box width [mm];Box height [mm];Box mass [kg];No. of boxes",
+]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+def test_names_of_columns_that_only_orders_have(header: str, tmp_path: Path) -> None:
+    rows = "1001;s;400;300;200;6.5;2\n1001;l;600;400;250;12;1\n1002;s;400;300;200;6.5;4\n"
+    (tmp_path / "a.csv").write_text(f"{header}\n{rows}", "utf-8")
+    orders = read(tmp_path / "a.csv")
+    assert list(orders) == ["1001", "1002"]
+    assert near(orders["1001"], [SMALL, SMALL, LARGE])
+    assert near(orders["1002"], [SMALL] * 4)
+    assert [item.article for item in orders["1001"].items] == ["s", "s", "l"]
+
+
+def test_an_unknown_column_that_may_be_a_quantity_is_refused(tmp_path: Path) -> None:
+    """But not where rows repeat their articles, and are one box each."""
+    path = tmp_path / "a.csv"
+    path.write_text("sku,L,B,H,weight,Foo\ns,400,300,200,6.5,2\nl,600,400,250,12,1\n")
+    message = (
+        "each row is one box, or Foo counts its boxes; say which with --columns quantity=- or --columns quantity=Foo"
+    )
+    with pytest.raises(InputError, match=message):
+        list(read_orders(path))
+    (order,) = read(path, "one box a row; not used: Foo", columns={"quantity": "-"}).values()
+    assert near(order, [SMALL, LARGE])
+    (order,) = read(path, columns={"quantity": "Foo"}).values()
+    assert near(order, [SMALL, SMALL, LARGE])
+    path.write_text("sku,L,B,H,weight,Foo\ns,400,300,200,6.5,2\ns,400,300,200,6.5,1\n")
+    (order,) = read(path, "one box a row; not used: Foo").values()
+    assert near(order, [SMALL, SMALL])
+
+
 def test_inches_and_pounds(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("name,length (in),width (in),height (in),weight (lbs),qty\na,16,12,10,20,2\n")
     (order,) = read(tmp_path / "a.csv").values()
@@ -239,6 +280,24 @@ def test_two_readings_are_refused_and_options_decide(tmp_path: Path) -> None:
     for role, count in (("quantity", 8), ("per layer", 16)):
         (order,) = read(tmp_path / "layers.csv", columns={role: "qty"}).values()
         assert len(order.items) == count
+
+
+def test_no_places_in_a_column_of_places(tmp_path: Path) -> None:
+    for cells in (",,", "0,0,0"):
+        (tmp_path / "a.csv").write_text(
+            f"name,length,width,height,weight,x,y,z\ns,400,300,200,6.5,{cells}\nl,600,400,250,12,{cells}\n"
+        )
+        (order,) = read(tmp_path / "a.csv", "read as a table").values()
+        assert near(order, [SMALL, LARGE])
+
+
+def test_arrays_of_sizes(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", [[[4, 3, 2], [6, 4, 2]], [[5, 5, 5], [0, 0, 0]]])
+    orders = read(tmp_path / "a.npy", "an array of sizes; 2 orders, 3 boxes; dm")
+    assert [[box[:3] for box in boxes_of(order)] for order in orders.values()] == [
+        [(400, 300, 200), (600, 400, 200)],
+        [(500, 500, 500)],
+    ]
 
 
 def test_plans_are_read_as_the_orders_of_their_boxes(tmp_path: Path) -> None:
