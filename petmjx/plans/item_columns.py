@@ -27,6 +27,7 @@ from petmjx.plans.raw_cells import cell_number, cell_text
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
 """Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` those
 of one of its ``layers``; ``weight`` is of a box, ``total weight`` of all boxes of a row."""
+TWO_WAYS: Final = "can be read in two ways:"
 _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
 }  # fmt: skip
@@ -44,6 +45,8 @@ _UNIT_WEIGHT: Final = word_set(
 _WEIGHT: Final = word_set(
     "weight mass gewicht poids peso waga masa ciezar gesamtgewicht totalgewicht positionsgewicht zeilengewicht"
 )
+_GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
+"""Words of weights with the packaging, which are taken where there are net weights beside."""
 _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
     "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
@@ -59,8 +62,8 @@ _QUANTITY: Final = word_set("qta bestellmenge bestellt ordered commande pedida o
 _NO_QUANTITY: Final = word_set(
     "price preis prix precio prezzo cena priority prio profit value wert zone temperature temp color colour farbe date "
     "datum year zip plz line zeile row ligne riga rotation rotations stackable fragile max min limit layer level class "
-    "klasse vpe lot batch charge stack stacking position pos volume weight index stop destination family customer store "
-    "route dock door aisle"
+    "klasse vpe lot batch charge stack stacking position pos volume weight index stop destination family customer "
+    "store route dock door aisle"
 )
 """Words of columns with whole numbers that are no quantities."""
 _LAYER: Final = word_set("layer lage schicht couche capa strato warstwa warstwe warstwie")
@@ -281,12 +284,41 @@ class _ItemExtraction(Extraction):
             self.bad(row, index, shown if cell in (None, "") else f"{limits}, {shown}")
         return values
 
+    def _check_single(self, columns: Mapping[str, str]) -> None:
+        """Refuse tables with two different columns of a size, such as those of a carton and of what is in it.
+
+        Args:
+            columns: role → name of the chosen column.
+
+        Raises:
+            InputError: there are two, and no option says which is right.
+        """
+        for role, name in columns.items():
+            index = self.table.header.index(name)
+            meaning = self.meanings[index]
+            if role in self.fixed or meaning is None:
+                continue
+            for other, rival in enumerate(self.meanings):
+                if other == index or rival is None or rival.of_container or rival.placed != meaning.placed:
+                    continue
+                if (rival.kind, rival.axis) == (meaning.kind, meaning.axis) and self.cells(other) != self.cells(index):
+                    raise self.tie(role, name, self.table.header[other])
+
+    @staticmethod
+    def tie(role: str, name: str, other: str) -> InputError:
+        """The error of two columns that may have a role."""
+        return InputError(
+            f"{TWO_WAYS} the {role} is {printable_name(name)}, or {printable_name(other)}; say which with --columns "
+            f"{role}={name} or --columns {role}={other}"
+        )
+
     def sizes(self) -> tuple[FloatArray, str, tuple[str, ...]] | None:
         """(n, 3) length, width and height, their unit, and names of their columns; None: there are none."""
         choices = self.size_choices()
         if not choices:
             return None
         values, axes, unit, _, columns = choices[0]
+        self._check_single(columns)
         upright = next((axis for axis in ("height", "z", "2", "depth") if axis in axes), axes[2])
         order = [index for index, axis in enumerate(axes) if axis != upright] + [axes.index(upright)]
         named = tuple(columns.values())
@@ -314,6 +346,12 @@ def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> 
         quantity_index, per_layer = layer_index, True
     elif layer_index is not None or "quantity" in work.chosen:
         per_layer = False
+    if quantity_index is not None and "quantity" not in work.chosen and not per_layer:
+        cells = work.cells(quantity_index)
+        for index, meaning in enumerate(work.meanings):
+            rival = meaning is not None and meaning.kind == "quantity" and index not in work.of_layer
+            if rival and work.cells(index) != cells:
+                raise work.tie("quantity", header[quantity_index], header[index])
     layers_index = work.role("layers", "layers")
     copies = _is_of_packingsolver(header)
     quantity = layers = None
@@ -358,7 +396,9 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
     row_index = work.role("total weight", "weight", within=work.totals)
     index = work.fixed.get("weight")
     if index is None and "total weight" not in work.chosen:
-        index = work.role("weight", "weight", without=work.totals)
+        gross = {number for number, name in enumerate(header) if _GROSS.intersection(words_of(name))} - work.totals
+        index = work.role("weight", "weight", within=gross)
+        index = work.role("weight", "weight", without=work.totals) if index is None else index
     if index is not None:
         weight_is = "box" if index in work.of_box or "weight" in work.fixed else ""
         columns["weight"] = header[index]

@@ -23,7 +23,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
 from petmjx.plans.foreign_formats import KnownForm
 from petmjx.plans.foreign_plans import USUAL_KG_M3
 from petmjx.plans.input_conventions import Limits
-from petmjx.plans.item_columns import ItemColumns
+from petmjx.plans.item_columns import TWO_WAYS, ItemColumns
 from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
 from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM, positive_fault
@@ -34,7 +34,6 @@ from petmjx.plans.readings import Wishes
 
 SET_KG_M3: Final = 200.0
 """Density of boxes of RoboBPP's sets, which have no masses: an assumption, about the mean of BED-BPP's boxes."""
-TWO_WAYS: Final = "can be read in two ways:"
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
 """Sides of what may be a pallet: a container of a file outside of this is none, and its boxes go on a Euro pallet."""

@@ -149,7 +149,8 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
     """
     from petmjx.common.arrow_files import parquet_table
     from petmjx.plans.foreign_orders import foreign_orders, frame_orders
-    from petmjx.plans.item_orders import TWO_WAYS, OrderReading
+    from petmjx.plans.item_columns import TWO_WAYS
+    from petmjx.plans.item_orders import OrderReading
 
     try:
         data, _ = unpacked_bytes(path)

@@ -131,6 +131,40 @@ def test_an_unknown_column_that_may_be_a_quantity_is_refused(tmp_path: Path) -> 
     assert near(order, [SMALL, SMALL])
 
 
+RIVALS: dict[str, tuple[str, str, dict[str, str], tuple[int, Boxes]]] = {
+    "quantities": (
+        "sku,L,B,H,weight,Units,Cases\ns,400,300,200,6.5,12,2\nl,600,400,250,12,7,1\n",
+        "the quantity is Units, or Cases; say which with --columns quantity=Units or --columns quantity=Cases",
+        {"quantity": "Cases"},
+        (3, [SMALL, SMALL, LARGE]),
+    ),
+    "sizes": (
+        "sku,item length,item width,item height,case length,case width,case height,weight\n"
+        "s,80,60,40,400,300,200,6.5\nl,90,60,40,600,400,250,12\n",
+        "the length is item length, or case length; say which with --columns length=item length",
+        {"length": "case length", "width": "case width", "height": "case height"},
+        (2, [SMALL, LARGE]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_two_columns_for_one_role_are_refused(name: str, tmp_path: Path) -> None:
+    text, message, columns, (count, boxes) = RIVALS[name]
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        list(read_orders(tmp_path / "a.csv"))
+    (order,) = read(tmp_path / "a.csv", columns=columns).values()
+    assert len(order.items) == count
+    assert near(order, boxes)
+
+
+def test_gross_weights_are_taken(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("sku,L,B,H,Nettogewicht,Bruttogewicht\ns,400,300,200,6,6.5\nl,600,400,250,11,12\n")
+    (order,) = read(tmp_path / "a.csv", "columns L, B, H, Bruttogewicht").values()
+    assert near(order, [SMALL, LARGE])
+
+
 def test_inches_and_pounds(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("name,length (in),width (in),height (in),weight (lbs),qty\na,16,12,10,20,2\n")
     (order,) = read(tmp_path / "a.csv").values()
