@@ -19,12 +19,10 @@ from petmjx.common.text import printable
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.articles import Articles, read_articles
-from petmjx.plans.convention_checks import warn
-from petmjx.plans.foreign_orders import frame_orders
 from petmjx.plans.item_columns import MOST_PIECES
 from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_generator import Item, Order, draw_order
-from petmjx.plans.order_reader import read_orders
+from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 
 ENDLESS: Final = "endless"
@@ -114,14 +112,7 @@ def _read(source: Any, articles: Articles | None, reading: OrderReading) -> list
     if isinstance(source, pd.DataFrame):
         if set(_COLUMNS) <= set(source.columns):
             return _of_table(source, "orders")
-        try:
-            read = frame_orders(source, "orders", reading)
-        except InputError as error:
-            raise InputError(f"orders: {error}") from None
-        warn([read.line])
-        if read.refused:
-            raise InputError(read.refused[0][1])
-        return [_of_order(order, articles) for _, order in read.orders]
+        return [_of_order(order, articles) for _, order in read_order_frame(source, reading=reading)]
     if isinstance(source, str | PathLike):
         return _of_file(path_of(source, "orders"), articles, reading)
     orders = [_of_order(order, articles) for order in list_of(source, "orders", Order, "orders")]

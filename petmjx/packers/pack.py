@@ -20,10 +20,10 @@ from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
 from petmjx.packers.physical_packer import pack_physical
 from petmjx.packers.sample_plans import MOST_SAMPLES
-from petmjx.plans.file_formats import is_csv, is_parquet_name
+from petmjx.plans.file_formats import SupportsArrow, is_csv, is_parquet_name
 from petmjx.plans.json_writer import write_plans
 from petmjx.plans.order_generator import Order, draw_order
-from petmjx.plans.order_reader import read_orders
+from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument
 from petmjx.plans.plan_writer import save_plans
@@ -101,7 +101,7 @@ class Packed:
 
 
 def pack(
-    orders: PathArgument | None = None,
+    orders: PathArgument | SupportsArrow | None = None,
     *,
     n: int | None = None,
     seed: int = 0,
@@ -122,8 +122,8 @@ def pack(
     An order has one plan on an engine: only the errors are random, and they depend on the plan's id alone.
 
     Args:
-        orders: file of orders, BED-BPP's or of any other form that ``petmjx samples --orders`` reads; None: ``n``
-            generated orders, as in ``petmjx samples``.
+        orders: file of orders, BED-BPP's or of any other form that ``petmjx samples --orders`` reads; or a data frame
+            of items; None: ``n`` generated orders, as in ``petmjx samples``.
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
@@ -177,7 +177,7 @@ def pack_each(
 
 
 def orders_of(
-    orders: PathArgument | None,
+    orders: PathArgument | SupportsArrow | None,
     n: int | None,
     seed: int,
     on_bad_order: Callable[[InputError], None] | None = None,
@@ -192,6 +192,8 @@ def orders_of(
     if orders is not None:
         if n is not None:
             raise InputError("n is for drawn orders, and there is a file of orders")
+        if isinstance(orders, SupportsArrow):
+            return read_order_frame(orders, on_bad_order, reading)
         return read_orders(path_of(orders, "orders"), on_bad_order, reading)
     count = integer_of(100 if n is None else n, "n", 1, MOST_SAMPLES)
     return ((f"s{seed}-{index:06d}", draw_order(seed, index)) for index in range(count))

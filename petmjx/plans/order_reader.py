@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
 """Appended where a command has no options for reading orders."""
+_FRAME: Final = "orders"
+"""Name of a data frame in messages."""
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _FORMS: Final = "orders are BED-BPP's JSON, or tables of items with sizes and quantities (docs/plan-format.md#orders)"
 _MOST_DIGITS: Final = 18
@@ -87,6 +89,26 @@ def read_orders(
         else:
             seen.add(entry.plan_id)
             yield entry.plan_id, order
+
+
+def read_order_frame(
+    frame: Any,
+    on_bad_order: Callable[[InputError], None] | None = None,
+    reading: OrderReading | None = None,
+) -> Iterator[tuple[str, Order]]:
+    """Yield (order id, order) for each order of a data frame, or of any object with Arrow's stream interface.
+
+    Arguments and errors are those of :func:`read_orders`; lines name the frame "orders".
+    """
+    from petmjx.plans.foreign_orders import frame_orders
+    from petmjx.plans.item_orders import OrderReading
+
+    try:
+        orders = frame_orders(frame, _FRAME, reading or OrderReading())
+    except InputError as error:
+        raise InputError(f"{_FRAME}: {error}") from None
+    warn([orders.line])
+    yield from _good_orders(orders, on_bad_order)
 
 
 def keep_orders(source: Path, path: Path) -> None:

@@ -425,6 +425,9 @@ def test_orders_go_the_way_of_bed_bpps(tmp_path: Path) -> None:
     with pytest.warns(PlanWarning):
         (order,) = Orders(frame).some(0)
     assert order.size_mm.tolist() == [[400, 300, 200]] * 3
+    with pytest.warns(PlanWarning, match="^orders: read as a data frame; 1 order, 3 boxes"):
+        ((name, ordered),) = orders_of(frame, None, 0)
+    assert (name, len(ordered.items)) == ("orders", 3)
 
 
 def test_orders_are_written_as_bed_bpps(
