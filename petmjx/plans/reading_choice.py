@@ -217,7 +217,7 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
         judged.append(_with_units(_judge(columns, candidate, sample), columns, wishes))
         lowest = min(lowest, judged[-1].cost)
     unnamed = not wishes.units and not any(geometry.size_unit or geometry.place_unit for geometry in columns.geometries)
-    if unnamed and judged and min(one.layout_cost for one in judged) > WEAK:
+    if unnamed and judged and min(one.layout_cost for one in judged) > 0.8 * WEAK:
         base = sorted(judged, key=lambda one: one.candidate.prior)[:8]
         for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
             for one in base:

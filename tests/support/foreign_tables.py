@@ -1,4 +1,4 @@
-"""Writers of tables, texts, arrays and scenes as other tools write them. As in :mod:`support.foreign_json`, each takes
+"""Writers of tables, texts, arrays and scenes as other tools write them. As in ``support.foreign_json``, each takes
 packings as that tool sees them, and gives documents, the main one first."""
 
 from __future__ import annotations
