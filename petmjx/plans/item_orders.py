@@ -40,6 +40,10 @@ _PALLET_MM: Final = (300.0, 1700.0)
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
+_MIXED: Final = 1.5
+"""Cost of inches with kilograms, or of pounds with metric lengths, where names do not say so."""
+_DENSEST_KG_M3: Final = 1e6
+"""Densities above this are no evidence of a unit, but damaged weights."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
 """Units of test problems, whose bins have 10 or 100 units: 1 m."""
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
@@ -241,7 +245,10 @@ class _OrderBuilder:
             good &= (columns.size > 0).all(axis=1)
         if not good.any():
             row = min(self.faults, default=0)
-            fault = self.faults.get(row, f"{columns.size_names[0]} must be > 0")
+            names = columns.size_names
+            axis = int(np.argmin(np.nan_to_num(columns.size[row], nan=1.0)))
+            value = columns.size[row, axis]
+            fault = self.faults.get(row, f"{names[axis if len(names) == 3 else 0]} must be > 0, got {value:g}")
             raise InputError(f"{self.table.places[row]}: {fault}")
         named = wishes.units or columns.size_unit or self.form.units
         prior = _BIN_PRIOR if self.form in (MPV, SIZES) else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
@@ -298,10 +305,10 @@ class _OrderBuilder:
                 kg = kg / columns.quantity[good]
         with np.errstate(invalid="ignore", divide="ignore"):
             densities = kg / (size.prod(axis=1) / 1e9)
-        densities = densities[np.isfinite(densities) & (densities > 0)]
+        densities = densities[(densities > 0) & (densities < _DENSEST_KG_M3)]
         if len(densities):
             cost += density_cost(float(np.median(densities)))
-        return cost + 0.7 * ((length in ("in", "ft")) != (mass == "lb"))
+        return cost + _MIXED * ((length in ("in", "ft")) != (mass == "lb"))
 
     def _shown(self, unit: str, good: NDArray[np.bool_]) -> str:
         sides = np.median(self.columns.size[good], axis=0) * LENGTH_UNITS[unit]

@@ -372,6 +372,19 @@ def test_a_damaged_value_is_one_line(name: str, tmp_path: Path) -> None:
     assert line.isprintable()
 
 
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [("400,-5,200,5,2", "width must be > 0, got -5"), ("400,300,200,1e99,2", "weight must be from")],
+)
+def test_the_only_row_is_named_when_it_is_damaged(row: str, message: str, tmp_path: Path) -> None:
+    """Its values are no evidence of units."""
+    (tmp_path / "a.csv").write_text(f"sku,length,width,height,weight,qty\ns,{row}\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PlanWarning)
+        with pytest.raises(InputError, match=f"a.csv: .*row 2: {message}"):
+            list(read_orders(tmp_path / "a.csv"))
+
+
 PROBLEMS: dict[str, tuple[str, str, str]] = {
     "size": (" 1 108 0", " 1 1o8 0", 'order thpack1-1, line 5: length must be a number, got "1o8"'),
     "mark": (" 1 108 0", " 1 108 2", "line 5: marks of upright sizes must be 0 or 1, got 2"),
