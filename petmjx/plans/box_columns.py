@@ -18,7 +18,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, ColumnMeaning, column_meanings
-from petmjx.plans.foreign_formats import BoxSource
+from petmjx.plans.foreign_formats import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import cell_number, cell_text, cell_triple, number_fault_of
 
@@ -143,6 +143,10 @@ class Extraction:
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
+        if source.form == BED_BPP:  # its item.sequence counts the order's items; the list is in packing order
+            self.meanings = [
+                None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
+            ]
         self.fixed: dict[str, int] = {}
         for role, name in chosen.items():
             if role not in ROLES:

@@ -89,17 +89,17 @@ def looks_like_table(data: bytes | bytearray) -> bool:
 
 
 _LOOKED_AT_TEXT: Final = 1 << 16
-_OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm|weight/kg)"')
-_OTHER_UNITS: Final = re.compile(rb'"length/(?!mm")')
+_OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
+_OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
 _OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
 """First bytes of workbooks, of archives of arrays, and of arrays."""
 _SCENE: Final = re.compile(rb"<mujoco[\s>/]")
 
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
-    """Whether a text has fields of BED-BPP's plans or orders: usually near its beginning."""
+    """Whether a text has fields of BED-BPP's plans or orders, usually near its beginning, and not in other units."""
     if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
-        return _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is None
+        return True
     if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:
         return False
     return any(data.find(name) >= 0 for name in (b'"flb_coordinates"', b'"item_sequence"'))

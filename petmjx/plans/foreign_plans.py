@@ -17,7 +17,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns, box_columns, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import PACKINGSOLVER, BoxSource, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
@@ -299,7 +299,8 @@ class _Builder:
             rows_of.setdefault(name, []).append(row)
         plans = {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
         try:
-            reading, candidate = choose_reading(self.columns, plans, self.wishes)
+            lost = self._plans_with_lost(names)
+            reading, candidate = choose_reading(self.columns, plans, self.wishes, lost)
         except AmbiguousFile:
             if not self.boxes.table.lost:
                 raise
@@ -310,7 +311,6 @@ class _Builder:
         self._check_ranges(reading, candidate, size, low)
         mass = self._masses(reading, size)
         refused: list[RefusedPlan] = []
-        lost = self._plans_with_lost(names)
         good: dict[str, NDArray[np.int64]] = {}
         sequences: list[NDArray[np.int64]] = []
         orders: list[str] = []
@@ -333,6 +333,8 @@ class _Builder:
             sequences.append(sequence)
             orders.append(order)
         order = self._order_note(orders, list(good))
+        if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
+            self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
         reading = replace(
             reading,
             order=order,
@@ -364,7 +366,9 @@ class _Builder:
         return lost
 
     def _plan_names(self) -> list[str]:
-        """(n,) the name of each row's plan."""
+        """(n,) the name of each row's plan. Numbers of containers follow the file's name, so that files do not share
+        them.
+        """
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
         if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
@@ -376,7 +380,12 @@ class _Builder:
         if not any(names):
             self.notes.append(f"no plan_id: {printable_name(stem)}")
             return [stem] * len(names)
-        return [name or stem for name in names]
+        words = words_of(self.columns.columns.get("plan", ""))
+        if "plan" in words or "order" in words:  # names of plans, and no numbers of containers
+            return [name or stem for name in names]
+        if len(set(names)) == 1 and names[0].isdigit():
+            return [stem] * len(names)  # the number of the only container
+        return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _geometry(
         self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -394,7 +395,12 @@ def _parts(members: Sequence[_Member]) -> list[str]:
     ]
     if not several:
         return [_only_name(members[0].around)] * len(members) if members else []
-    names = [[_name_of(step, holder, [inner for _, inner in level]) for step, holder in level] for level in several]
+    names = []
+    for level in several:
+        distinct = {id(holder): (step, holder) for step, holder in level}
+        own = _names_of(list(distinct.values()))
+        by_holder = dict(zip(distinct, own, strict=True))
+        names.append([by_holder[id(holder)] for _, holder in level])
     return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
 
 
@@ -412,15 +418,18 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
     return ""
 
 
-def _name_of(step: str, holder: Mapping[str, Any], alike: Sequence[Mapping[str, Any]]) -> str:
-    """The name of an object around boxes: a field with a name that no other has, else its place."""
-    distinct = list({id(other): other for other in alike}.values())
-    for name in _NAMES:
-        text = _name_text(holder.get(name))
-        if text and sum(_name_text(other.get(name)) == text for other in distinct) == 1:
-            return text
-    member = re.search(r"\[(\d+)\]$", step)
-    return step if member is None else str(int(member[1]) + 1)
+def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
+    """The names of objects around boxes: of each the first field whose text no other has, else its place."""
+    texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
+    counts = {name: Counter(values) for name, values in texts.items()}
+    names = []
+    for number, (step, _) in enumerate(holders):
+        unique = (
+            values[number] for name, values in texts.items() if values[number] and counts[name][values[number]] == 1
+        )
+        member = re.search(r"\[(\d+)\]$", step)
+        names.append(next(unique, step if member is None else str(int(member[1]) + 1)))
+    return names
 
 
 def _name_text(value: Any) -> str:

@@ -59,7 +59,7 @@ OBJECT: Final = "python"
 """Names of a data frame, and of another object, in messages."""
 _MOSTLY_OWN: Final = 4
 """A table with more of petmjx's own names of columns is meant to be one of petmjx's."""
-_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
+_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
 def load_plans(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 
-_OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 15.0, 5.0, 2.0
+_OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 15.0, 4.0, 2.0
 """Costs if all boxes overlap, float, are outside the carrier, hang over, and touch no neighbour. A box that overlaps
 or floats by mistake is rare in a packer's output; overhang and gaps are not."""
 _TOLERANCE: Final = 0.01
@@ -36,6 +36,8 @@ _DECKS_MM: Final = (
 _PALLETS: Final = 10
 """The first of the carriers are pallets; on the others a load lies only if the file says so."""
 _DECK_SPREAD: Final = 0.6
+_LARGE_MM: Final = 1000.0
+"""Least length of a carrier that a load's footprint is evidence of: two cartons also have that of a small one."""
 _NEAR: Final = 0.03
 """Share by which a deck may differ from a usual one."""
 
@@ -102,6 +104,8 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     return float(cost), origin, counts
 
 
+_NEGATIVE: Final = 1.0
+"""Cost of corners with negative coordinates, where no container is known: the origin is then no corner of the deck."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
 """Most that the first odd box costs, and each further one: one plan in 20 has a box that a packer put wrong. In a plan
 of few boxes a share says less."""
@@ -156,7 +160,10 @@ def _outside(
     n = len(low)
     if np.isnan(container[:2]).any():
         around = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
-        return np.zeros(n, bool), 0.0, "middle" if around else "given"
+        # of a corner of the deck coordinates are rarely negative
+        begin = low[:, :2].min(axis=0)
+        cost = _NEGATIVE if (begin < -tolerance).any() else 0.0
+        return np.zeros(n, bool), cost, "middle" if around else "given"
     # a pallet may be overhung: a tenth of its side is no evidence against a reading
     slack = np.maximum(tolerance, 0.02 * container[:2])
     at_corner = ((low[:, :2] < -slack) | (high[:, :2] > container[:2] + slack)).any(axis=1)
@@ -228,6 +235,7 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
     usual = any(
         abs(long / side - 1) < _NEAR and abs(short / other - 1) < (_NEAR if known else 0.12)
         for side, other in _DECKS_MM
+        if known or side >= _LARGE_MM
     )
     if usual:
         return -2.0 if known else -1.2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -20,6 +20,8 @@ from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_
 
 TIE: Final = 1.5
 """Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
+_FEW_BOXES, _FEW_MORE = 6, 1.0
+"""In files of fewer boxes a tie is wider by this: a wrong reading of three boxes is often as plausible by chance."""
 WEAK: Final = 5.0
 """Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
 WEAK_LEAD: Final = 3.0
@@ -62,8 +64,12 @@ class _Sample:
     containers: tuple[Mapping[str, float], ...]
 
 
-def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> _Sample:
-    """The first plans without bad rows, and rows without faults of the others."""
+def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
+    """The first plans that are whole; if none is, the rows without faults of the first plans.
+
+    Args:
+        damaged: names of plans that lack rows.
+    """
     good = np.ones(columns.n_boxes, bool)
     for row in columns.faults:
         good[row] = False
@@ -74,7 +80,8 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]]) -> _
     containers: list[Mapping[str, float]] = []
     taken = 0
     known = columns.source.boxes.containers
-    for name, rows in plans.items():
+    whole = {name: rows for name, rows in plans.items() if name not in damaged and good[rows].all()}
+    for name, rows in (whole or plans).items():
         used = rows[good[rows]]
         if not len(used) or len(chosen) >= _MOST_PLANS or taken >= _MOST_BOXES:
             continue
@@ -165,28 +172,28 @@ def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
 
 
 def choose_reading(
-    columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes
+    columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes, damaged: Collection[str] = ()
 ) -> tuple[Reading, Candidate]:
     """The most plausible reading, and the candidate for :func:`layout_of`.
 
     Args:
         plans: name of a plan → its rows.
+        damaged: names of plans that lack rows.
 
     Raises:
         AmbiguousFile: two readings are about as plausible, or none is.
         InputError: no row can be used.
     """
-    sample = _sample_of(columns, plans)
+    sample = _sample_of(columns, plans, damaged)
     if not sample.rows:
         row, (column, text) = next(iter(sorted(columns.faults.items())), (0, ("", "no row has positive sizes")))
         raise InputError(f"{columns.source.boxes.table.places[row]}: {column} {text}" if column else text)
     judged = _judged_candidates(columns, wishes, sample)
     best = judged[0]
+    tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
+    lead = max(tie, WEAK_LEAD * (best.layout_cost > WEAK))
     close = [
-        other
-        for other in judged[1:]
-        if other.cost < best.cost + max(TIE, WEAK_LEAD * (best.layout_cost > WEAK))
-        and not same_layouts(best.layouts, other.layouts)
+        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
     ]
     readings = [_reading(one, columns, wishes) for one in (best, *close)]
     reading = readings[0]

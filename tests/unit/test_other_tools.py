@@ -95,6 +95,36 @@ def test_a_packing_order_that_repeats_is_no_plan(tmp_path: Path) -> None:
     assert "plan load, [1] and [2]: step 2 is there twice; several plans?" in skipped.message
 
 
+def test_bed_bpp_in_centimetres_keeps_the_order_of_its_list(tmp_path: Path) -> None:
+    """``item.sequence`` counts the items of the customer's order."""
+    placements = [
+        {
+            "item": {"id": row["id"], "article": "", "sequence": number, "weight/kg": row["weight"]}
+            | {f"{name}/cm": row[name] / 10 for name in ("length", "width", "height")},
+            "orientation": 0,
+            "flb_coordinates": [row[axis] / 10 for axis in "xyz"],
+        }
+        for row, number in zip(tower(), (9, 4, 7), strict=True)
+    ]
+    (plan,) = petmjx.load_plans(write(tmp_path / "plans.json", {"P": placements})).plans
+    assert plan.item_ids == ("a", "b", "c")
+    assert plan.size_mm[2].tolist() == [350, 300, 150]
+    assert plan.corner_mm.tolist() == [[0, 0, 0], [400, 0, 0], [200, 0, 200]]
+
+
+def test_a_row_that_cannot_be_read_refuses_its_plan_alone(tmp_path: Path) -> None:
+    rows = ["pallet;id;L;W;H;kg;X;Y;Z"]
+    for name in "PQ":
+        rows += [
+            ";".join([name, *(str(value) for value in (r["id"], 400, 300, 200, 6, 0, 0, 200 * k))])
+            for k, r in enumerate(tower())
+        ]
+    rows[5] = rows[5].rpartition(";")[0]
+    plan_set = petmjx.load_plans(write(tmp_path / "p.csv", "\n".join(rows) + "\n"))
+    assert [plan.plan_id for plan in plan_set] == ["P"]
+    assert "plan Q, row 6: has 8 fields instead of 9" in plan_set.skipped[0].message
+
+
 CUBES = [{"name": f"c{k}", "WHD": [300] * 3, "position": [300 * (k % 2), 300 * (k // 2), 0]} for k in range(4)]
 
 
