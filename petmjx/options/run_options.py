@@ -211,7 +211,9 @@ class RunOptions(CheckedRecord):
         None, description="density of boxes whose weight a file of another tool lacks, kg/m³"
     )
     items: Annotated[File | None, CliFlag("--items", "FILE")] = Field(
-        None, description="table of items with sizes and weights, for files of other tools that have places alone"
+        None,
+        description="table of items with sizes and weights, for files of other tools that have places alone, or orders "
+        "that name articles alone",
     )
     reading: Annotated[File | None, CliFlag("--as", "FILE.toml")] = Field(
         None, description="how to read files of other tools, as petmjx info FILE --write-as wrote it"

@@ -461,7 +461,8 @@ def _without_header(
     numeric = sum(_mostly_numbers(row) for _, row in good)
     if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
         raise InputError(
-            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places"
+            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places: "
+            "pack them first with petmjx samples --orders"
         )
     if width < 6 or numeric < 0.8 * max(len(good), 1):
         raise NoBoxes("has no header with known names of columns")

@@ -466,6 +466,23 @@ def test_orders_are_written_as_bed_bpps(
     }  # fmt: skip
 
 
+def test_info_says_how_orders_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("thpack1.txt").write_text(THPACK)
+    assert run("info", "thpack1.txt") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "thpack1.txt: orders, which have no places"
+    assert lines[1].split(maxsplit=1)[1].startswith("a container loading problem (thpack); 2 orders, 6 boxes; cm")
+    assert lines[2].endswith("petmjx samples --orders thpack1.txt -o plans.json")
+    Path("units.csv").write_text("sku,length,width,height,qty\na,30,20,15,4\n")
+    assert run("info", "units.csv") == 0
+    assert "can be read in two ways: lengths in cm" in capsys.readouterr().out
+    assert run("info", "units.csv", "--units", "in") == 0
+    assert "a table as text; 1 order, 4 boxes; in" in capsys.readouterr().out
+
+
 def test_a_board_keeps_orders_in_bed_bpps_form(tmp_path: Path) -> None:
     (tmp_path / "items.csv").write_text("Pallet,length,width,height,weight\na,400,300,200,6.5\nb,600,400,250,12\n")
     with pytest.warns(PlanWarning):
