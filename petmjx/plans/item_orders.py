@@ -279,10 +279,10 @@ class _OrderBuilder:
         best = of_boxes or costs[0]
         close = [entry for entry in costs if entry[3] == best[3] and entry[0] < best[0] + TIE]
         if (other := next((entry for entry in close if entry[1] != best[1]), None)) is not None:
-            raise InputError(
-                f"{TWO_WAYS} lengths in {best[1]} ({self._shown(best[1], good)}), or lengths in "
-                f"{other[1]} ({self._shown(other[1], good)}); say which with --units"
+            ways = (
+                f"lengths in {_UNIT_NAMES.get(unit, unit)} ({self._shown(unit, good)})" for unit in (best[1], other[1])
             )
+            raise InputError(f"{TWO_WAYS} {', or '.join(ways)}; say which with --units")
         return _Units(best[1], best[2], best[3])
 
     def _has_quantities(self, good: NDArray[np.bool_]) -> bool:

@@ -300,7 +300,7 @@ def test_two_readings_are_refused_and_options_decide(tmp_path: Path) -> None:
     (tmp_path / "weights.csv").write_text("sku,L,B,H,Gewicht,Menge\na,400,300,200,48,24\n")
     (tmp_path / "layers.csv").write_text("sku,L,B,H,weight,qty,layers\na,400,300,200,6.5,8,2\n")
     for name, message in (
-        ("units.csv", r"lengths in cm \(boxes of 300 × 200 × 150 mm\), or lengths in in .*--units"),
+        ("units.csv", r"lengths in centimetres \(boxes of 300 × 200 × 150 mm\), or lengths in inches .*--units"),
         ("weights.csv", "Gewicht is of one box, or of all boxes of a row; .*--columns 'total weight=Gewicht'"),
         ("layers.csv", "qty counts the boxes of one layer, or of all layers; .*--columns 'per layer=qty'"),
     ):
@@ -478,7 +478,7 @@ def test_info_says_how_orders_are_read(
     assert lines[2].endswith("petmjx samples --orders thpack1.txt -o plans.json")
     Path("units.csv").write_text("sku,length,width,height,qty\na,30,20,15,4\n")
     assert run("info", "units.csv") == 0
-    assert "can be read in two ways: lengths in cm" in capsys.readouterr().out
+    assert "can be read in two ways: lengths in centimetres" in capsys.readouterr().out
     assert run("info", "units.csv", "--units", "in") == 0
     assert "a table as text; 1 order, 4 boxes; in" in capsys.readouterr().out
 
