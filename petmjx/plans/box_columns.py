@@ -242,15 +242,15 @@ class Extraction:
         if "sizes" in self.fixed:
             values, unit = self.triples(self.fixed["sizes"])
             return [(values, ("0", "1", "2"), unit, False, {"sizes": header[self.fixed["sizes"]]})]
-        told = {axis: self.fixed[role_of(axis)] for axis in (*_WORDS, *_XYZ) if role_of(axis) in self.fixed}
+        chosen_columns = {axis: self.fixed[role_of(axis)] for axis in (*_WORDS, *_XYZ) if role_of(axis) in self.fixed}
         sizes = {axis: list(columns) for axis, columns in self.columns_of("size").items()}
-        for role, index in told.items():
+        for role, index in chosen_columns.items():
             sizes[role] = [index]
         choices = []
         for placed in (True, False):
             for axes in _SIZE_SETS:
                 picked = [
-                    [index for index in sizes.get(axis, ()) if self._placed(index) == placed or axis in told]
+                    [index for index in sizes.get(axis, ()) if self._placed(index) == placed or axis in chosen_columns]
                     for axis in axes
                 ]
                 if not all(picked):
@@ -284,9 +284,9 @@ class Extraction:
         if "position" in self.fixed:
             values, unit = self.triples(self.fixed["position"])
             return [(values, unit, "", {"position": header[self.fixed["position"]]}, "")]
-        told = [self.fixed.get(axis) for axis in _XYZ]
-        if all(index is not None for index in told):
-            indices = [index for index in told if index is not None]
+        chosen_columns = [self.fixed.get(axis) for axis in _XYZ]
+        if all(index is not None for index in chosen_columns):
+            indices = [index for index in chosen_columns if index is not None]
             values, unit = self.joined(indices)
             return [(values, unit, "", {axis: header[index] for axis, index in zip(_XYZ, indices, strict=True)}, "")]
         choices = []

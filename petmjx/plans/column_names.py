@@ -258,6 +258,8 @@ def _meaning(name: str) -> ColumnMeaning | None:
     words = words_of(_INDEX.sub(" ", base))
     if not words:
         return None
+    if {_X, _Y, _Z} <= set(words) and not index:  # three coordinates in a cell: "Position (x, y, z)"
+        return ColumnMeaning("positions", unit=unit if unit in LENGTH_UNITS else "", anchor=_anchor_of(set(words)))
     of_sharp = "ß" in name  # "Maße" are sizes, "Masse" is a mass
     tail = words_of(_INDEX.sub(" ", base.rpartition(".")[2])) or words
     path = words[: -len(tail)] if len(words) > len(tail) else []

@@ -264,9 +264,9 @@ def with_conventions(
 
     odd = [layout for plan in plan_set if (layout := layout_of(plan)) is not None and layout.any]
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
-    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # of the others they are known
+    own_plans = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
-    conventions = _find_conventions(own, own_odd, extent_mm)
+    conventions = _find_conventions(own_plans, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 

@@ -80,8 +80,8 @@ BENCHMARK: Final = KnownForm("centres and dimensions as placed", anchor="centre"
 SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "placed")
 OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
 BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
-ARRAY: Final = KnownForm("an array of numbers")
-POSES: Final = KnownForm("poses")
+ARRAY: Final = KnownForm("an array of numbers", anchor="corner", up="z")
+POSES: Final = KnownForm("poses", up="z")
 
 
 def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:

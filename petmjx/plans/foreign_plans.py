@@ -248,10 +248,10 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
             continue
         for ours in range(len(table.header)):
             rows = [names.get(cell_text(row[ours])) for row in table.rows]
-            found = sum(row is not None for row in rows)
+            matched = sum(row is not None for row in rows)
             text = any(not cell_text(row[ours]).replace(".", "").isdigit() for row in table.rows[:5])
-            if found + 0.5 * text > most:
-                best, most = rows, found + 0.5 * text
+            if matched + 0.5 * text > most:
+                best, most = rows, matched + 0.5 * text
     return best
 
 

@@ -398,8 +398,8 @@ def _parts(members: Sequence[_Member]) -> list[str]:
     names = []
     for level in several:
         distinct = {id(holder): (step, holder) for step, holder in level}
-        own = _names_of(list(distinct.values()))
-        by_holder = dict(zip(distinct, own, strict=True))
+        labels = _names_of(list(distinct.values()))
+        by_holder = dict(zip(distinct, labels, strict=True))
         names.append([by_holder[id(holder)] for _, holder in level])
     return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
 
@@ -444,7 +444,10 @@ def _container_of(member: _Member) -> dict[str, float]:
     for step, holder in reversed(member.around):
         for name, inner in holder.items():
             words = words_of(str(name))
-            if not (_HOLDERS.intersection(words) or name.lower() in _HOLDERS):
+            is_box = (
+                isinstance(inner, Mapping) and str(name).lower() == "box"
+            )  # beside a list, as py3dbp's web API has it
+            if not (_HOLDERS.intersection(words) or str(name).lower() in _HOLDERS or is_box):
                 continue
             if isinstance(inner, Mapping) and (sizes := _sizes_in(inner)):
                 return sizes

@@ -284,8 +284,8 @@ class _PlanLoader:
         except TableError as error:
             fault = error if error.is_own else self._read_foreign_frame(frame)
             if fault is not None:
-                own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
-                raise InputError(f"{FRAME}: {error if own else fault}") from None
+                is_own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
+                raise InputError(f"{FRAME}: {error if is_own else fault}") from None
         else:
             self._take_table(FRAME, table, self.given)
         self._count_unlisted(FRAME)
@@ -407,8 +407,8 @@ class _PlanLoader:
         except TableError as error:
             fault = error if otherwise is None or error.is_own else otherwise()
             if fault is not None:
-                own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
-                self._skip(source, None, f"{source}: {error if own else fault}", error)
+                is_own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
+                self._skip(source, None, f"{source}: {error if is_own else fault}", error)
             return
         self._take_table(source, table, self.given)
 

@@ -238,7 +238,7 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
         if known or side >= _LARGE_MM
     )
     if usual:
-        return -2.0 if known else -1.2
+        return -2.5 if known else -1.2
     if known:
         return min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
     if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):

@@ -19,7 +19,7 @@ from petmjx.plans.readings import Wishes
 _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
 """py3dbp's ``rotation_type`` → which of width, height, depth lies along the three axes (its ``get_dimension``)."""
 
-_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 0.8, "base-centre": 1.2, "far-corner": 2.5}
+_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
 _FIRM: Final = 3.0
 """Cost of going against what is known of a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
@@ -154,13 +154,21 @@ def _pairs(
             swapped = level != usual_level
             prior = 2.0 if swapped else 0.0
         elif pair == (0, 1, 2):  # sizes in the order of the axes, whatever their names say
-            prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes else 2.5
+            listed = _order_in_file(columns, axes) == axes
+            prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
         else:
             continue
         if columns.source.form.rule == "py3dbp" and pair != (0, 1, 2):
             prior += _FIRM
         pairs.append(((pair[0], pair[1], pair[2]), prior))
     return pairs
+
+
+def _order_in_file(columns: BoxColumns, axes: Sequence[str]) -> tuple[str, ...]:
+    """The words of the sizes in the order of their columns: width, height, depth is the order of axes in py3dbp."""
+    header = columns.source.boxes.table.header
+    named = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
+    return tuple(sorted(axes, key=lambda axis: header.index(named[axis]) if named[axis] in header else 0))
 
 
 def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:

@@ -20,7 +20,7 @@ from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_
 
 TIE: Final = 1.5
 """Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
-_FEW_BOXES, _FEW_MORE = 6, 1.0
+_FEW_BOXES, _FEW_MORE = 6, 0.8
 """In files of fewer boxes a tie is wider by this: a wrong reading of three boxes is often as plausible by chance."""
 WEAK: Final = 5.0
 """Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
@@ -30,7 +30,7 @@ _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
 """Boxes and plans by which readings are judged. All others are read in the same way."""
 
-_LOWEST_UNIT_COST: Final = -2.0
+_LOWEST_UNIT_COST: Final = -2.5
 """Least cost of units: boxes of usual sizes and densities on a usual carrier."""
 
 _UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}

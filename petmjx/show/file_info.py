@@ -66,11 +66,11 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     plans = [plan for plan in plan_set if plan.source == source]
     reading = plan_set.readings.get(source)
     sizes = [float((plan.corner_mm + plan.size_mm).max(axis=0)[axis]) for plan in plans for axis in range(3)]
-    own = "petmjx's own form" if plans else "cannot be read"
+    form = "petmjx's own form" if plans else "cannot be read"
     ready = [line for line in plan_set.conventions if reading is None and source in line]
     record: dict[str, Any] = {
         "file": source,
-        "form": own if reading is None else reading.form,
+        "form": form if reading is None else reading.form,
         "plans": len(plans),
         "boxes": sum(plan.n_boxes for plan in plans),
         "plan_ids": [plan.plan_id for plan in plans[:100]],

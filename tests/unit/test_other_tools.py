@@ -141,10 +141,10 @@ def test_a_tie_names_both_readings_and_the_option_that_decides(tmp_path: Path) -
 
 def test_a_tie_is_asked_where_somebody_answers(tmp_path: Path) -> None:
     file = write(tmp_path / "cubes.json", {"fitItem": [{**cube, "rotationType": 0} for cube in CUBES]})
-    asked: list[str] = []
+    sources: list[str] = []
 
     def choose(source: str, error: Any) -> Any:
-        asked.append(source)
+        sources.append(source)
         return next(reading for reading in error.readings if reading.up == "y")
 
     token = CHOOSER.set(choose)
@@ -152,7 +152,7 @@ def test_a_tie_is_asked_where_somebody_answers(tmp_path: Path) -> None:
         (plan,) = petmjx.load_plans(file, units="mm").plans
     finally:
         CHOOSER.reset(token)
-    assert asked == [str(file)]
+    assert sources == [str(file)]
     assert sorted(plan.corner_mm[:, 2]) == [0, 0, 300, 300]
 
 
@@ -170,6 +170,17 @@ def test_columns_that_no_name_tells_can_be_said(tmp_path: Path) -> None:
     assert "has no column nowhere (length)" in skipped.message
     with pytest.raises(InputError, match="columns must be ROLE=NAME"):
         petmjx.load_plans(file, columns="length")
+
+
+def test_three_numbers_in_a_cell_and_units_behind_numbers(tmp_path: Path) -> None:
+    rows = ["Karton;Abmessungen (L x B x H) mm;Gewicht;Position (x,y,z) mm"]
+    for row in tower():
+        size, grams = f"{row['length']}x{row['width']}x{row['height']}", 1000 * row["weight"]
+        rows.append(f"{row['id']};{size};{grams} g;({row['x']}, {row['y']}, {row['z']})")
+    (plan,) = petmjx.load_plans(write(tmp_path / "load.csv", "\n".join(rows) + "\n")).plans
+    assert plan.size_mm[2].tolist() == [350, 300, 150]
+    assert plan.corner_mm.tolist() == [[0, 0, 0], [400, 0, 0], [200, 0, 200]]
+    assert plan.mass_kg.tolist() == [6, 5, 4]
 
 
 def test_sizes_come_from_a_table_of_items(tmp_path: Path) -> None:
