@@ -42,9 +42,9 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         NoBoxes: the file holds nothing like boxes.
         InputError: the file cannot be read as orders, or in two ways. The lines do not name the file.
     """
-    given = order_source(data) or _array_of_sizes(data)
-    if given is not None:
-        return _orders_of(given, source, reading)
+    numbers = order_source(data) or _array_of_sizes(data)
+    if numbers is not None:
+        return _orders_of(numbers, source, reading)
     try:
         sources = sources_of_bytes(data, path)
     except InputError:

@@ -143,8 +143,8 @@ def has_sizes_of_items(source: BoxSource) -> bool:
 def _is_of_packingsolver(header: Sequence[str]) -> bool:
     """Whether columns are those of packingsolver's items: X, Y, Z are sizes there, and no coordinates."""
     upper = {name.upper() for name in header}
-    its_own = upper & {"COPIES", "PROFIT"} or any(name.startswith("ROTATION") for name in upper)
-    return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(its_own)
+    marks = upper & {"COPIES", "PROFIT"} or any(name.startswith("ROTATION") for name in upper)
+    return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(marks)
 
 
 class _ItemExtraction(Extraction):

@@ -105,10 +105,11 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
     text, _ = decoded_text(data)
     if text.lstrip("\ufeff \t\r\n")[:1] in ("{", "[", "<"):
         return None
+    marks = r"[\s;]+" if ";" in text else r"[\s,]+"
     lines = [
         _Line(number, tuple(words))
         for number, line in enumerate(text.splitlines(), start=1)
-        if (words := re.split(r"[\s,;]+", line.strip())) != [""] and not line.lstrip().startswith("#")
+        if (words := re.split(marks, line.strip())) != [""] and not line.lstrip().startswith("#")
     ]
     if not lines or not any(line.is_numeric for line in lines[:3]):
         return None
@@ -282,11 +283,13 @@ def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], 
     if len(here) == 4 and here.is_numeric:
         rest = lines[position + 1 :]
         count, *sizes = here.values
-        counted = count is not None and count.is_integer() and 0 < count <= MOST_ROWS
-        widths = {len(line) for line in rest[: int(count or 0)]}
-        fits = len(rest) >= int(count or 0) and widths == {4} and _counts_up(rest[: int(count or 0)])
-        if counted and rest and (fits or 3 in widths):
-            return int(count or 0), [size for size in sizes if size is not None], position + 1
+        if count is None or not (count.is_integer() and 0 < count <= MOST_ROWS):
+            return None
+        n_boxes = int(count)
+        widths = {len(line) for line in rest[:n_boxes]}
+        fits = len(rest) >= n_boxes and widths == {4} and _counts_up(rest[:n_boxes])
+        if fits or 3 in widths:
+            return n_boxes, [size for size in sizes if size is not None], position + 1
         return None
     for number, size in ((here, after), (after, here)):
         if len(number) == 1 and len(size) == 3 and number.is_numeric and size.is_numeric:

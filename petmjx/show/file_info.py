@@ -57,8 +57,8 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
         return line if line.startswith(TWO_WAYS) else ""
     if not sizes and not notes:
         return ""
-    own = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
-    line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else own
+    plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
+    line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain
     return f"{line}; unusable: {bad[0]}" if bad else line
 
 
