@@ -33,6 +33,17 @@ PlanPaths = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
+Target = Annotated[
+    str | None,
+    typer.Option(
+        "--target",
+        metavar="NAME|LxW",
+        help="What orders are packed on whose file does not say it: euro-pallet, rollcontainer, or sizes in mm such as "
+        "1200x1000.  [default: the file's container if it is a pallet, else euro-pallet]",
+        show_default=False,
+    ),
+]
+
 SIMULATED = "What is simulated"
 PlansOrRun = Annotated[
     list[Path] | None,

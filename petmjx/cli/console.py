@@ -48,7 +48,8 @@ def prepare_streams() -> None:
 @contextmanager
 def as_notes() -> Iterator[None]:
     """Print a ``PlanWarning`` at once, as one line on standard error, so that a user can stop a long run with a wrong
-    unit."""
+    unit. A line is printed once: commands may read a file several times."""
+    seen: set[str] = set()
     with warnings.catch_warnings():
         warnings.simplefilter("always", PlanWarning)
         otherwise = warnings.showwarning
@@ -57,7 +58,9 @@ def as_notes() -> Iterator[None]:
             message: Warning | str, category: type[Warning], filename: str, lineno: int, *more: Any, **named: Any
         ) -> None:
             if issubclass(category, PlanWarning):
-                print(f"note: {printable(str(message))}", file=sys.stderr)
+                if str(message) not in seen:
+                    print(f"note: {printable(str(message))}", file=sys.stderr)
+                seen.add(str(message))
             else:
                 otherwise(message, category, filename, lineno, *more, **named)
 

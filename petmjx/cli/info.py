@@ -35,7 +35,8 @@ def info(
     """Say what files of packing plans are, how they are read, and what is odd. Nothing is simulated.
 
     For files of other tools it names the columns, units, axes, anchor and turns, what was filled in, and the reading
-    that was next best. A file that can be read in two ways is refused, with both.
+    that was next best. A file that can be read in two ways is refused, with both. Of a file of orders it says how
+    petmjx samples --orders reads it.
     """
     from petmjx.plans.reading_files import reading_toml
     from petmjx.results.read_files import source_files
@@ -56,5 +57,5 @@ def info(
         ((source, reading),) = readings.items()
         with atomic_write(write_as) as hidden:
             hidden.write_text(reading_toml(reading, source), encoding="utf-8")
-    if not any(entry["plans"] for entry in infos):
+    if not any(entry["plans"] or entry["orders"] for entry in infos):
         raise InputError("no usable plan")

@@ -104,6 +104,8 @@ Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
 """Fields of ``RunOptions`` that say how files are read."""
+OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
+"""Those of them that say how files of orders are read."""
 
 _BY_FILE: Final = "found out"
 _OR_BY_FILE: Final = "found out in files of other tools"
@@ -209,7 +211,9 @@ class RunOptions(CheckedRecord):
         None, description="density of boxes whose weight a file of another tool lacks, kg/m³"
     )
     items: Annotated[File | None, CliFlag("--items", "FILE")] = Field(
-        None, description="table of items with sizes and weights, for files of other tools that have places alone"
+        None,
+        description="table of items with sizes and weights, for files of other tools that have places alone, or orders "
+        "that name articles alone",
     )
     reading: Annotated[File | None, CliFlag("--as", "FILE.toml")] = Field(
         None, description="how to read files of other tools, as petmjx info FILE --write-as wrote it"
@@ -243,8 +247,8 @@ class RunOptions(CheckedRecord):
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
-        description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
-        "without a plan; changes no verdict",
+        description="orders that the plans were packed from, in any form (docs/plan-format.md#orders): counts boxes "
+        "that plans leave out, and orders without a plan; changes no verdict",
     )
     strict: Annotated[bool, CliFlag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"

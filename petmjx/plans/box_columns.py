@@ -130,7 +130,7 @@ class BoxColumns:
         return len(self.source.boxes.table.rows)
 
 
-class _Extraction:
+class Extraction:
     """The columns of one source while they are taken apart."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
@@ -663,7 +663,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
     Raises:
         InputError: a chosen column does not exist. Missing places and sizes leave ``geometries`` empty.
     """
-    work = _Extraction(source, chosen or {})
+    work = Extraction(source, chosen or {})
     turns = None
     geometries = work.pose_choices() if source.boxes.table.has_header else work.array_choices()
     if source.boxes.table.has_header and not geometries:

@@ -50,8 +50,8 @@ def word_set(text: str) -> frozenset[str]:
 
 
 _SIZES: Final = {
-    "length": "length len lengths lange laenge longueur long longitud largo lunghezza lung dlugosc dlug dl",
-    "width": "width widths wide breite breit br largeur larg ancho anchura anch larghezza szerokosc szer",
+    "length": "length len lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc dlug dl",
+    "width": "width widths wide breite breit br largeur larg ancho anchura anch larghezza largh szerokosc szer",
     "height": "height heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys",
     "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb",
 }
@@ -96,7 +96,7 @@ _WORDS: Final[dict[Kind, frozenset[str]]] = {
     ),
     "quantity": word_set(
         "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
-        "quantita ilosc liczba pieces pcs stuckzahl anzahlstuck pezzi piezas sztuk"
+        "quantita ilosc liczba pieces pcs qta uds ud unidades stuckzahl anzahlstuck pezzi piezas sztuk"
     ),
     "layers": word_set("layers layer tiers lagen lage schichten couches couche capas strati warstwy"),
     "sequence": word_set(

@@ -130,8 +130,8 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
     """The list of boxes with places, with sizes and weights from a table of items where it lacks them."""
     best = sources[0]
     if items is not None:
-        tables = sources_of_bytes(_bytes_of(items), items)
-        joined = _joined(best, tables[0], printable(str(items)))
+        tables = sources_of_bytes(bytes_of(items), items)
+        joined = with_items_of(best, tables[0], printable(str(items)))
         if joined is None:
             raise InputError(f"{printable(str(items))}: its items are not those of the boxes")
         return joined
@@ -139,7 +139,7 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
         for other in sources[1:]:
             if (
                 other.boxes.has_sizes
-                and (joined := _joined(best, other, other.boxes.path or "the other table")) is not None
+                and (joined := with_items_of(best, other, other.boxes.path or "the other table")) is not None
             ):
                 return joined
     if path is not None and best.boxes.has_places and not best.boxes.has_sizes:
@@ -163,15 +163,15 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
     joined = []
     for file in beside[:_MOST_BESIDE]:
         try:
-            source = sources_of_bytes(_bytes_of(file), file)[0]
+            source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
             continue  # another file
-        if source.boxes.has_sizes and (whole := _joined(best, source, file.name)) is not None:
+        if source.boxes.has_sizes and (whole := with_items_of(best, source, file.name)) is not None:
             joined.append(whole)
     return joined[0] if len(joined) == 1 else best
 
 
-def _bytes_of(path: Path) -> bytearray:
+def bytes_of(path: Path) -> bytearray:
     try:
         data, fault = unpacked_bytes(path)
     except (OSError, ValueError) as error:
@@ -188,14 +188,14 @@ def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
         beside = path.with_name(name)
         if beside == path or not beside.is_file():
             continue
-        joined = _joined(best, sources_of_bytes(_bytes_of(beside), beside)[0], name, by_number=True)
+        joined = with_items_of(best, sources_of_bytes(bytes_of(beside), beside)[0], name, by_number=True)
         if joined is not None:
             return joined
         return replace(best, notes=(*best.notes, f"{name} beside it has other items, and is not read"))
     return replace(best, notes=(*best.notes, "no items file is beside it (NAME_items.csv), which would have weights"))
 
 
-def _joined(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
+def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
     """Boxes with the columns of their items added; None: the items are not theirs.
 
     Args:

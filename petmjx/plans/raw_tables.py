@@ -215,7 +215,9 @@ def _delimiter_of(text: str) -> str:
         known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
         return (known if known >= _LEAST_KNOWN else 0), even
 
-    return max((*_DELIMITERS, _SPACES), key=merit)
+    lines = [line for line in sample.splitlines()[:_SEARCHED_ROWS] if line.strip()]
+    marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
+    return max(_DELIMITERS if marked else (*_DELIMITERS, _SPACES), key=merit)
 
 
 _NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")
@@ -459,7 +461,8 @@ def _without_header(
     numeric = sum(_mostly_numbers(row) for _, row in good)
     if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
         raise InputError(
-            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places"
+            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places: "
+            "pack them first with petmjx samples --orders"
         )
     if width < 6 or numeric < 0.8 * max(len(good), 1):
         raise NoBoxes("has no header with known names of columns")

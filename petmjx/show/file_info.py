@@ -7,8 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from petmjx.common.errors import PlanWarning
-from petmjx.common.text import count_text, first_names, printable_name, three_digits
+from petmjx.common.errors import InputError, PlanWarning
+from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
+from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.item_columns import TWO_WAYS
+from petmjx.plans.item_orders import OrderReading
+from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import Reading
@@ -33,7 +37,29 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
     sources = dict.fromkeys(
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]
     )
-    return [_info(plan_set, source) for source in sources], dict(plan_set.readings)
+    infos = [_info(plan_set, source) for source in sources]
+    for record in infos:
+        are_plans = record["plans"] or any(TWO_WAYS in line for line in record["skipped"])
+        record["orders"] = "" if are_plans else _orders_line(Path(record["file"]), options)
+    return infos, dict(plan_set.readings)
+
+
+def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
+    """How a file without plans is read as orders, or in which two ways; "": it holds no orders."""
+    bad: list[InputError] = []
+    try:
+        reading = OrderReading.of(RunOptions(**{name: options[name] for name in OF_ORDERS if name in options}))
+        with warnings.catch_warnings(record=True) as notes:
+            warnings.simplefilter("always", PlanWarning)
+            sizes = [len(order.items) for _, order in read_orders(path, bad.append, reading)]
+    except InputError as error:
+        line = str(error).removeprefix(f"{printable(str(path))}: ")
+        return line if line.startswith(TWO_WAYS) else ""
+    if not sizes and not notes:
+        return ""
+    plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
+    line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain
+    return f"{line}; unusable: {bad[0]}" if bad else line
 
 
 def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
@@ -81,6 +107,11 @@ def info_lines(infos: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 def _lines(record: Mapping[str, Any]) -> Iterator[str]:
     counts = f"{count_text(record['plans'], 'plan')}, {count_text(record['boxes'], 'box', 'boxes')}"
+    if record["orders"]:
+        yield f"{record['file']}: orders, which have no places"
+        yield _line("read", record["orders"].removeprefix("read as "))
+        yield _line("pack them", f"petmjx samples --orders {record['file']} -o plans.json")
+        return
     yield f"{record['file']}: {record['form']}; {counts}"
     if record["plans"]:
         size = " × ".join(three_digits(length) for length in record["largest_mm"])
