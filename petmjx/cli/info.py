@@ -28,6 +28,15 @@ def info(
             show_default=False,
         ),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            "--html",
+            metavar="FILE.html",
+            help="Write a page: pictures of the plans, columns, units, and the other readings.",
+            show_default=False,
+        ),
+    ] = None,
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
     **options: Any,
@@ -42,9 +51,11 @@ def info(
     from petmjx.results.read_files import source_files
     from petmjx.show.file_info import file_infos, info_lines
 
-    if write_as is not None:
-        check_outputs([write_as], overwrite=overwrite, inputs=source_files(plans))
-    infos, readings = file_infos(plans, options)
+    outputs = [path for path in (write_as, html) if path is not None]
+    if outputs:
+        check_outputs(outputs, overwrite=overwrite, inputs=source_files(plans))
+    infos, plan_set = file_infos(plans, options)
+    readings = plan_set.readings
     if as_json:
         print(json.dumps(infos, indent=2, ensure_ascii=False))
     else:
@@ -57,5 +68,11 @@ def info(
         ((source, reading),) = readings.items()
         with atomic_write(write_as) as hidden:
             hidden.write_text(reading_toml(reading, source), encoding="utf-8")
+    if html is not None:
+        from petmjx.show.pages.reading_page import reading_page
+
+        with atomic_write(html) as hidden:
+            hidden.write_text(reading_page(plan_set, infos), encoding="utf-8")
+        typer.echo(f"page: {printable(str(html))}", err=True)
     if not any(entry["plans"] or entry["orders"] for entry in infos):
         raise InputError("no usable plan")

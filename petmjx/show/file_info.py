@@ -15,15 +15,14 @@ from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.readings import Reading
 
 _MOST_LINES: Final = 5
 """Most lines of a kind that are shown of a file."""
 _WIDTH: Final = 11
 
 
-def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[dict[str, Any]], dict[str, Reading]]:
-    """A record for each file, and the readings of files of other tools.
+def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[dict[str, Any]], PlanSet]:
+    """A record for each file, and the plans with the readings of files of other tools.
 
     Args:
         options: options of ``petmjx.load_plans``.
@@ -41,7 +40,7 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
     for record in infos:
         are_plans = record["plans"] or any(TWO_WAYS in line for line in record["skipped"])
         record["orders"] = "" if are_plans else _orders_line(Path(record["file"]), options)
-    return infos, dict(plan_set.readings)
+    return infos, plan_set
 
 
 def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
