@@ -107,6 +107,8 @@ class Written:
             entries = [self.text(entry) for entry in arguments if entry is not Ellipsis]
             yield f"tuple[{', '.join(entries)}{', ...' if Ellipsis in arguments else ''}]"
             yield f"list[{' | '.join(dict.fromkeys(entries))}]"
+        elif origin is dict:  # also as text, such as "x=Pos X"
+            yield from (f"dict[{', '.join(map(self.text, arguments))}]", "str")
         elif kind is type(None):
             yield "None"
         elif issubclass(kind, Enum):

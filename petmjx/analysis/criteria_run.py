@@ -22,7 +22,6 @@ from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
 from petmjx.common.processes import process_pool
 from petmjx.common.text import count_text, printable_name
-from petmjx.common.units import PLAN_UNITS
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.options.carriers import Carrier, OwnCarrier
 from petmjx.options.run_options import Anchor, RunOptions
@@ -244,8 +243,8 @@ def criteria(
     overwrite: bool = False,
     limit: int | None = None,
     strict: bool = False,
-    units: str = PLAN_UNITS,
-    anchor: Anchor = "corner",
+    units: str | None = None,
+    anchor: Anchor | None = None,
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> CriteriaResults:

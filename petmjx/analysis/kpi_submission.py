@@ -18,7 +18,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.plans.json_writer import Placement, write_plans
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.order_generator import Item, Order, target_extent_mm
 from petmjx.plans.order_matching import match
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_writer import as_placements
@@ -141,7 +141,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
     for index, ordered_item in enumerate(order.items):
         free[ordered_item.item_id if has_ids else "", ordered_item.article].append(index)
-    extent = TARGET_EXTENT_MM[order.target]
+    extent = target_extent_mm(order.target)
     indices = []
     for box, placement in enumerate(placements):
         item = placement["item"]

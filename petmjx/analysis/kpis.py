@@ -35,7 +35,7 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.convention_checks import warn
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order
+from petmjx.plans.order_generator import Order, target_extent_mm
 from petmjx.plans.order_matching import Matching, OddBoxes, counts_of, match, on_target
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
@@ -224,7 +224,7 @@ def kpis(
 
     Args:
         plans: as for ``petmjx.score``.
-        orders: BED-BPP's orders file. An order belongs to the plan with its id.
+        orders: file of orders, BED-BPP's or of any other form. An order belongs to the plan with its id.
         run: folders of runs of these plans. The verdicts are those of the first one; ``kpi_6`` is BED-BPP's rule on the
             first one with check ``static``.
         assume_stable: take all plans as stable: ``kpi_6`` is 1. Only without runs.
@@ -269,7 +269,7 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)
-    extent = TARGET_EXTENT_MM[order.target]
+    extent = target_extent_mm(order.target)
     support = direct_support(plan.corner_mm, plan.size_mm, extent)
     tops = plan.corner_mm[:, 2] + plan.size_mm[:, 2]
     height_mm, area = float(tops.max()), extent[0] * extent[1]

@@ -167,7 +167,7 @@ def compare_packers(
     Args:
         runs: two or more runs or their folders, or packer → run. Without names, packers are named after the folders.
         confidence: confidence of the intervals.
-        orders: BED-BPP orders of the plans. With them the plans are read again, boxes are counted against the orders,
+        orders: file of the plans' orders, in any form. The plans are then read again, boxes are counted against them,
             KPIs are added, and an order that nobody packed counts as missing for all packers.
 
     Raises:

@@ -52,7 +52,7 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
 
     Args:
         runs: name of each packer → its run.
-        file: BED-BPP orders. An order belongs to the plans with its id.
+        file: orders, BED-BPP's or of any other form. An order belongs to the plans with its id.
         articles: a table of articles, for properties that the orders do not give; None: the one that all runs name.
 
     Raises:

@@ -21,7 +21,10 @@ from petmjx.options.simulation import Simulation
 
 Command = TypeVar("Command", bound=Callable[..., None])
 
-PLANS_HELP = "Packing plans: files of BED-BPP's JSON, CSV (both also gzipped) or Parquet, or folders of them."
+PLANS_HELP = (
+    "Packing plans: files of BED-BPP's JSON, CSV (both also gzipped) or Parquet, or of other tools (JSON, tables, "
+    "sheets, arrays, MJCF; petmjx info says how they are read), or folders of them."
+)
 
 PlanPaths = Annotated[
     list[Path] | None,
@@ -29,6 +32,17 @@ PlanPaths = Annotated[
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+
+Target = Annotated[
+    str | None,
+    typer.Option(
+        "--target",
+        metavar="NAME|LxW",
+        help="What orders are packed on whose file does not say it: euro-pallet, rollcontainer, or sizes in mm such as "
+        "1200x1000.  [default: the file's container if it is a pallet, else euro-pallet]",
+        show_default=False,
+    ),
+]
 
 SIMULATED = "What is simulated"
 PlansOrRun = Annotated[

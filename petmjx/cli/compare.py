@@ -30,7 +30,7 @@ def compare(
         typer.Option(
             "--orders",
             metavar="FILE",
-            help="With --packers: BED-BPP orders of the plans; adds KPIs.",
+            help="With --packers: orders of the plans, in any form; adds KPIs.",
             show_default=False,
         ),
     ] = None,

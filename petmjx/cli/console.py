@@ -17,6 +17,8 @@ from petmjx.common.text import printable
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from petmjx.plans.readings import AmbiguousFile, Reading
+
 PIPED_WIDTH = 120
 """Columns if standard output is a file or a pipe."""
 
@@ -46,7 +48,8 @@ def prepare_streams() -> None:
 @contextmanager
 def as_notes() -> Iterator[None]:
     """Print a ``PlanWarning`` at once, as one line on standard error, so that a user can stop a long run with a wrong
-    unit."""
+    unit. A line is printed once: commands may read a file several times."""
+    seen: set[str] = set()
     with warnings.catch_warnings():
         warnings.simplefilter("always", PlanWarning)
         otherwise = warnings.showwarning
@@ -55,12 +58,39 @@ def as_notes() -> Iterator[None]:
             message: Warning | str, category: type[Warning], filename: str, lineno: int, *more: Any, **named: Any
         ) -> None:
             if issubclass(category, PlanWarning):
-                print(f"note: {printable(str(message))}", file=sys.stderr)
+                if str(message) not in seen:
+                    print(f"note: {printable(str(message))}", file=sys.stderr)
+                seen.add(str(message))
             else:
                 otherwise(message, category, filename, lineno, *more, **named)
 
         warnings.showwarning = show
         yield
+
+
+@contextmanager
+def asking() -> Iterator[None]:
+    """Let a person at a terminal say which of two readings of a file is right."""
+    if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
+        yield
+        return
+    from petmjx.plans.readings import CHOOSER
+
+    token = CHOOSER.set(_ask_reading)
+    try:
+        yield
+    finally:
+        CHOOSER.reset(token)
+
+
+def _ask_reading(source: str, error: AmbiguousFile) -> Reading | None:
+    """The reading that a person chooses; None: none of them."""
+    print(f"{source} can be read in {len(error.readings)} ways:", file=sys.stderr)
+    for number, reading in enumerate(error.readings, start=1):
+        print(f"  {number}  {printable(reading.line())}; {reading.evidence}", file=sys.stderr)
+    print("Which one? (a number, or Enter for none) ", end="", file=sys.stderr, flush=True)
+    text = sys.stdin.readline().strip()
+    return error.readings[int(text) - 1] if text.isdecimal() and 1 <= int(text) <= len(error.readings) else None
 
 
 def _plainly(error: UnicodeError) -> tuple[str, int]:

@@ -11,18 +11,28 @@ from petmjx.cli import command_options as opt
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
+from petmjx.options.run_options import OF_ORDERS, READING
+from petmjx.plans.file_formats import is_csv, is_parquet_name
 
 SHOWN_SKIPPED = 10
 """Most skipped plans that are shown."""
 
 
-@opt.takes("units", "anchor", "limit", "strict")
+@opt.takes(*READING, "limit", "strict")
 def convert(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
     out: Annotated[
         Path,
         typer.Option("--out", "-o", metavar="FILE", help="File to write: *.json, *.csv (both also *.gz) or *.parquet."),
     ],
+    orders: Annotated[
+        bool,
+        typer.Option(
+            "--orders",
+            help="The file holds orders, in any form that petmjx samples --orders reads: write them as BED-BPP's JSON.",
+        ),
+    ] = False,
+    target: opt.Target = None,
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
@@ -30,6 +40,8 @@ def convert(
 
     Plans that are read from the new file are the same to the last bit. Unusable plans are skipped, and the first ones
     get a line each. The folder of a run stands for the plans that it simulated.
+
+    With --orders it writes a file of orders of any form as BED-BPP's, which all commands read without a guess.
     """
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Simulation
@@ -41,6 +53,11 @@ def convert(
     from petmjx.results.read_files import source_files
 
     check_outputs([out], overwrite=overwrite, inputs=source_files(plans))
+    if orders:
+        _convert_orders(plans, out, target, options)
+        return
+    if target is not None:
+        raise InputError("--target is for --orders")
     of_runs = plans_in_place(plans, bool(options.get("strict")))
     if isinstance(of_runs, PlanSet):
         plan_set = gather_plans(of_runs, Simulation(), RunOptions(**options))
@@ -54,6 +71,30 @@ def convert(
     save_plans(plan_set.plans, out)
     boxes = count_text(sum(plan.n_boxes for plan in plan_set), "box", "boxes")
     print(f"{count_text(len(plan_set), 'plan')} ({boxes}) in {printable(str(out))}")
+
+
+def _convert_orders(files: list[Path], out: Path, target: str | None, options: dict[str, Any]) -> None:
+    """Write the orders of a file in BED-BPP's form."""
+    from petmjx.options.run_options import RunOptions
+    from petmjx.plans.item_orders import OrderReading
+    from petmjx.plans.json_writer import write_orders
+    from petmjx.plans.order_reader import read_orders
+
+    if is_csv(out) or is_parquet_name(out):
+        raise InputError(f"{printable(str(out))}: orders are written as JSON")
+    if len(files) > 1:
+        raise InputError("--orders: name one file")
+    if idle := next((name for name in options if name not in OF_ORDERS), None):
+        raise InputError(f"{idle} is for plans, and --orders says that the file holds orders")
+    bad: list[str] = []
+    reading = OrderReading.of(RunOptions(**options), target)
+    read = list(read_orders(files[0], lambda error: bad.append(str(error)), reading))
+    print_skipped(bad)
+    if not read:
+        raise InputError(f"no usable order ({len(bad):,} skipped)")
+    write_orders(out, read)
+    boxes = count_text(sum(len(order.items) for _, order in read), "box", "boxes")
+    print(f"{count_text(len(read), 'order')} ({boxes}) in {printable(str(out))}")
 
 
 def print_skipped(lines: list[str]) -> None:

@@ -12,13 +12,14 @@ from petmjx.common.atomic_write import atomic_write
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
+from petmjx.options.run_options import READING
 
 if TYPE_CHECKING:
     from petmjx.options.physics import Physics
     from petmjx.world.scene import Scene
 
 
-@opt.takes("physics", "size_reduction_mm", "carrier", "soft", "friction_pairs", "units", "anchor", "articles")
+@opt.takes("physics", "size_reduction_mm", "carrier", "soft", "friction_pairs", *READING, "articles")
 def export(
     plan_id: Annotated[str, typer.Argument(metavar="PLAN_ID", help="Id of the plan to write.")],
     source: opt.PlansOrRun = None,
@@ -66,6 +67,6 @@ def _scene(plan_id: str, source: list[Path], variant: int | None, options: dict[
         return worlds.scene(worlds.find(plan_id, index)[0]), worlds.sweep.simulation.physics
     if variant is not None:
         raise InputError("variant selects a world of a run: name the run's folder")
-    read = RunOptions(**{name: options.pop(name) for name in ("units", "anchor", "articles") if name in options})
+    read = RunOptions(**{name: options.pop(name) for name in (*READING, "articles") if name in options})
     sim = Simulation(**options)
     return build_scene(find_plan(usable_plans(source or None, sim, read), plan_id), sim), sim.physics

@@ -16,7 +16,9 @@ from petmjx.common.text import printable
 
 def kpis(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
-    orders: Annotated[Path, typer.Option("--orders", metavar="FILE", help="BED-BPP orders of the plans.")],
+    orders: Annotated[
+        Path, typer.Option("--orders", metavar="FILE", help="Orders of the plans, BED-BPP's or of any other form.")
+    ],
     run: Annotated[
         list[Path] | None,
         typer.Option(

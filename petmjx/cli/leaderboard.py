@@ -33,7 +33,10 @@ def leaderboard(
     orders: Annotated[
         Path | None,
         typer.Option(
-            "--orders", metavar="FILE", help="BED-BPP orders of the plans: boxes left out and KPIs.", show_default=False
+            "--orders",
+            metavar="FILE",
+            help="Orders of the plans, in any form: boxes left out and KPIs.",
+            show_default=False,
         ),
     ] = None,
     baselines: Annotated[

@@ -21,6 +21,7 @@ from petmjx.cli import (
     doctor,
     export,
     figure,
+    info,
     kpis,
     leaderboard,
     loads,
@@ -31,7 +32,7 @@ from petmjx.cli import (
     show,
     sweep,
 )
-from petmjx.cli.console import as_notes, prepare_streams
+from petmjx.cli.console import as_notes, asking, prepare_streams
 from petmjx.cli.help_layout import WIDTH, SectionedCommand
 from petmjx.cli.run_command import RunInterrupted
 from petmjx.common.checked_records import typed_options
@@ -86,6 +87,7 @@ for _command, _short_help in (
     (criteria.criteria, "Evaluate criteria of stability; compare them with a run."),
     (loads.loads, "Say which boxes bear more than they can."),
     (merge.merge, "Join the shards of a run."),
+    (info.info, "Say what a file is, how it is read and what is odd."),
     (convert.convert, "Write packing plans as JSON, CSV or Parquet."),
     (samples.samples, "Write packing plans with BED-BPP's statistics."),
     (export.export, "Write the MuJoCo model of one plan."),
@@ -144,7 +146,7 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
             raise InputError(
                 f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
             )
-        with as_notes(), typed_options():
+        with as_notes(), typed_options(), asking():
             result = application(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
             return _report("interrupted", ExitCode.INTERRUPTED)

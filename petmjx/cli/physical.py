@@ -4,18 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 
+if TYPE_CHECKING:
+    from petmjx.plans.item_orders import OrderReading
+
 MOST_NAMED: Final = 10
 """Most orders of a kind that get a line each, or that one line names."""
 
 
-def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: int, options: Mapping[str, Any]) -> None:
+def write_physical(
+    out: Path,
+    orders: Path | None,
+    n: int,
+    seed: int,
+    workers: int,
+    options: Mapping[str, Any],
+    reading: OrderReading | None = None,
+) -> None:
     """Pack orders by search and physics, write their plans, and print a summary."""
     from petmjx.packers.pack import Packed, orders_of, pack_each
     from petmjx.packers.packed_orders import PackedOrder
@@ -26,7 +37,7 @@ def write_physical(out: Path, orders: Path | None, n: int, seed: int, workers: i
     packings: list[PackedOrder] = []
 
     def plans() -> Iterator[tuple[str, list[Placement]]]:
-        orders_to_pack = orders_of(orders, n if orders is None else None, seed, bad.append)
+        orders_to_pack = orders_of(orders, n if orders is None else None, seed, bad.append, reading)
         for packed in pack_each(orders_to_pack, workers=workers, **options):
             packings.append(packed)
             bar.update(len(packings))

@@ -13,7 +13,7 @@ from petmjx.common.argument_checks import integer_of
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
-from petmjx.options.run_options import Confidence
+from petmjx.options.run_options import OF_ORDERS, Confidence
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
 from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
@@ -28,6 +28,7 @@ MOST_SHOWN: Final = 10
 @opt.takes(
     *PhysicalOptions.model_fields,
     *("engine", "threads", "lanes", "errors"),
+    *OF_ORDERS,
     more=((PhysicalOptions, "The packer physical"), (Confidence, "The packer physical")),
 )
 def samples(
@@ -52,8 +53,14 @@ def samples(
     ] = None,
     orders: Annotated[
         Path | None,
-        typer.Option("--orders", metavar="FILE", help="Pack the orders of this BED-BPP file instead of drawn ones."),
+        typer.Option(
+            "--orders",
+            metavar="FILE",
+            help="Pack the orders of this file instead of drawn ones: BED-BPP's JSON, a table or sheet "
+            "of items with sizes and quantities, or another tool's form (docs/plan-format.md).",
+        ),
     ] = None,
+    target: opt.Target = None,
     packer: Annotated[
         str | None,
         typer.Option(
@@ -105,6 +112,7 @@ def samples(
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
     """
     from petmjx.common.machine import cpu_threads
+    from petmjx.packers.pack import reading_of
     from petmjx.packers.sample_plans import loose_share_of, pack_orders, write_samples
     from petmjx.plans.file_formats import is_csv, is_parquet_name
     from petmjx.plans.json_writer import write_plans
@@ -123,8 +131,9 @@ def samples(
     ):
         raise InputError(f"{drawn_option} is for drawn orders, and --orders names a file of orders")
     n = DEFAULT_SAMPLES if n is None else n
+    reading, options = reading_of(orders is not None, target, options)
     if packer == PHYSICAL:
-        write_physical(out, orders, n, seed, workers or cpu_threads(), options)
+        write_physical(out, orders, n, seed, workers or cpu_threads(), options, reading)
         return
     if options:
         raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
@@ -149,7 +158,7 @@ def samples(
             if orders is None:
                 write_samples(out, n, loose_share=loose_share, progress=count, **how)
             else:
-                write_plans(out, pack_orders(orders, on_bad_order=bad.append, **how), progress=count)
+                write_plans(out, pack_orders(orders, on_bad_order=bad.append, reading=reading, **how), progress=count)
     finally:  # the errors say why there may be no plan to write
         for error in bad:
             typer.echo(f"skipped: {printable(str(error))}", err=True)

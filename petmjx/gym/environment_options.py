@@ -9,7 +9,7 @@ from petmjx.analysis.criteria import SUPPORT_SHARES
 from petmjx.common.argument_checks import integer_of, number_of
 from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
-from petmjx.loop.order_sources import ENDLESS, Orders
+from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
 from petmjx.loop.rewards import weights_of
 
 CELLS: Final = "cells"
@@ -29,6 +29,8 @@ class PalletizingOptions:
     Attributes:
         orders: where boxes come from (``petmjx.loop.order_sources.Orders``).
         orders_seed: seed of the generator.
+        orders_units, orders_columns, orders_density: how a file of orders is read that is not in BED-BPP's form, as
+            fields of ``petmjx.RunOptions``; None: what is most plausible.
         articles: a table of articles (docs/loads.md) with the strengths of the orders' boxes.
         look_ahead: number of visible boxes: 1 is online, all boxes of an order is offline.
         buffer: number of the first visible boxes that may be placed next.
@@ -47,6 +49,9 @@ class PalletizingOptions:
 
     orders: Any = ENDLESS
     orders_seed: int = 0
+    orders_units: str | None = None
+    orders_columns: Any = None
+    orders_density: float | None = None
     articles: Any = None
     look_ahead: int = 1
     buffer: int = 1
@@ -94,7 +99,8 @@ class PalletizingOptions:
         Raises:
             InputError: the orders cannot be read, or have no strengths, which the mask ``loads`` needs.
         """
-        orders = Orders(self.orders, self.orders_seed, self.articles)
+        reading = order_reading(self.orders_units, self.orders_columns, self.orders_density)
+        orders = Orders(self.orders, self.orders_seed, self.articles, reading)
         if self.mask == LOADS and not orders.have_strengths:
             raise InputError(f"mask: {LOADS} needs strengths of boxes: the column strength_n of orders, or articles")
         return orders

@@ -20,7 +20,7 @@ from petmjx.jax.pure_functions import State as Pallet
 from petmjx.jax.pure_functions import empty, place
 from petmjx.jax.timestep import Spec, StepType, TimeStep
 from petmjx.loop.height_maps import cells_of
-from petmjx.loop.order_sources import ENDLESS, Boxes, Orders
+from petmjx.loop.order_sources import ENDLESS, Boxes, Orders, order_reading
 from petmjx.loop.rewards import weights_of
 from petmjx.options.carriers import AnyCarrier, extent_m
 from petmjx.options.run_options import AUTO
@@ -88,6 +88,7 @@ class Palletizing:
     Args:
         orders: as in ``petmjx/Palletizing-v0``; ``endless``: 256 orders of the generator.
         orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
+        orders_units, orders_columns, orders_density: as in ``petmjx/Palletizing-v0``.
         mask: ``geometry``, or ``support_50`` … ``support_100``.
         action_cell_mm, cell_mm: side of the cells of actions, and of maps.
         rewards: weights of terms.
@@ -105,6 +106,9 @@ class Palletizing:
         *,
         orders: Any = ENDLESS,
         orders_seed: int = 0,
+        orders_units: str | None = None,
+        orders_columns: Any = None,
+        orders_density: float | None = None,
         look_ahead: int = 1,
         mask: str = "support_75",
         action_cell_mm: float = 100.0,
@@ -130,7 +134,8 @@ class Palletizing:
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         self._cells = Cells(self._extent, side, self._highest, MASKS[mask])
         self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
-        of_orders = self._usable(Orders(orders, integer_of(orders_seed, "orders_seed", 0)))
+        reading = order_reading(orders_units, orders_columns, orders_density)
+        of_orders = self._usable(Orders(orders, integer_of(orders_seed, "orders_seed", 0), reading=reading))
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # so that only zeros are visible beyond an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]

@@ -63,12 +63,27 @@ def _address(text: str | None) -> str | None:
     return text
 
 
-def _units(text: str) -> str:
-    """Validator of units: the unit of lengths and the unit of masses, "mm,kg"."""
+def _units(text: str | None) -> str | None:
+    """Validator of units: the unit of lengths, the unit of masses, or both, "cm,g"."""
+    if text is None:
+        return None
     try:
-        return ",".join(plan_units(text))
+        plan_units(text)
     except ValueError as error:
         raise ValueError(f"{error}, {shown_value(text)}") from None
+    return ",".join(name.strip() for name in text.split(","))
+
+
+def _columns(value: Any) -> Any:
+    """Validator of columns: a table role → name, or text such as "x=Pos X,y=Pos Y"."""
+    if isinstance(value, str):
+        pairs = [pair.partition("=") for pair in value.split(",") if pair.strip()]
+        if not pairs or not all(role.strip() and middle and name.strip() for role, middle, name in pairs):
+            raise ValueError(f"must be ROLE=NAME,…, such as x=Pos X,length=Länge, {shown_value(value)}")
+        return {role.strip(): name.strip() for role, _, name in pairs}
+    if isinstance(value, Mapping):
+        return {str(role): str(name) for role, name in value.items()}
+    return value
 
 
 def _is_path(value: Any) -> Any:
@@ -85,6 +100,15 @@ File = Annotated[Path, BeforeValidator(_is_path)]
 
 Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 """The point of a box to which a plan's coordinates refer. ``far-corner`` has the largest x, y and z."""
+
+
+READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
+"""Fields of ``RunOptions`` that say how files are read."""
+OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
+"""Those of them that say how files of orders are read."""
+
+_BY_FILE: Final = "found out"
+_OR_BY_FILE: Final = "found out in files of other tools"
 
 
 class Confidence(CheckedRecord):
@@ -158,15 +182,41 @@ class RunOptions(CheckedRecord):
     limit: Annotated[int | None, within(1, 2**63 - 1), CliFlag("--limit", "N")] = Field(
         None, ge=1, description="take only this many plans"
     )
-    units: Annotated[str, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS")] = Field(
-        PLAN_UNITS,
+    units: Annotated[
+        str | None, AfterValidator(_units), CliFlag("--units", "LENGTH,MASS", default=f"{PLAN_UNITS}; {_OR_BY_FILE}")
+    ] = Field(
+        None,
         description="units of the lengths and masses in the plans: mm, cm, m or in; kg, g, lb or t; one of them "
         "or both, as in cm,g",
     )
-    anchor: Annotated[Anchor, CliFlag("--anchor", "POINT")] = Field(
-        "corner",
+    anchor: Annotated[Anchor | None, CliFlag("--anchor", "POINT", default=f"corner; {_OR_BY_FILE}")] = Field(
+        None,
         description="which point of a box the plans give: corner, the one with the smallest x, y and "
         "z; centre; base-centre, the centre of its base; or far-corner",
+    )
+    up: Annotated[Literal["y", "z"] | None, CliFlag("--up", "y|z", default=_BY_FILE)] = Field(
+        None, description="the vertical axis of files of other tools"
+    )
+    sizes: Annotated[Literal["placed", "item"] | None, CliFlag("--sizes", "placed|item", default=_BY_FILE)] = Field(
+        None, description="whether sizes in files of other tools are those of the box as placed, or before it is turned"
+    )
+    columns: Annotated[
+        dict[str, str] | None, BeforeValidator(_columns), CliFlag("--columns", "ROLE=NAME,…", default=_BY_FILE)
+    ] = Field(
+        None,
+        description="names of columns in files of other tools, such as x=Pos X,length=Länge; ROLE=-: no column; in "
+        "Python a table",
+    )
+    density: Annotated[float | None, within(1, 20_000), CliFlag("--density", "KG/M3", default="300")] = Field(
+        None, description="density of boxes whose weight a file of another tool lacks, kg/m³"
+    )
+    items: Annotated[File | None, CliFlag("--items", "FILE")] = Field(
+        None,
+        description="table of items with sizes and weights, for files of other tools that have places alone, or orders "
+        "that name articles alone",
+    )
+    reading: Annotated[File | None, CliFlag("--as", "FILE.toml")] = Field(
+        None, description="how to read files of other tools, as petmjx info FILE --write-as wrote it"
     )
     articles: Annotated[File | None, CliFlag("--articles", "FILE")] = Field(
         None,
@@ -197,8 +247,8 @@ class RunOptions(CheckedRecord):
     )
     orders: Annotated[File | None, CliFlag("--orders", "FILE")] = Field(
         None,
-        description="BED-BPP orders that the plans were packed from: counts the boxes that plans leave out, and orders "
-        "without a plan; changes no verdict",
+        description="orders that the plans were packed from, in any form (docs/plan-format.md#orders): counts boxes "
+        "that plans leave out, and orders without a plan; changes no verdict",
     )
     strict: Annotated[bool, CliFlag("--strict")] = Field(
         False, description="stop at the first unusable plan instead of skipping it"

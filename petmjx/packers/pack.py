@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import pandas as pd
 
@@ -13,7 +13,7 @@ from petmjx.common.argument_checks import integer_of, path_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
-from petmjx.options.run_options import MOST_WORKERS, Confidence, RunOptions, sorted_options
+from petmjx.options.run_options import MOST_WORKERS, OF_ORDERS, Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.packers.item_stream import MOST_LOOK_AHEAD
 from petmjx.packers.learned_packer import LEARNED
@@ -21,14 +21,17 @@ from petmjx.packers.pack_options import PHYSICAL, PhysicalOptions
 from petmjx.packers.packed_orders import PackedOrder
 from petmjx.packers.physical_packer import pack_physical
 from petmjx.packers.sample_plans import MOST_SAMPLES
-from petmjx.plans.file_formats import is_csv, is_parquet_name
+from petmjx.plans.file_formats import SupportsArrow, is_csv, is_parquet_name
 from petmjx.plans.json_writer import write_plans
 from petmjx.plans.order_generator import Order, draw_order
-from petmjx.plans.order_reader import read_orders
+from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_sources import PathArgument
 from petmjx.plans.plan_writer import save_plans
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
+
+if TYPE_CHECKING:
+    from petmjx.plans.item_orders import OrderReading
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Fields of ``RunOptions`` that a packer accepts, for the simulation of packings."""
@@ -105,7 +108,7 @@ class Packed:
 
 
 def pack(
-    orders: PathArgument | None = None,
+    orders: PathArgument | SupportsArrow | None = None,
     *,
     n: int | None = None,
     seed: int = 0,
@@ -113,6 +116,7 @@ def pack(
     look_ahead: int | None = None,
     workers: int = 1,
     on_bad_order: Callable[[InputError], None] | None = None,
+    target: str | None = None,
     **options: Any,
 ) -> Packed:
     """Pack orders with the packer ``physical`` or ``learned``.
@@ -125,22 +129,32 @@ def pack(
     An order has one plan on an engine: only the errors are random, and they depend on the plan's id alone.
 
     Args:
-        orders: file of BED-BPP orders; None: ``n`` generated orders, as in ``petmjx samples``.
+        orders: file of orders, BED-BPP's or of any other form that ``petmjx samples --orders`` reads; or a data frame
+            of items; None: ``n`` generated orders, as in ``petmjx samples``.
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
         workers: number of processes for the search. It changes no plan. Scripts with more than one need
             ``if __name__ == "__main__":``.
         on_bad_order: called with the error of an unusable order, which is then skipped; None: the error is raised.
+        target: what orders are packed on whose file does not say it: ``euro-pallet``, ``rollcontainer``, or sizes in mm
+            such as ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
         options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
-            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``.
+            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``; how a
+            file of orders is read: ``units``, ``columns``, ``density``, ``items``, ``reading``
+            (docs/plan-format.md#orders).
 
     Raises:
         InputError: orders or options are unusable.
         EngineUnavailable: the requested engine cannot run here.
     """
+    reading, options = reading_of(orders is not None, target, options)
     packed_orders = pack_each(
-        orders_of(orders, n, seed, on_bad_order), packer=packer, look_ahead=look_ahead, workers=workers, **options
+        orders_of(orders, n, seed, on_bad_order, reading),
+        packer=packer,
+        look_ahead=look_ahead,
+        workers=workers,
+        **options,
     )
     return Packed(tuple(packed_orders))
 
@@ -170,19 +184,46 @@ def pack_each(
 
 
 def orders_of(
-    orders: PathArgument | None,
+    orders: PathArgument | SupportsArrow | None,
     n: int | None,
     seed: int,
     on_bad_order: Callable[[InputError], None] | None = None,
+    reading: OrderReading | None = None,
 ) -> Iterator[tuple[str, Order]]:
-    """The orders of a file, or generated orders."""
+    """The orders of a file, or generated orders.
+
+    Args:
+        reading: how a file is read that is not in BED-BPP's form; None: what is most plausible.
+    """
     integer_of(seed, "seed", 0)
     if orders is not None:
         if n is not None:
             raise InputError("n is for drawn orders, and there is a file of orders")
-        return read_orders(path_of(orders, "orders"), on_bad_order)
+        if isinstance(orders, SupportsArrow):
+            return read_order_frame(orders, on_bad_order, reading)
+        return read_orders(path_of(orders, "orders"), on_bad_order, reading)
     count = integer_of(100 if n is None else n, "n", 1, MOST_SAMPLES)
     return ((f"s{seed}-{index:06d}", draw_order(seed, index)) for index in range(count))
+
+
+def reading_of(
+    are_read: bool, target: str | None, options: Mapping[str, Any]
+) -> tuple[OrderReading | None, dict[str, Any]]:
+    """How a file of orders is read, and the options that are left.
+
+    Args:
+        are_read: whether there is a file; without one, none of these options may be given.
+
+    Raises:
+        InputError: an option is unusable.
+    """
+    from petmjx.plans.item_orders import OrderReading
+
+    of_files = {name: options[name] for name in OF_ORDERS if options.get(name) is not None}
+    left = {name: value for name, value in options.items() if name not in OF_ORDERS}
+    if not are_read and (idle := next(iter([*of_files, *(["target"] if target is not None else [])]), None)):
+        raise InputError(f"{idle} is for a file of orders, and these are drawn")
+    return OrderReading.of(RunOptions(**of_files), target) if are_read else None, left
 
 
 def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[str, Any]]:

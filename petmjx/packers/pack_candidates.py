@@ -9,7 +9,7 @@ from petmjx.packers.baseline_packer import PlacedBox
 from petmjx.packers.beam_search import RankedPacking, search
 from petmjx.packers.learned_packer import CLEARANCE_MM, pack_learned
 from petmjx.packers.pack_options import PhysicalOptions
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order
+from petmjx.plans.order_generator import Order, target_extent_mm
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
 
 def learned_finalists(order: Order, look_ahead: int) -> list[Finalist]:
     """A list with the packing of the packer ``learned``; empty if no box has a place."""
-    placed = pack_learned(order.items, TARGET_EXTENT_MM[order.target], look_ahead)
+    placed = pack_learned(order.items, target_extent_mm(order.target), look_ahead)
     if not placed:
         return []
     height = max(box.corner_mm[2] + box.item.height_mm for box in placed)
@@ -55,7 +55,7 @@ def learned_finalists(order: Order, look_ahead: int) -> list[Finalist]:
 
 
 def _search_result(order: Order, clearance_mm: float, options: PhysicalOptions) -> RankedPacking:
-    extent_mm = TARGET_EXTENT_MM[order.target]
+    extent_mm = target_extent_mm(order.target)
     return search(order.items, extent_mm, clearance_mm, width=options.width, branch=options.branch)
 
 
@@ -66,5 +66,5 @@ def _finalist(order: Order, clearance_mm: float, packing: RankedPacking) -> Fina
 
 
 def _utilisation(order: Order, volume_m3: float, height_mm: float) -> float:
-    length, width = TARGET_EXTENT_MM[order.target]
+    length, width = target_extent_mm(order.target)
     return volume_m3 / (length * width * height_mm / MM_PER_M**3)

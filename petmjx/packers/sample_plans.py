@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,9 +27,12 @@ from petmjx.options.run_options import MOST_WORKERS
 from petmjx.packers.baseline_packer import PackRules, PlacedBox
 from petmjx.packers.packer_registry import BASELINE, WHY, packer_named
 from petmjx.plans.json_writer import Placement, write_plans
-from petmjx.plans.order_generator import PACKER_STREAM, TARGET_EXTENT_MM, Item, Order, draw_order, stream
+from petmjx.plans.order_generator import PACKER_STREAM, Item, Order, draw_order, stream, target_extent_mm
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_fields import COM_FIELDS_JSON
+
+if TYPE_CHECKING:
+    from petmjx.plans.item_orders import OrderReading
 
 DEFAULT_LOOSE_SHARE = 0.5
 """Share of a mixed set's plans that are packed loosely. Measured on the first 100 plans of seed 0 (one by one,
@@ -164,8 +167,9 @@ def pack_orders(
     workers: int = 1,
     on_bad_order: Callable[[InputError], None] | None = None,
     on_left_out: Callable[[LeftOutItems], None] | None = None,
+    reading: OrderReading | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
-    """Pack a BED-BPP *orders* file: yields (plan id, placements) for each order, in the file's order.
+    """Pack a file of orders, BED-BPP's or of any other form: yields (plan id, placements), in the file's order.
 
     Boxes that find no place below 2 m are left out. An order of which no box finds a place has no plan. A packer may
     sort the boxes, so ``sequence`` is renumbered in packing order.
@@ -179,6 +183,7 @@ def pack_orders(
         workers: number of processes. It changes no plan.
         on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
         on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
+        reading: how a file is read that is not in BED-BPP's form, and its target; None: what is most plausible.
 
     Raises:
         InputError: the file is no orders file, the packer is unknown, or an order is bad and ``on_bad_order`` is None.
@@ -187,7 +192,7 @@ def pack_orders(
     packer_named(name, look_ahead)
     integer_of(seed, "seed", 0)
     integer_of(workers, "workers", 1, MOST_WORKERS)
-    orders = enumerate(read_orders(path_of(path, "path"), on_bad_order))
+    orders = enumerate(read_orders(path_of(path, "path"), on_bad_order, reading))
     pack_one = partial(_pack_read, seed=seed, packer=name, rules=rules, look_ahead=look_ahead)
     return _plans(ordered_results(pack_one, orders, workers), on_left_out)
 
@@ -222,7 +227,7 @@ def _pack(
     rng: np.random.Generator,
     look_ahead: int | None,
 ) -> _Packed:
-    placed = packer_named(packer, look_ahead)(order.items, TARGET_EXTENT_MM[order.target], rules, rng)
+    placed = packer_named(packer, look_ahead)(order.items, target_extent_mm(order.target), rules, rng)
     return order_id, as_placements(placed), left_out_of(order_id, order, placed, WHY.get(packer, ""))
 
 

@@ -260,7 +260,11 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
         extent_mm: x–y extent of the carrier; None: the plan's bounding box.
     """
     odd = odd_layouts(plan_set.plans, extent_mm)
-    return replace(plan_set, warnings=odd, conventions=_find_conventions(plan_set.plans, odd, extent_mm))
+    readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
+    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # of the others they are known
+    own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
+    conventions = _find_conventions(own, own_odd, extent_mm)
+    return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 
 def _find_conventions(

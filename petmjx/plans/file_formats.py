@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
+from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import LOOKED_AT_ARCHIVE, foreign_kind
 from petmjx.common.safe_read import open_regular
 from petmjx.common.text import number_in, shortened_text
@@ -21,6 +22,10 @@ class SupportsArrow(Protocol):
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
         """The columns of the table, as a stream for Arrow."""
+
+
+class NoBoxes(InputError):
+    """A file has nothing like boxes: it may be of another kind."""
 
 
 def is_csv(path: Path) -> bool:
@@ -81,6 +86,28 @@ def looks_like_table(data: bytes | bytearray) -> bool:
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
     cells = [cell.strip(b'" ') for cell in re.split(rb"[,;\t]", first)]
     return separator_mark(first) is not None or sum(_COLUMN.fullmatch(cell) is not None for cell in cells) > _N_NEEDED
+
+
+_LOOKED_AT_TEXT: Final = 1 << 16
+_OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
+_OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
+_OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
+"""First bytes of workbooks, of archives of arrays, and of arrays."""
+_SCENE: Final = re.compile(rb"<mujoco[\s>/]")
+
+
+def looks_like_own_json(data: bytes | bytearray) -> bool:
+    """Whether a text has fields of BED-BPP's plans or orders, usually near its beginning, and not in other units."""
+    if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
+        return True
+    if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:
+        return False
+    return any(data.find(name) >= 0 for name in (b'"flb_coordinates"', b'"item_sequence"'))
+
+
+def is_of_other_tools(data: bytes | bytearray) -> bool:
+    """Whether bytes that are no UTF-8 text of petmjx's forms may be a sheet, an array or a scene."""
+    return bytes(data[:6]).startswith(_OTHER_TOOLS) or _SCENE.search(data, 0, _LOOKED_AT_TEXT) is not None
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:

@@ -46,7 +46,12 @@ class InputConventions:
 
     @classmethod
     def checked(cls, units: Any, anchor: Any) -> InputConventions:
-        """Conventions from unchecked values. Raises InputError: the units or the anchor are unknown."""
+        """Conventions from unchecked values; None: the default.
+
+        Raises:
+            InputError: the units or the anchor are unknown.
+        """
+        units, anchor = PLAN_UNITS if units is None else units, "corner" if anchor is None else anchor
         text_of(units, "units")
         known = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
         if known is None:

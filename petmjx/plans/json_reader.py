@@ -30,16 +30,29 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
         OSError: the file cannot be read, is no regular file, or is too large.
         ValueError: no file can have this name.
     """
-    data, fault = read_regular(path, MOST_BYTES), None
-    if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":  # no reserved flag is set (RFC 1952)
-        data, fault = _gunzip(data)
+    data, fault = unpacked_bytes(path)
     if data.startswith(_UTF16_MARKS) and b"\0" in data[2:4]:
-        return bytearray(), "is UTF-16 text; plans must be UTF-8"
+        try:
+            data = bytearray(data.decode("utf-16").encode())
+        except UnicodeError as error:
+            return bytearray(), f"is damaged UTF-16 text ({error.args[-1]})"
     if (kind := foreign_kind(data)) is not None:
         return bytearray(), kind
     if data.startswith(_UTF8_MARK):
         del data[: len(_UTF8_MARK)]
     return data, fault
+
+
+def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
+    """The bytes of a file, unpacked if they are gzip, and an error of the packing (None: no error).
+
+    Raises:
+        OSError, ValueError: as :func:`read_text_bytes`.
+    """
+    data = read_regular(path, MOST_BYTES)
+    if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":  # no reserved flag is set (RFC 1952)
+        return _gunzip(data)
+    return data, None
 
 
 def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:

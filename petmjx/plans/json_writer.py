@@ -1,4 +1,4 @@
-"""Writer of JSON files of plans in BED-BPP's format."""
+"""Writer of JSON files of plans and orders in BED-BPP's format."""
 
 from __future__ import annotations
 
@@ -8,13 +8,16 @@ from collections.abc import Callable, Generator, Iterable
 from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import atomic_write, gzip_stream
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
+from petmjx.plans.order_generator import Item, Order
+from petmjx.plans.plan_fields import COM_FIELDS_JSON
 
+Value = TypeVar("Value")
 Placement = dict[str, Any]
 """One placement in BED-BPP's format: item, orientation, flb_coordinates (mm)."""
 
@@ -32,20 +35,80 @@ def write_plans(
     Raises:
         InputError: there is no plan, or the file cannot be written.
     """
+    _write_entries(path, plans, _plan_text, "plan", progress)
+
+
+def write_orders(path: Path | str, orders: Iterable[tuple[str, Order]]) -> None:
+    """Write (id, order) pairs as BED-BPP's orders, one line per item. They are read again to the last bit.
+
+    Raises:
+        InputError: there is no order, or the file cannot be written.
+    """
+    _write_entries(path, orders, _order_text, "order")
+
+
+def _order_text(order: Order) -> str:
+    numbers = order.numbers or range(1, len(order.items) + 1)
+    items = zip(numbers, order.items, strict=True)
+    fields = ((number, {**item_json(item), "sequence": number}) for number, item in items)
+    lines = ",\n".join(f'  "{number}": {json.dumps(item, ensure_ascii=False)}' for number, item in fields)
+    target = json.dumps({"target": order.target})
+    return f'{{"properties": {target}, "item_sequence": {{\n{lines}\n}}}}'
+
+
+def item_json(item: Item) -> dict[str, Any]:
+    """An item with the fields of BED-BPP, and the properties that few orders give."""
+    seldom: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
+    seldom |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
+    seldom |= {"kind": item.kind} if item.kind else {}
+    return {
+        "article": item.article,
+        "id": item.item_id,
+        "product_group": item.product_group,
+        "length/mm": _whole(item.length_mm),
+        "width/mm": _whole(item.width_mm),
+        "height/mm": _whole(item.height_mm),
+        "weight/kg": item.weight_kg,
+        **seldom,
+    }
+
+
+def _whole(value_mm: float) -> int | float:
+    """Whole millimetres as int, as in BED-BPP."""
+    return int(value_mm) if value_mm == int(value_mm) else value_mm
+
+
+def _plan_text(placements: Iterable[Placement]) -> str:
+    lines = ",\n".join("  " + json.dumps(placement, ensure_ascii=False) for placement in placements)
+    return f"[\n{lines}\n]"
+
+
+def _write_entries(
+    path: Path | str,
+    entries: Iterable[tuple[str, Value]],
+    text_of: Callable[[Value], str],
+    what: str,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Write a JSON object of named values.
+
+    Args:
+        text_of: the JSON text of a value.
+        what: "plan" or "order", for errors.
+    """
     path = path_of(path, "path")
-    coming = iter(plans)
+    coming = iter(entries)
     first = next(coming, None)
     if first is None:
-        raise InputError(f"{printable(str(path))}: there is no plan to write")
+        raise InputError(f"{printable(str(path))}: there is no {what} to write")
     with atomic_write(path) as temporary, ExitStack() as stack:
         if isinstance(coming, Generator):
             stack.callback(coming.close)  # closed even after an error: else its worker processes would live on
         out = _open_text(temporary, stack)
         out.write("{")
-        for count, (plan_id, placements) in enumerate(chain([first], coming), start=1):
-            lines = ",\n".join("  " + json.dumps(placement, ensure_ascii=False) for placement in placements)
+        for count, (name, value) in enumerate(chain([first], coming), start=1):
             separator = "," if count > 1 else ""
-            out.write(f"{separator}\n{json.dumps(plan_id)}: [\n{lines}\n]")
+            out.write(f"{separator}\n{json.dumps(name)}: {text_of(value)}")
             if progress is not None:
                 progress(count)
         out.write("\n}\n")

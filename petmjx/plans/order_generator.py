@@ -10,14 +10,25 @@ Order i depends only on (seed, i), so the orders of a smaller set are the first 
 from __future__ import annotations
 
 import functools
+import re
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import number_in
 from petmjx.common.units import FloatArray
 
 TARGET_EXTENT_MM: dict[str, tuple[int, int]] = {"euro-pallet": (1200, 800), "rollcontainer": (800, 700)}
 """BED-BPP's two targets → their extents along x and y, mm."""
+_SIZED_TARGET = re.compile(r"([0-9.]{1,9})\s*[x×]\s*([0-9.]{1,9})")
+TARGET_RANGE_MM = (100.0, 20_000.0)
+"""Range of the sides of a target."""
+
+MOST_ITEMS = 512
+"""Largest number of items of an order: twice the boxes of the largest plan. The packer's time grows with its third
+power."""
 
 MEAN_BOXES = 43.5
 STD_BOXES = 15.0
@@ -105,7 +116,7 @@ class Item:
 
 @dataclass(frozen=True)
 class Order:
-    """An order: the items for one target ("euro-pallet" or "rollcontainer").
+    """An order: the items for one target ("euro-pallet", "rollcontainer", or sizes in millimetres, "1200x1000").
 
     ``numbers`` are the sequence numbers of the items in a file. Generated orders have none.
     """
@@ -113,6 +124,40 @@ class Order:
     target: str
     items: tuple[Item, ...]
     numbers: tuple[int, ...] = ()
+
+
+def target_named(text: str) -> str:
+    """The name of a target: "euro-pallet", "rollcontainer", or its sizes along x and y, mm, as in "1200x1000".
+
+    Raises:
+        InputError: it is none.
+    """
+    if text in TARGET_EXTENT_MM:
+        return text
+    match = _SIZED_TARGET.fullmatch(text.strip())
+    sides = [] if match is None else [number_in(side) for side in match.groups()]
+    low, high = TARGET_RANGE_MM
+    if len(sides) != 2 or not all(side is not None and low <= side <= high for side in sides):
+        raise InputError(
+            f"target must be {', '.join(TARGET_EXTENT_MM)} or its sizes in mm, such as 1200x1000, {shown_value(text)}"
+        )
+    return "x".join(f"{side:g}" for side in sides)
+
+
+def is_target(text: str) -> bool:
+    """Whether a text is the name of a target."""
+    try:
+        return target_named(text) == text
+    except InputError:
+        return False
+
+
+def target_extent_mm(target: str) -> tuple[float, float]:
+    """Extents of a target (``Order.target``) along x and y, mm."""
+    if target in TARGET_EXTENT_MM:
+        return TARGET_EXTENT_MM[target]
+    length, _, width = target_named(target).partition("x")
+    return float(length), float(width)
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.order_generator import Item, Order, target_extent_mm
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SHEET
@@ -382,7 +382,7 @@ def check_orders(
     strict: bool = False,
     articles: Articles | None = None,
 ) -> OrderCheck:
-    """Compare plans with the orders of a BED-BPP orders file. A plan and its order have the same id.
+    """Compare plans with the orders of a file, BED-BPP's or of any other form. A plan and its order have the same id.
 
     Args:
         path: the file, gzipped or not.
@@ -484,7 +484,7 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
     If the plan's bounding box fits on the target, also turned, all boxes are on it, wherever the plan has its origin.
     Else a box is on it if its middle is over the target with its corner at the origin.
     """
-    extent = np.array(TARGET_EXTENT_MM[order.target], float)
+    extent = np.array(target_extent_mm(order.target), float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
     across = high.max(axis=0) - low.min(axis=0)
     if any((across <= target_extent + SIZE_TOLERANCE_MM).all() for target_extent in (extent, extent[::-1])):

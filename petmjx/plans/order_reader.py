@@ -1,18 +1,28 @@
-"""Reader of BED-BPP's files of *orders*: order id → ``item_sequence`` and ``properties``."""
+"""Reader of orders (``read_orders``): BED-BPP's files, order id → ``item_sequence`` and ``properties``, and those of
+anybody."""
 
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal, overload
 
+from petmjx.common.atomic_write import atomic_write
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import is_text, printable, printable_name
-from petmjx.plans.file_formats import PARQUET_MAGIC, is_csv, looks_like_table
-from petmjx.plans.json_reader import Entry, read_text_bytes, scan_plans
-from petmjx.plans.order_generator import TARGET_EXTENT_MM, Item, Order
+from petmjx.plans.convention_checks import warn
+from petmjx.plans.file_formats import (
+    PARQUET_MAGIC,
+    NoBoxes,
+    is_of_other_tools,
+    looks_like_own_json,
+)
+from petmjx.plans.json_reader import Entry, read_text_bytes, scan_plans, unpacked_bytes
+from petmjx.plans.json_writer import write_orders
+from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, is_target
 from petmjx.plans.plan_fields import (
     COM_FIELDS_JSON,
     LARGEST_KG,
@@ -25,27 +35,46 @@ from petmjx.plans.plan_fields import (
     sparse_fault,
 )
 
-MOST_ITEMS: Final = 512
-"""Largest number of items of an order: twice the boxes of the largest plan. The packer's time grows with its third
-power."""
+if TYPE_CHECKING:
+    from petmjx.plans.item_orders import ForeignOrders, OrderReading
+
+_CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
+"""Appended where a command has no options for reading orders."""
+_FRAME: Final = "orders"
+"""Name of a data frame in messages."""
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
-_ARE_JSON: Final = "orders are JSON, order id → item_sequence and properties"
+_FORMS: Final = "orders are BED-BPP's JSON, or tables of items with sizes and quantities (docs/plan-format.md#orders)"
 _MOST_DIGITS: Final = 18
 """Largest number of digits of a sequence number."""
 
 
-def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = None) -> Iterator[tuple[str, Order]]:
+def read_orders(
+    path: Path,
+    on_bad_order: Callable[[InputError], None] | None = None,
+    reading: OrderReading | None = None,
+) -> Iterator[tuple[str, Order]]:
     """Yield (order id, order) for each order of a file, gzipped or not. Items are sorted by sequence number.
+
+    BED-BPP's orders are read as they are. A file of another form is read as ``petmjx.plans.foreign_orders`` finds out,
+    and a ``PlanWarning`` says how.
 
     Args:
         on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
+        reading: how files of other forms are read, and their target; None: what is most plausible.
 
     Raises:
-        InputError: the file cannot be read or is not a whole JSON object (raised before the first order); or an order
-            is bad and ``on_bad_order`` is None.
+        InputError: the file cannot be read, or has no orders (raised before the first order); or an order is bad and
+            ``on_bad_order`` is None.
     """
     name = printable(str(path))
-    data = _read_whole(path, name)
+    data = _own_bytes(path, name)
+    if data is None:
+        orders = _foreign(path, name, reading)
+        if orders is not None:
+            warn([orders.line])
+            yield from _good_orders(orders, on_bad_order)
+            return
+        data = _own_bytes(path, name, is_own=True)
     seen: set[str] = set()
     for entry in scan_plans(data):
         where = f"{name}: order {printable_name(entry.plan_id)}"
@@ -62,18 +91,69 @@ def read_orders(path: Path, on_bad_order: Callable[[InputError], None] | None = 
             yield entry.plan_id, order
 
 
-def _read_whole(path: Path, name: str) -> bytearray:
-    """The bytes of a file of orders. Raises InputError: the file is damaged or has no order."""
+def read_order_frame(
+    frame: Any,
+    on_bad_order: Callable[[InputError], None] | None = None,
+    reading: OrderReading | None = None,
+) -> Iterator[tuple[str, Order]]:
+    """Yield (order id, order) for each order of a data frame, or of any object with Arrow's stream interface.
+
+    Arguments and errors are those of :func:`read_orders`; lines name the frame "orders".
+    """
+    from petmjx.plans.foreign_orders import frame_orders
+    from petmjx.plans.item_orders import OrderReading
+
+    try:
+        orders = frame_orders(frame, _FRAME, reading or OrderReading())
+    except InputError as error:
+        raise InputError(f"{_FRAME}: {error}") from None
+    warn([orders.line])
+    yield from _good_orders(orders, on_bad_order)
+
+
+def keep_orders(source: Path, path: Path) -> None:
+    """Copy a file of orders. Orders in another form than BED-BPP's are written in BED-BPP's.
+
+    Raises:
+        InputError: a file cannot be read or written.
+    """
+    if _own_bytes(source, printable(str(source))) is None:
+        write_orders(path, read_orders(source, lambda error: None))
+        return
+    with atomic_write(path) as file:
+        shutil.copyfile(source, file)
+
+
+@overload
+def _own_bytes(path: Path, name: str, is_own: Literal[True]) -> bytearray: ...
+
+
+@overload
+def _own_bytes(path: Path, name: str) -> bytearray | None: ...
+
+
+def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
+    """The bytes of a file of orders in BED-BPP's form; None: it has another form.
+
+    Args:
+        is_own: whether the file is known to be JSON of no other form.
+
+    Raises:
+        InputError: the file is damaged or has no order.
+    """
     try:
         data, fault = read_text_bytes(path)
+        if fault is not None and not data:
+            whole, packing_fault = unpacked_bytes(path)
+            if packing_fault is None and is_of_other_tools(whole):
+                return None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
-    if data.startswith(PARQUET_MAGIC):
-        raise InputError(f"{name}: is Parquet: {_ARE_JSON}")
-    if looks_like_table(data) or (is_csv(path) and data.strip() and data[:1] not in b" \t\r\n{["):
-        raise InputError(f"{name}: is a table as text (CSV): {_ARE_JSON}")
+    like_json = data.lstrip().startswith((b"{", b"["))
+    if not is_own and data.strip() and not (like_json and looks_like_own_json(data)):
+        return None
     try:
         n_orders = sum(1 for _ in scan_plans(data, "order id → order", "order"))
     except InputError as error:
@@ -81,6 +161,45 @@ def _read_whole(path: Path, name: str) -> bytearray:
     if n_orders == 0:
         raise InputError(f"{name}: holds no order")
     return data
+
+
+def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:
+    """The orders of a file of another form; None: it is JSON that holds nothing like boxes.
+
+    Raises:
+        InputError: the file cannot be read as orders.
+    """
+    from petmjx.common.arrow_files import parquet_table
+    from petmjx.plans.foreign_orders import foreign_orders, frame_orders
+    from petmjx.plans.item_columns import TWO_WAYS
+    from petmjx.plans.item_orders import OrderReading
+
+    try:
+        data, _ = unpacked_bytes(path)
+        if data.startswith(PARQUET_MAGIC):
+            return frame_orders(parquet_table(path), name, reading or OrderReading())
+        return foreign_orders(data, path, name, reading or OrderReading())
+    except NoBoxes as error:
+        if data.lstrip().startswith((b"{", b"[")):
+            return None
+        raise InputError(f"{name}: {error}: {_FORMS}") from None
+    except InputError as error:
+        decided = f"; {_CONVERT.format(file=name)}" if reading is None and TWO_WAYS in str(error) else ""
+        raise InputError(f"{name}: {error}{decided}") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{name}: cannot be read: {reason(error)}") from error
+
+
+def _good_orders(
+    orders: ForeignOrders, on_bad_order: Callable[[InputError], None] | None
+) -> Iterator[tuple[str, Order]]:
+    """The good orders of a file. Errors are those of :func:`read_orders`."""
+    for _, line in orders.refused:
+        bad = InputError(line)
+        if on_bad_order is None:
+            raise bad
+        on_bad_order(bad)
+    yield from orders.orders
 
 
 def _order(entry: Entry, where: str) -> Order:
@@ -94,7 +213,7 @@ def _order(entry: Entry, where: str) -> Order:
         raise InputError(f"{where}: must be a JSON object, {_kind(record)}")
     properties = record.get("properties")
     target = properties.get("target") if isinstance(properties, dict) else None
-    if not isinstance(target, str) or target not in TARGET_EXTENT_MM:
+    if not isinstance(target, str) or not is_target(target):
         fault = shown_value(target) if isinstance(target, str) else _kind(target)
         raise InputError(f"{where}: properties.target must be one of {', '.join(TARGET_EXTENT_MM)}, {fault}")
     sequence = record.get("item_sequence")

@@ -254,7 +254,16 @@ PlanFields = dict[str, Any]
 
 
 class TableError(InputError):
-    """A whole table cannot be used."""
+    """A whole table cannot be used.
+
+    Attributes:
+        n_known: number of its columns that have petmjx's names.
+        is_own: whether it surely is one of petmjx's tables.
+    """
+
+    def __init__(self, message: str, n_known: int = 0, is_own: bool = False) -> None:
+        super().__init__(message)
+        self.n_known, self.is_own = n_known, is_own
 
 
 class RefusedPlan(NamedTuple):
@@ -307,14 +316,14 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
         if plain not in NEEDED and plain not in OPTIONAL:
             unread.append(name)
         elif plain in positions:
-            raise TableError(f"column {plain} is there twice")
+            raise TableError(f"column {plain} is there twice", len(positions), is_own=len(positions) > 1)
         else:
             positions[plain] = index
     missing = [name for name in NEEDED if name not in positions]
     if missing:
         listing = ", ".join(map(printable_name, names[:30])) or "none"
         columns = "column" if len(missing) == 1 else "columns"
-        raise TableError(f"{columns} {missing_fault(missing)}; there are: {listing}")
+        raise TableError(f"{columns} {missing_fault(missing)}; there are: {listing}", len(positions))
     return positions, unread
 
 

@@ -6,31 +6,36 @@ table is read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
+
+import numpy as np
 
 from petmjx.common.argument_checks import flag_of, integer_of, list_of, number_of, path_of
 from petmjx.common.checked_records import reason, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
-from petmjx.common.units import PLAN_UNITS
-from petmjx.options.run_options import Anchor
+from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import (
     CSV_SUFFIXES,
     PARQUET_SUFFIX,
+    NoBoxes,
     SupportsArrow,
     is_csv,
+    is_of_other_tools,
     is_parquet,
     looks_like_json,
+    looks_like_own_json,
     looks_like_table,
 )
-from petmjx.plans.input_conventions import InputConventions
-from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans
+from petmjx.plans.input_conventions import USUAL, InputConventions
+from petmjx.plans.json_reader import MalformedPlans, read_text_bytes, scan_plans, unpacked_bytes
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_decoder import DecoderOptions, ReadEntry, decode_entries
 from petmjx.plans.plan_fields import LONGEST_NAME, UnreadFields
@@ -38,7 +43,9 @@ from petmjx.plans.plan_set import PlanSet, Skipped
 from petmjx.plans.plan_validation import PlanError, parse_plan
 
 if TYPE_CHECKING:
+    from petmjx.plans.foreign_plans import ForeignPlans
     from petmjx.plans.placement_table import Table
+    from petmjx.plans.readings import Reading, Wishes
 
 DEFAULT_MAX_BOXES: Final = 512
 """Default limit of a plan's boxes: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
@@ -47,8 +54,11 @@ packers. The model of a plan of this size declares 132,000 pairs of geoms on C M
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further ones are counted."""
 FRAME: Final = "data frame"
-"""Name of a data frame in messages."""
-_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX)
+OBJECT: Final = "python"
+"""Names of a data frame, and of another object, in messages."""
+_MOSTLY_OWN: Final = 4
+"""A table with more of petmjx's own names of columns is meant to be one of petmjx's."""
+_SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
 def load_plans(
@@ -58,26 +68,44 @@ def load_plans(
     strict: bool = False,
     max_boxes: int = DEFAULT_MAX_BOXES,
     carrier_extent_mm: tuple[float, float] | None = None,
-    units: str = PLAN_UNITS,
-    anchor: Anchor = "corner",
+    units: str | None = None,
+    anchor: Anchor | None = None,
+    up: Literal["y", "z"] | None = None,
+    sizes: Literal["placed", "item"] | None = None,
+    columns: Mapping[str, str] | str | None = None,
+    density: float | None = None,
+    items: str | PathLike[str] | None = None,
+    reading: Reading | str | PathLike[str] | None = None,
 ) -> PlanSet:
     """Read and validate packing plans.
 
-    A ``PlanWarning`` is issued if plans seem to follow another convention, such as coordinates of centres.
+    A ``PlanWarning`` is issued if plans seem to follow another convention, such as coordinates of centres, and for each
+    file of another tool, with how it was read.
 
     Args:
         paths: a file, a folder, or several of them; or a table of placements, as a pandas data frame or any object with
-            Arrow's stream interface. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet; JSON and CSV may
-            be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. In a folder, all such files
-            directly in it are read, sorted by name.
+            Arrow's stream interface; or boxes in another tool's form: py3dbp's packer or bins, a NumPy array, nested
+            dictionaries. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``), Parquet, or of another tool: JSON with
+            boxes anywhere, tables of any locale, sheets (.xlsx, .ods), arrays (.npy, .npz), MJCF. JSON and text may be
+            gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. In a folder, all such files directly
+            in it are read, sorted by name.
         limit: stop after this many good plans.
         strict: raise an error instead of skipping anything.
         max_boxes: plans with more boxes are skipped.
         carrier_extent_mm: x–y extent of the carrier; boxes beyond it are reported as outside. None: the plan's
             footprint.
-        units: units of the plans' lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g".
+        units: units of the plans' lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g"; None: mm and
+            kg, and in files of other tools what is most plausible.
         anchor: the point of a box to which the plans' coordinates refer: ``corner`` (front-left-bottom), ``centre``,
-            ``base-centre`` or ``far-corner`` (with the largest x, y and z).
+            ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, and in files of other
+            tools what is most plausible.
+        up: the vertical axis of files of other tools; None: what is most plausible. The following, too, are for files
+            of other tools.
+        sizes: ``placed``: sizes are those of boxes as placed; ``item``: before they are turned.
+        columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".
+        density: density of boxes without a weight, kg/m³; None: 300.
+        items: file with sizes and weights of items, for files of places alone.
+        reading: how a file was read before: ``PlanSet.readings``, or a file that ``petmjx info --write-as`` wrote.
 
     Returns:
         The good plans. Bad plans, damaged parts and unusable files are in ``skipped``. If several plans have the same
@@ -96,29 +124,39 @@ def load_plans(
             raise InputError(f"carrier_extent_mm must be two numbers, {shown_value(carrier_extent_mm)}")
         for length in carrier_extent_mm:
             number_of(length, "carrier_extent_mm", 0)
-    plan_set = read_plans(
-        paths,
-        limit=limit,
-        strict=strict,
-        max_boxes=max_boxes,
-        extent_mm=carrier_extent_mm,
-        given=InputConventions.checked(units, anchor),
-    )
+    written, known = (reading, None) if reading is None or isinstance(reading, str | PathLike) else (None, reading)
+    options = RunOptions(
+        limit=limit, strict=strict, units=units, anchor=anchor, up=up, sizes=sizes, columns=columns, density=density,
+        items=items, reading=written,
+    )  # fmt: skip
+    plan_set = read_plans(paths, options, max_boxes=max_boxes, extent_mm=carrier_extent_mm, reading=known)
     warn(plan_set.conventions)
     return plan_set
 
 
 def read_plans(
-    paths: str | PathLike[str] | Sequence[str | PathLike[str]] | SupportsArrow,
+    paths: Any,
+    options: RunOptions,
     *,
-    limit: int | None,
-    strict: bool,
     max_boxes: int = DEFAULT_MAX_BOXES,
     extent_mm: tuple[float, float] | None,
-    given: InputConventions,
+    reading: Reading | None = None,
 ) -> PlanSet:
-    """Like :func:`load_plans`, but without a Python warning."""
-    loading = _PlanLoader(limit, strict, max_boxes, extent_mm, given)
+    """Like :func:`load_plans`, but without a Python warning.
+
+    Args:
+        options: limit, strict, and the fields ``READING``.
+        reading: how files of other tools are read; None: as the options say.
+    """
+    given = InputConventions.checked(options.units, options.anchor)
+    if options.reading is not None:
+        from petmjx.plans.reading_files import read_reading
+
+        read_reading(options.reading)  # an error in it is one of the call, and not of each file
+    loading = _PlanLoader(options.limit, options.strict, max_boxes, extent_mm, given, options, reading)
+    if is_box_object(paths):
+        loading.read_object(paths)
+        return loading.done()
     if isinstance(paths, SupportsArrow):
         loading.read_frame(paths)
         return loading.done()
@@ -128,6 +166,16 @@ def read_plans(
         if loading.full:
             break
     return loading.done()
+
+
+def is_box_object(value: Any) -> bool:
+    """Whether a Python object may hold boxes in another tool's form: dictionaries, an array, py3dbp's objects."""
+    if isinstance(value, list | tuple):
+        return bool(value) and (isinstance(value[0], Mapping) or is_box_object(value[0]))
+    if isinstance(value, str | PathLike | SupportsArrow | Plan | PlanSet):
+        return False
+    of_packer = isinstance(getattr(value, "bins", None), list) or isinstance(getattr(value, "items", None), list)
+    return isinstance(value, Mapping | np.ndarray) or of_packer
 
 
 _OF_A_RUN: Final = "petmjx convert writes its plans to a file"
@@ -184,6 +232,8 @@ class _PlanLoader:
     max_boxes: int
     carrier_extent_mm: tuple[float, float] | None
     given: InputConventions
+    options: RunOptions
+    reading: Reading | None = None
     found: PlanSet = field(default_factory=PlanSet)
     source_of: dict[str, str] = field(default_factory=dict)
     names: dict[str, str] = field(default_factory=dict)
@@ -209,7 +259,7 @@ class _PlanLoader:
             if is_parquet(path):
                 from petmjx.plans.table_files import read_parquet
 
-                self._read_table(source, lambda: read_parquet(path))
+                self._read_table(source, lambda: read_parquet(path), lambda: self._read_foreign_parquet(source, path))
             else:
                 self._read_text(source, path)
         except (OSError, ValueError) as error:
@@ -225,42 +275,148 @@ class _PlanLoader:
         from petmjx.plans.placement_table import TableError
         from petmjx.plans.table_files import frame_table
 
+        self.most_skipped = MOST_LINES
         try:
             table = frame_table(frame)
         except TableError as error:
-            raise InputError(f"{FRAME}: {error}") from None
-        self.most_skipped = MOST_LINES
-        self._read_table(FRAME, lambda: table)
+            fault = error if error.is_own else self._read_foreign_frame(frame)
+            if fault is not None:
+                is_own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
+                raise InputError(f"{FRAME}: {error if is_own else fault}") from None
+        else:
+            self._take_table(FRAME, table, self.given)
         self._count_unlisted(FRAME)
+
+    def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
+        """Read a Parquet file with other names of columns. Returns why it cannot be read; None: it was read."""
+        from petmjx.plans.table_files import parquet_frame
+
+        try:
+            return self._read_foreign_frame(parquet_frame(path), source)
+        except InputError as error:
+            return error
+
+    def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
+        """Read a data frame with other names of columns. Returns why it cannot be read; None: it was read."""
+        from petmjx.plans.foreign_formats import sources_of_frame
+        from petmjx.plans.foreign_plans import plans_of_sources
+
+        items = self.options.items
+        try:
+            self._take_foreign(
+                source, lambda wishes: plans_of_sources(sources_of_frame(frame), None, source, wishes, items)
+            )
+        except InputError as error:
+            return error
+        return None
+
+    def read_object(self, value: Any) -> None:
+        """Read boxes of Python objects in another tool's form.
+
+        Raises:
+            InputError: the object holds no plans.
+        """
+        from petmjx.plans.foreign_formats import sources_of_object
+        from petmjx.plans.foreign_plans import plans_of_sources
+
+        self.most_skipped = MOST_LINES
+        items = self.options.items
+        try:
+            self._take_foreign(
+                OBJECT, lambda wishes: plans_of_sources(sources_of_object(value), None, OBJECT, wishes, items)
+            )
+        except InputError as error:
+            raise InputError(f"{OBJECT}: {error}") from None
+        self._count_unlisted(OBJECT)
+
+    def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
+        """Read a file of another tool. Returns why it cannot be read; None: it was read."""
+        from petmjx.plans.foreign_plans import read_foreign
+
+        items = self.options.items
+        try:
+            self._take_foreign(source, lambda wishes: read_foreign(data, path, source, wishes, items))
+        except InputError as error:
+            if self.strict and str(error).startswith(f"{source}: "):  # of a plan or row
+                raise
+            return error
+        return None
+
+    def _take_foreign(self, source: str, read: Callable[[Wishes], ForeignPlans]) -> None:
+        """Take the plans of another tool's form. A tie is asked, if somebody answers.
+
+        Raises:
+            InputError: the form holds no plans, or can be read in two ways.
+        """
+        from petmjx.plans.reading_files import wishes_of, wishes_of_reading
+        from petmjx.plans.readings import CHOOSER, AmbiguousFile
+
+        try:
+            plans = read(wishes_of(self.options, self.carrier_extent_mm, self.reading))
+        except AmbiguousFile as error:
+            chooser = CHOOSER.get()
+            chosen = None if chooser is None else chooser(source, error)
+            if chosen is None:
+                raise
+            plans = read(wishes_of_reading(chosen))
+        self.found.readings[source] = plans.reading
+        for refused in plans.refused:
+            self._skip(source, refused.plan_id, refused.message)
+        if plans.table is not None:
+            self._take_table(source, plans.table, USUAL)
 
     def _read_text(self, source: str, path: Path) -> None:
         data, fault = read_text_bytes(path)
+        if fault is not None and not data:
+            whole, packing_fault = unpacked_bytes(path)
+            if packing_fault is None and is_of_other_tools(whole):
+                error = self._read_foreign(source, path, whole)
+                fault = None if error is None else str(error)
+            if fault is not None:
+                self._skip(source, None, f"{source}: {fault}")
+            return
         if fault is not None:
             self._skip(source, None, f"{source}: {fault}")
-            if not data:
-                return
         if is_csv(path):
             if looks_like_json(data):
                 self._skip(source, None, f"{source}: is JSON: it is read as such if its name ends in .json")
                 return
             from petmjx.plans.table_files import parse_csv
 
-            self._read_table(source, lambda: parse_csv(data, cut_off=fault is not None))
+            read = partial(parse_csv, data, cut_off=fault is not None)
+            foreign = None if fault is not None else partial(self._read_foreign, source, path, data)
+            self._read_table(source, read, foreign)
         else:
-            self._read_json(source, data, damaged=fault is not None)
+            self._read_json(source, path, data, damaged=fault is not None)
 
-    def _read_table(self, source: str, read: Callable[[], Table]) -> None:
-        from petmjx.plans.placement_table import RefusedPlan, TableError, table_plans
+    def _read_table(
+        self, source: str, read: Callable[[], Table], otherwise: Callable[[], InputError | None] | None = None
+    ) -> None:
+        """Read a table.
+
+        Args:
+            otherwise: reads it as one of another tool if it is none of petmjx's; returns why it cannot.
+        """
+        from petmjx.plans.placement_table import TableError
 
         try:
             table = read()
         except TableError as error:
-            self._skip(source, None, f"{source}: {error}", error)
+            fault = error if otherwise is None or error.is_own else otherwise()
+            if fault is not None:
+                is_own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
+                self._skip(source, None, f"{source}: {error if is_own else fault}", error)
             return
+        self._take_table(source, table, self.given)
+
+    def _take_table(self, source: str, table: Table, given: InputConventions) -> None:
+        """Take the plans of a table of placements."""
+        from petmjx.plans.placement_table import RefusedPlan, table_plans
+
         if not len(table.numbers) and not table.lost:
             self._skip(source, None, f"{source}: holds no plan")
         self.unread.update(dict.fromkeys(table.unread, len(table.numbers)))
-        with closing(table_plans(table, source, self.max_boxes, self.found.notes, self.given)) as plans:
+        with closing(table_plans(table, source, self.max_boxes, self.found.notes, given)) as plans:
             for plan in plans:
                 if isinstance(plan, RefusedPlan):
                     self._skip(source, plan.plan_id, plan.message)
@@ -269,12 +425,14 @@ class _PlanLoader:
                 if self.full:
                     break
 
-    def _read_json(self, source: str, data: bytearray, damaged: bool) -> None:
+    def _read_json(self, source: str, path: Path, data: bytearray, damaged: bool) -> None:
         """Read the plans of a text. If it turns out to be no JSON, its plans are removed again.
 
         Args:
             damaged: whether the text is known to be damaged. Then the plans before the damage are kept.
         """
+        if not damaged and not looks_like_own_json(data) and not self._is_left_to_own(source, path, data):
+            return
         kept, skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
         n_entries = n_orders = 0
@@ -312,6 +470,18 @@ class _PlanLoader:
             self._skip(source, None, f"{source}: holds no plan")
         if n_orders:
             self._skip(source, None, _orders_message(source, first_order, n_orders))
+
+    def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
+        """Read a text that is not BED-BPP's as one of another tool. Returns whether it is JSON without any list of
+        boxes, of which the reader of BED-BPP's JSON says what is wrong.
+        """
+        fault = self._read_foreign(source, path, data)
+        if fault is None:
+            return False
+        if isinstance(fault, NoBoxes):
+            return True
+        self._skip(source, None, f"{source}: {fault}")
+        return False
 
     def _count_unlisted(self, source: str) -> None:
         if self.unlisted:

@@ -15,6 +15,8 @@ from petmjx.plans.plan_warnings import PlanWarnings
 if TYPE_CHECKING:
     import pandas as pd
 
+    from petmjx.plans.readings import Reading
+
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
@@ -57,7 +59,8 @@ class PlanSet:
         skipped: an entry for each skipped plan, damaged part or file.
         warnings: an entry for each plan of ``plans`` with an overlap, a box outside the carrier or a floating box.
         notes: lines about the whole input, such as ignored fields.
-        conventions: a line for each other convention that plans seem to follow.
+        conventions: a line for each file of another tool, and for each other convention that plans seem to follow.
+        readings: name of a file of another tool → how it was read.
         numbers: plan id → number of the plan in the input, from 0, skipped plans included; empty: the order of
             ``plans``.
     """
@@ -67,6 +70,7 @@ class PlanSet:
     warnings: list[PlanWarnings] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     conventions: list[str] = field(default_factory=list)
+    readings: dict[str, Reading] = field(default_factory=dict)
     numbers: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

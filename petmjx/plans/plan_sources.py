@@ -49,7 +49,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     """
     if isinstance(plans, Mapping):
         raise InputError(f"plans must be {_SOURCES}, got a table (of a plan file? give its path)")
-    usual = (options.units, options.anchor) == (USUAL.units, USUAL.anchor)
+    usual = InputConventions.checked(options.units, options.anchor) == USUAL
     if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
         given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
         if any(isinstance(plan, Plan) for plan in given):
@@ -151,13 +151,7 @@ def _gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions
 
 
 def _load(given: Any, sim: Simulation, options: RunOptions) -> PlanSet:
-    return read_plans(
-        given,
-        limit=options.limit,
-        strict=options.strict,
-        extent_mm=_extent_mm(sim),
-        given=InputConventions(options.units, options.anchor),
-    )
+    return read_plans(given, options, extent_mm=_extent_mm(sim))
 
 
 def _extent_mm(sim: Simulation) -> tuple[float, float] | None:

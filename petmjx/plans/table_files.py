@@ -59,7 +59,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
                 raise TableError(f"row 1, column {number}: the name is not UTF-8 text{other_encoding(name)}") from error
         raise
     if not data[len(header) :].strip():
-        raise TableError("holds no plan")
+        raise TableError("holds no plan", len(where), is_own=True)
     reader = _CsvReader(delimiter, names, where["plan_id"])
     rows, numbers = reader.read(data)
     decimal = "," if delimiter == ";" and b"," in data and _has_decimal_commas(rows, where) else "."
@@ -208,6 +208,24 @@ def read_parquet(path: Path) -> Table:
             raise TableError("is not a whole Parquet file") from error
     columns = {name: as_column(rows.column(given)) for name, given in zip(where, chosen, strict=True)}
     return Table(columns, unread, np.arange(rows.num_rows))
+
+
+def parquet_frame(path: Path) -> pa.Table:
+    """All columns of a Parquet file.
+
+    Raises:
+        TableError: the file is damaged or too large. The error does not name the file.
+        OSError: the file cannot be read.
+    """
+    with open_for_arrow(path) as stream:
+        try:
+            with pq.ParquetFile(stream) as file:
+                names = file.schema_arrow.names
+            return read_within(stream, names)
+        except OversizedFile as error:
+            raise TableError(str(error)) from error
+        except (pa.ArrowException, OSError) as error:
+            raise TableError("is not a whole Parquet file") from error
 
 
 def frame_table(frame: Any) -> Table:

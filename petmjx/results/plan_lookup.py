@@ -13,7 +13,7 @@ from typing import Any
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
-from petmjx.options.run_options import RunOptions
+from petmjx.options.run_options import READING, RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.plan import Plan
@@ -135,13 +135,13 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
 
 
 def how_read(info: Mapping[str, Any]) -> RunOptions:
-    """The options with which a run read its plans: units, anchor and articles.
+    """The options with which a run read its plans: units, anchor, articles …
 
     Raises:
         InputError: the options are damaged.
     """
     config = info.get("config", {})
-    return RunOptions(**{name: config[name] for name in ("units", "anchor", "articles") if name in config})
+    return RunOptions(**{name: config[name] for name in (*READING, "articles") if name in config})
 
 
 def plan_file(source: str) -> Path | None:

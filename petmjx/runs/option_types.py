@@ -223,8 +223,14 @@ class RunOptionsGiven(TypedDict, total=False):
     workers: int | str | None
     ray: str | None
     limit: int | None
-    units: str
-    anchor: Literal["corner", "centre", "base-centre", "far-corner"]
+    units: str | None
+    anchor: Literal["corner", "centre", "base-centre", "far-corner"] | None
+    up: Literal["y", "z"] | None
+    sizes: Literal["placed", "item"] | None
+    columns: dict[str, str] | str | None
+    density: float | None
+    items: str | PathLike[str] | None
+    reading: str | PathLike[str] | None
     articles: str | PathLike[str] | None
     record: str | tuple[str, ...] | list[str] | None
     record_interval_s: float

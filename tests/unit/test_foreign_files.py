@@ -54,22 +54,19 @@ def table(delimiter: str = ",", **cells: str) -> str:
 
 
 KINDS = {
-    "workbook.xlsx": (workbook(), "is an Excel workbook (.xlsx): save the sheet as CSV"),
-    "workbook.csv": (workbook(), "is an Excel workbook (.xlsx): save the sheet as CSV"),
-    "workbook.json": (workbook(), "is an Excel workbook (.xlsx): save the sheet as CSV"),
+    "workbook.xlsx": (workbook(), "is a workbook without a table of boxes"),
+    "workbook.csv": (workbook(), "is a workbook without a table of boxes"),
+    "workbook.json": (workbook(), "is a workbook without a table of boxes"),
     "old.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(99), "is an Excel workbook of the old kind (.xls): "),
-    "sheet.ods": (archive("mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "is a workbook (.ods): save "),
-    "a.npy": (array(), "is a NumPy array (.npy): "),
-    "a.npz": (arrays(), "holds NumPy arrays (.npz): "),
+    "sheet.ods": (archive("mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "is not a whole workbook (.ods)"),
+    "a.npy": (array(), "holds no array of boxes (n, 6 to 64): array (3, 4)"),
+    "a.npz": (arrays(), "holds no array of boxes (n, 6 to 64): a (3,)"),
     "a.zip": (archive("plans.json"), "is a ZIP archive: unpack it"),
     "a.pkl": (pickle.dumps([1]), "is a Python pickle, which is never read"),
-    "scene.xml": (b'<?xml version="1.0"?>\n<mujoco/>', "is XML: plans are JSON, or tables in CSV or Parquet"),
-    "bare.xml": (b"\n <mujoco model='x'/>", "is XML: "),
+    "scene.xml": (b'<?xml version="1.0"?>\n<mujoco/>', "is a MuJoCo scene without a free body that is one box"),
+    "bare.xml": (b"\n <mujoco model='x'/>", "is a MuJoCo scene without a free body"),
     "page.csv": (b"<!DOCTYPE html><html>", "is a web page (HTML)"),
     "words.txt": (b"hello\nworld\n", "is text of another kind: plans are JSON, or tables whose names end in .csv"),
-    "table.txt": (table().encode(), "looks like a table as text: it is read as one if its name ends in .csv or .tsv"),
-    "table.dat": (b"sep=;\n" + table(";").encode(), "looks like a table as text: "),
-    "table.json": (table().encode(), "looks like a table as text: it is read as one if its name ends in .csv or .tsv"),
     "plans.csv": (b'{\n "a": []}', "is JSON: it is read as such if its name ends in .json"),
     "x.bin": (bytes(range(256)), "is no text: plans are JSON, or tables in CSV or Parquet"),
     "x.bz2": (b"BZh91AY", "is packed with bzip2: unpack it, or pack it with gzip"),
@@ -119,10 +116,9 @@ def test_workbooks_and_tables_in_place_of_other_files(tmp_path: Path) -> None:
             read_articles(tmp_path / name)
     with pytest.raises(InputError, match=r"book.xlsx: is an Excel workbook \(.xlsx\), not TOML"):
         read_toml(tmp_path / "book.xlsx")
-    for name, content in (("o.json", table()), ("o.csv", table()), ("p.csv", "id;n\na;1\n")):
-        (tmp_path / name).write_text(content)
-        with pytest.raises(InputError, match=f"{name}: is a table as text \\(CSV\\): orders are JSON"):
-            list(read_orders(tmp_path / name))
+    (tmp_path / "p.csv").write_text("id;n\na;1\n")
+    with pytest.raises(InputError, match=r"p.csv: lacks the sizes of items; there are id, n"):
+        list(read_orders(tmp_path / "p.csv"))
     (tmp_path / "a.csv").write_text('{"articles": {}}')
     with pytest.raises(InputError, match="is JSON: a table of articles is TOML, CSV or Parquet"):
         read_articles(tmp_path / "a.csv")
@@ -143,11 +139,9 @@ def test_other_kinds_are_named(name: str, tmp_path: Path, monkeypatch: pytest.Mo
 
 
 MESSAGES = {
-    "excel's mark": (b"sep=;\r\n" + table(";").encode(), 'row 1: "sep=;" is Excel\'s mark of the separator'),
-    "quoted mark": (b'"sep=,"\n' + table().encode(), 'row 1: "sep=," is Excel\'s mark of the separator'),
     "header": (
         table().replace("article", "L\u00e4nge").encode("cp1252"),
-        'row 1, column 3: the name is not UTF-8 text ("L\u00e4nge" in Windows-1252): save the file as UTF-8',
+        'row 2: L\u00e4nge must be a number, got "base"',
     ),
     "cell": (
         table(article="K\u00e4se").encode("cp1252"),
@@ -180,6 +174,29 @@ def test_what_other_programs_write_is_named_with_its_place(name: str, tmp_path: 
     (skipped,) = petmjx.load_plans(tmp_path / "plans.csv").skipped
     assert message in skipped.message
     assert "\\ud" not in skipped.message
+
+
+OWN = {
+    "table.txt": table().encode(),
+    "table.dat": b"sep=;\n" + table(";").encode(),
+    "table.json": table().encode(),
+    "mark.csv": b"sep=;\r\n" + table(";").encode(),
+    "quoted.csv": b'"sep=,"\n' + table().encode(),
+}
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_petmjx_s_own_table_is_read_under_any_name_and_mark(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(OWN[name])
+    with pytest.warns(petmjx.PlanWarning, match="read as petmjx's table; mm, kg; coordinates of corners; z upwards"):
+        (plan,) = petmjx.load_plans(tmp_path / name).plans
+    assert (plan.plan_id, plan.articles, plan.size_mm.tolist()) == ("a", ("base",), [[600.0, 400.0, 250.0]])
+
+
+def test_utf_16_is_read_as_utf_8(tmp_path: Path) -> None:
+    (tmp_path / "p.csv").write_bytes(table().encode("utf-16"))
+    (plan,) = petmjx.load_plans(tmp_path / "p.csv").plans
+    assert plan.plan_id == "a"
 
 
 def test_json_in_another_encoding(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import re
 import runpy
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,13 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import petmjx.gym
 from benchmarks.episodes import SETTINGS, episodes
-from petmjx.common.errors import InputError
+from petmjx.common.errors import InputError, PlanWarning
 from petmjx.engines.engine_choice import make_engine
 from petmjx.gym.actions import _in_turn
 from petmjx.gym.env import PalletizingEnv
 from petmjx.gym.vector_env import PalletizingVectorEnv
-from petmjx.loop.order_sources import KG_PER_M3, Orders
+from petmjx.loop.order_sources import Orders
+from petmjx.plans.item_orders import SET_KG_M3
 from petmjx.plans.order_generator import Item, Order
 from petmjx.show.pictures.picture_files import why_nothing_is_drawn
 
@@ -262,15 +264,20 @@ def test_orders_come_from_many_places(tmp_path: Path) -> None:
     for source, count, size, kg in (
         (table, 2, (400, 200, 100), 3),
         (tmp_path / "boxes.csv", 2, (400, 200, 100), 3),
-        (tmp_path / "opai.txt", 2, (620, 355, 130), 0.62 * 0.355 * 0.13 * KG_PER_M3),
-        (tmp_path / "deli.xlsx", 1, (245, 355, 390), 0.245 * 0.355 * 0.39 * KG_PER_M3),
+        (tmp_path / "opai.txt", 2, (620, 355, 130), 0.62 * 0.355 * 0.13 * SET_KG_M3),
+        (tmp_path / "deli.xlsx", 1, (245, 355, 390), 0.245 * 0.355 * 0.39 * SET_KG_M3),
         (FEW, 3, (600, 400, 200), 5),
     ):
-        first = Orders(source)._all[0]  # type: ignore[index]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PlanWarning)  # how other tools' files are read
+            first = Orders(source)._all[0]  # type: ignore[index]
         assert len(first) == count
         assert first.size_mm[0] == pytest.approx(size)
         assert first.mass_kg[0] == pytest.approx(kg)
-    assert [len(boxes) for boxes in Orders(tmp_path / "pg.xlsx")._all or []] == [3, 1]
+    with pytest.warns(PlanWarning, match="RoboBPP's pg.xlsx; 2 orders, 4 boxes; cm, kg"):
+        pallets = Orders(tmp_path / "pg.xlsx")._all or []
+    assert [len(boxes) for boxes in pallets] == [3, 1]
+    assert pallets[0].mass_kg.tolist() == [6.324] * 3
 
 
 def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
@@ -280,7 +287,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
         ({"actions": "cell"}, "unknown actions 'cell'"),
         ({"buffer": 2}, "buffer must be at most look_ahead, 1, got 2"),
         ({"rewards": {"plced": 1}}, "rewards: unknown term 'plced'"),
-        ({"orders": tmp_path / "bad.txt"}, "bad.txt: must have three lengths"),
+        ({"orders": tmp_path / "bad.txt"}, "bad.txt: line 1: must have three lengths"),
         ({"orders": tmp_path / "none.json"}, "none.json: cannot be read"),
         ({"orders": [order((2000, 2000, 100))]}, "orders: in 100 orders no box has a legal place"),
         ({"carrier": "footprint"}, "carrier: footprint depends"),

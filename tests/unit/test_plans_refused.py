@@ -172,7 +172,7 @@ FILE_FAULTS = [
     (b"{} x", "p.json: not JSON at line 1, column 4 (more text after the closing })"),
     (bytes(range(256)) * 20, "p.json: not JSON at line 1, column 1 (expected {)"),
     (gzip.compress(b"{}", mtime=0)[:11], "p.json: the gzip data is cut off"),
-    ("{}".encode("utf-16"), "p.json: is UTF-16 text; plans must be UTF-8"),
+    ("{}".encode("utf-16"), "p.json: holds no plan"),
     (b'{"A": ' + b"[" * 200_000, "p.json: plan A: not JSON at line 1, column 7 (nested too deeply)"),
     (b"[" * 200_000, "p.json: the top level must be an object of plan id → placements, got a list"),
     (b'{"A": ' + b"9" * 5000 + b"}", "p.json: plan A: must be a list of placements, got Infinity"),

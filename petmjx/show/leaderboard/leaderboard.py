@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -26,7 +25,7 @@ from petmjx.options.run_options import Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.packers.packer_registry import PACKERS
 from petmjx.plans.convention_checks import warn
-from petmjx.plans.order_reader import read_orders
+from petmjx.plans.order_reader import keep_orders, read_orders
 from petmjx.results.read_files import source_files
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 from petmjx.show.leaderboard.entries import Entry, Watch, enter, keep_plans, pack_ours, packer_sources
@@ -64,7 +63,7 @@ def leaderboard(
     Args:
         packers: name → folder of a run, or plans. Without names, packers are named after their folders and files.
         out: folder of the site.
-        orders: BED-BPP orders of the plans. The rating is about these orders, and KPIs are added. Without orders, the
+        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without them, the
             rating is about the orders for which any packer has a plan, so a packer's rating depends on the other
             packers.
         baselines: also pack the orders with each of petmjx's packers.
@@ -110,8 +109,7 @@ def leaderboard(
         files_of_board.check()
         files = {entry.name: keep_plans(entry, folder) for entry in rated.entries}
         if source is not None and keeps_orders:
-            with atomic_write(folder / ORDERS) as file:
-                shutil.copyfile(source, file)
+            keep_orders(source, folder / ORDERS)
         digests = {name: _digest(folder / PLANS / file) for name, file in files.items() if file}
         board = Board(
             rated.entries,

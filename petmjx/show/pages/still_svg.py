@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from petmjx.analysis.story import Story
 from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
 from petmjx.show.pages.page import escaped_html
 from petmjx.show.pages.palette import article_colours, hex_of, look, rgb_of
 from petmjx.show.pages.story_data import framed_corners
 from petmjx.world.rotation import corners, rotations
-from petmjx.world.scene import IDENTITY_QUAT
+from petmjx.world.scene import IDENTITY_QUAT, build_scene
 
 # The first view of petmjx/show/pages/static/camera.js, without its perspective.
 _LOOK: Final = look()
@@ -63,6 +65,32 @@ def still_svg(story: Story) -> str:
         mark = ' class="first"' if first else ""
         parts.append(f"<g{mark}><title>{escaped_html(names[k])}</title>{faces}</g>")
     label = f"Still picture of plan {story.plan.plan_id} as it ended"
+    return (
+        f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
+        f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'
+    )
+
+
+def plan_svg(plan: Plan) -> str:
+    """A plan as it is written, on its carrier, as SVG. Nothing is simulated."""
+    scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
+    boards = scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT))
+    pos = np.concatenate([scene.target, boards[0]])
+    axes = np.concatenate([np.tile(np.eye(3), (plan.n_boxes, 1, 1)), boards[1]])
+    half = np.concatenate([scene.half_size, boards[2]])
+    colours = article_colours(plan.articles)
+    fills = [*(colours[box] for box in range(plan.n_boxes)), *[hex_of(_LOOK["wood"])] * len(boards[0])]
+    names = [*(box_label(box, plan.articles[box]) for box in range(plan.n_boxes)), *["carrier"] * len(boards[0])]
+    flat = _projection(corners(pos, axes, half))
+    low, high = flat.reshape(-1, 2).min(axis=0), flat.reshape(-1, 2).max(axis=0)
+    scale = (_WIDTH - 2 * _MARGIN) / max(high[0] - low[0], 1.25 * (high[1] - low[1]))
+    low[0] -= ((_WIDTH - 2 * _MARGIN) / scale - (high[0] - low[0])) / 2
+    flat, height = (flat - low) * scale + _MARGIN, (high[1] - low[1]) * scale + 2 * _MARGIN
+    parts = []
+    for k in drawing_order(pos, axes, half):
+        faces = "".join(_face(flat[k], axes[k], fills[k], number) for number in range(6))
+        parts.append(f"<g><title>{escaped_html(names[k])}</title>{faces}</g>")
+    label = f"Plan {plan.plan_id} as it was read"
     return (
         f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
         f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'

@@ -1,0 +1,78 @@
+"""``petmjx info``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from petmjx.cli import command_options as opt
+from petmjx.common.atomic_write import atomic_write
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import printable
+from petmjx.options.run_options import READING
+
+
+@opt.takes(*READING, "limit")
+def info(
+    plans: Annotated[list[Path], typer.Argument(metavar="PLANS…", help=opt.PLANS_HELP)],
+    write_as: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-as",
+            metavar="FILE.toml",
+            help="Write down how the file is read. With --as FILE.toml it is then read without a guess.",
+            show_default=False,
+        ),
+    ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(
+            "--html",
+            metavar="FILE.html",
+            help="Write a page: pictures of the plans, columns, units, and the other readings.",
+            show_default=False,
+        ),
+    ] = None,
+    overwrite: opt.Overwrite = False,
+    as_json: opt.JsonOption = False,
+    **options: Any,
+) -> None:
+    """Say what files of packing plans are, how they are read, and what is odd. Nothing is simulated.
+
+    For files of other tools it names the columns, units, axes, anchor and turns, what was filled in, and the reading
+    that was next best. A file that can be read in two ways is refused, with both. Of a file of orders it says how
+    petmjx samples --orders reads it.
+    """
+    from petmjx.plans.reading_files import reading_toml
+    from petmjx.results.read_files import source_files
+    from petmjx.show.file_info import file_infos, info_lines
+
+    outputs = [path for path in (write_as, html) if path is not None]
+    if outputs:
+        check_outputs(outputs, overwrite=overwrite, inputs=source_files(plans))
+    infos, plan_set = file_infos(plans, options)
+    readings = plan_set.readings
+    if as_json:
+        print(json.dumps(infos, indent=2, ensure_ascii=False))
+    else:
+        for line in info_lines(infos):
+            print(printable(line))
+    if write_as is not None:
+        if len(readings) != 1:
+            what = "no file was guessed" if not readings else f"{len(readings)} files were read in ways of their own"
+            raise InputError(f"--write-as: {what}; name one file of another tool")
+        ((source, reading),) = readings.items()
+        with atomic_write(write_as) as hidden:
+            hidden.write_text(reading_toml(reading, source), encoding="utf-8")
+    if html is not None:
+        from petmjx.show.pages.reading_page import reading_page
+
+        with atomic_write(html) as hidden:
+            hidden.write_text(reading_page(plan_set, infos), encoding="utf-8")
+        typer.echo(f"page: {printable(str(html))}", err=True)
+    if not any(entry["plans"] or entry["orders"] for entry in infos):
+        raise InputError("no usable plan")

@@ -1,0 +1,732 @@
+"""Columns of other tools' tables by what they hold (``BoxColumns``): sizes, places, turns, weights and names of boxes.
+
+Here cells become numbers, and each bad cell a line that names its row and column. What the numbers mean – units, axes,
+anchors – is decided later (``petmjx.plans.readings``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, ColumnMeaning, column_meanings
+from petmjx.plans.foreign_formats import BED_BPP, BoxSource
+from petmjx.plans.plan_fields import joined_names
+from petmjx.plans.raw_cells import cell_number, cell_text, cell_triple, number_fault_of
+
+ROLES: Final = (
+    "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
+    "rotation", "plan", "sequence", "article", "item_id",
+)  # fmt: skip
+"""What a column may be said to hold, by the option ``columns``. ``sizes`` and ``position`` are three numbers in one
+column."""
+IGNORED: Final = "-"
+"""Instead of a column's name: no column holds this."""
+
+_ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
+_XYZ: Final = ("x", "y", "z")
+_WORDS: Final = ("length", "width", "height", "depth")
+_SIZE_SETS: Final = (
+    ("length", "width", "height"), ("width", "height", "depth"), ("length", "width", "depth"),
+    ("length", "height", "depth"), _XYZ, ("0", "1", "2"),
+)  # fmt: skip
+
+
+def role_of(axis: str) -> str:
+    """The role of a column of sizes along an axis (``Geometry.axes``)."""
+    return {"0": "1st size", "1": "2nd size", "2": "3rd size"}.get(axis, axis if axis in _WORDS else f"{axis} size")
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """Sizes and places of boxes, in the file's units, as one choice of columns gives them.
+
+    Attributes:
+        size: (n, 3) sizes in the order of ``axes``; NaN where a cell is bad.
+        place: (n, 3) coordinates along the file's first, second and third axis; NaN where a cell is bad.
+        axes: names of the sizes' axes: words, or x, y, z, or "0", "1", "2" if they have no names.
+        size_unit, place_unit: unit that names or cells give; "": none.
+        anchor: the point that names give; "": none.
+        placed: whether sizes are surely those as placed.
+        columns: role → name of its column.
+        prior: how unlikely the choice is by itself; 0: usual.
+        turn: (n, 3, 3) rotations of poses; None: no poses.
+        named_up: the vertical axis that names of places give; "": none.
+    """
+
+    size: FloatArray
+    place: FloatArray
+    axes: tuple[str, str, str]
+    size_unit: str = ""
+    place_unit: str = ""
+    anchor: str = ""
+    placed: bool = False
+    columns: Mapping[str, str] = field(default_factory=dict)
+    prior: float = 0.0
+    turn: FloatArray | None = None
+    named_up: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """A column of rotations.
+
+    Attributes:
+        column: its name.
+        rules: names of the rules that its values allow (``readings.ROTATION_RULES``).
+        codes: (n,) number of each turn: 0 to 5 as in py3dbp, or quarter turns; −1: not known.
+        letters: (n, 3) which size lies along each axis, of turns that are letters; None: there are none.
+    """
+
+    column: str
+    rules: tuple[str, ...]
+    codes: NDArray[np.int64]
+    letters: NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BoxColumns:
+    """The boxes of a source by column.
+
+    Attributes:
+        source: where they come from.
+        geometries: choices of columns for sizes and places.
+        turns: rotations; None: no column has any.
+        weight: (n,) weights in the file's unit; None: no column has any.
+        weight_unit: unit that the name or the cells give; "": none.
+        weight_is_density: whether ``weight`` is a density, in units of water's or kg/m³.
+        plan, article, item_id, group: (n,) names; None: no column.
+        sequence: (n,) packing order; None: no column. A running number is none: it may count in any order.
+        columns: role → name of its column, for what is not geometry.
+        faults: row → (column, text) of its first bad cell.
+        unread: names of columns that mean nothing here.
+    """
+
+    source: BoxSource
+    geometries: list[Geometry]
+    turns: Turns | None
+    weight: FloatArray | None
+    weight_unit: str
+    weight_is_density: bool
+    plan: list[str] | None
+    article: list[str] | None
+    item_id: list[str] | None
+    group: list[str] | None
+    sequence: FloatArray | None
+    columns: Mapping[str, str]
+    faults: Mapping[int, tuple[str, str]]
+    unread: tuple[str, ...]
+
+    @property
+    def n_boxes(self) -> int:
+        return len(self.source.boxes.table.rows)
+
+
+class Extraction:
+    """The columns of one source while they are taken apart."""
+
+    def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
+        self.source = source
+        self.table = source.boxes.table
+        self.faults: dict[int, tuple[str, str]] = {}
+        self.meanings = column_meanings(self.table.header)
+        if source.form.name == "packingsolver's certificate":
+            upper = {name.upper(): index for index, name in enumerate(self.table.header)}
+            self.meanings[upper["ID"]] = ColumnMeaning("article")
+            self.meanings[upper["TYPE"]] = None
+            self.meanings[upper.get("COPIES", upper["TYPE"])] = None
+        if source.form == BED_BPP:  # its item.sequence counts the order's items; the list is in packing order
+            self.meanings = [
+                None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
+            ]
+        self.fixed: dict[str, int] = {}
+        for role, name in chosen.items():
+            if role not in ROLES:
+                raise InputError(f"columns: unknown {printable_name(role)}; there are {', '.join(ROLES)}")
+            if name == IGNORED:
+                self.meanings = [
+                    None if meaning is not None and _role_of(meaning) == role else meaning for meaning in self.meanings
+                ]
+                continue
+            if name not in self.table.header:
+                names = ", ".join(map(printable_name, self.table.header[:20]))
+                raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
+            self.fixed[role] = self.table.header.index(name)
+
+    # Cells.
+
+    def cells(self, index: int) -> list[Any]:
+        return [row[index] for row in self.table.rows]
+
+    def bad(self, row: int, index: int, text: str) -> None:
+        self.faults.setdefault(row, (self.table.header[index], text))
+
+    def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
+        """(n,) numbers of a column, NaN where a cell is bad; and the unit of its name or cells ("": none)."""
+        meaning = self.meanings[index]
+        named = meaning.unit if meaning is not None and meaning.unit in units else ""
+        values = np.full(len(self.table.rows), np.nan)
+        of_cells: list[str] = []
+        numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+        for row, number in enumerate(numbers):
+            if number is None or not np.isfinite(number.value):
+                text = number_fault_of(self.table.rows[row][index], self.table.decimal)
+                self.bad(row, index, text if number is None else f"must be finite, got {number.value}")
+                continue
+            if number.unit and number.unit not in units:
+                self.bad(row, index, f"has the unit {number.unit}, which is none of {joined_names(sorted(units))}")
+                continue
+            values[row] = number.value
+            of_cells.append(number.unit)
+        written = {unit for unit in of_cells if unit}
+        if not written:
+            return values, named
+        target = "mm" if "mm" in units else "kg"
+        for row, number in enumerate(numbers):
+            if number is not None and not np.isnan(values[row]):
+                unit = number.unit or named or (written.copy().pop() if len(written) == 1 else "")
+                if not unit:
+                    self.bad(row, index, f"has no unit, unlike other rows, got {number.value:g}")
+                values[row] *= units.get(unit, 1.0)
+        return values, target
+
+    def triples(self, index: int) -> tuple[FloatArray, str]:
+        """(n, 3) numbers of a column with three in a cell; and the unit."""
+        meaning = self.meanings[index]
+        named = meaning.unit if meaning is not None and meaning.unit in LENGTH_UNITS else ""
+        values = np.full((len(self.table.rows), 3), np.nan)
+        unit = named
+        for row, cell in enumerate(self.cells(index)):
+            triple = cell_triple(cell, self.table.decimal)
+            if triple is None:
+                shown = (
+                    "is missing" if cell in (None, "") else f'must be three numbers, got "{printable_name(str(cell))}"'
+                )
+                self.bad(row, index, shown)
+                continue
+            cell_unit = next((number.unit for number in triple if number.unit in LENGTH_UNITS), "")
+            factor = LENGTH_UNITS[cell_unit] if cell_unit else 1.0
+            unit = "mm" if cell_unit else unit
+            values[row] = [number.value * factor for number in triple]
+        return values, unit
+
+    def joined(self, indices: Sequence[int]) -> tuple[FloatArray, str]:
+        """(n, 3) numbers of three columns, in one unit."""
+        parts = [self.numbers(index, LENGTH_UNITS) for index in indices]
+        units = {unit for _, unit in parts if unit}
+        if len(units) <= 1:
+            return np.stack([values for values, _ in parts], axis=1), next(iter(units), "")
+        return np.stack([values * LENGTH_UNITS.get(unit, 1.0) for values, unit in parts], axis=1), "mm"
+
+    # Geometry.
+
+    def columns_of(self, *kinds: str) -> dict[str, list[int]]:
+        """Axis → columns of these kinds that are about boxes."""
+        by_axis: dict[str, list[int]] = {}
+        for index, meaning in enumerate(self.meanings):
+            if meaning is not None and meaning.kind in kinds and not meaning.of_container:
+                by_axis.setdefault(meaning.axis, []).append(index)
+        return by_axis
+
+    def size_choices(self) -> list[tuple[FloatArray, tuple[str, str, str], str, bool, dict[str, str]]]:
+        """(sizes, axes, unit, placed, columns) for each way to take sizes from columns."""
+        header = self.table.header
+        if "sizes" in self.fixed:
+            values, unit = self.triples(self.fixed["sizes"])
+            return [(values, ("0", "1", "2"), unit, False, {"sizes": header[self.fixed["sizes"]]})]
+        chosen_columns = {axis: self.fixed[role_of(axis)] for axis in (*_WORDS, *_XYZ) if role_of(axis) in self.fixed}
+        sizes = {axis: list(columns) for axis, columns in self.columns_of("size").items()}
+        for role, index in chosen_columns.items():
+            sizes[role] = [index]
+        choices = []
+        for placed in (True, False):
+            for axes in _SIZE_SETS:
+                picked = [
+                    [index for index in sizes.get(axis, ()) if self._placed(index) == placed or axis in chosen_columns]
+                    for axis in axes
+                ]
+                if not all(picked):
+                    continue
+                for indices in _same_prefix(header, picked):
+                    values, unit = self.joined(indices)
+                    factor = 2.0 if any(self._half(index) for index in indices) else 1.0
+                    columns = {role_of(axis): header[index] for axis, index in zip(axes, indices, strict=True)}
+                    choices.append((values * factor, axes, unit, placed, columns))
+                if choices:
+                    return choices
+        for index, meaning in enumerate(self.meanings):
+            if meaning is not None and meaning.kind == "sizes" and not meaning.of_container:
+                values, unit = self.triples(index)
+                order = meaning.order if len(meaning.order) == 3 else ("0", "1", "2")
+                factor = 2.0 if meaning.half else 1.0
+                choices.append((values * factor, order, unit, meaning.placed, {"sizes": header[index]}))
+        return choices[:1]
+
+    def _placed(self, index: int) -> bool:
+        meaning = self.meanings[index]
+        return meaning is not None and meaning.placed
+
+    def _half(self, index: int) -> bool:
+        meaning = self.meanings[index]
+        return meaning is not None and meaning.half
+
+    def place_choices(self) -> list[tuple[FloatArray, str, str, dict[str, str], str]]:
+        """(places, unit, anchor, columns, vertical axis) for each way to take places from columns, the surest first."""
+        header = self.table.header
+        if "position" in self.fixed:
+            values, unit = self.triples(self.fixed["position"])
+            return [(values, unit, "", {"position": header[self.fixed["position"]]}, "")]
+        chosen_columns = [self.fixed.get(axis) for axis in _XYZ]
+        if all(index is not None for index in chosen_columns):
+            indices = [index for index in chosen_columns if index is not None]
+            values, unit = self.joined(indices)
+            return [(values, unit, "", {axis: header[index] for axis, index in zip(_XYZ, indices, strict=True)}, "")]
+        choices = []
+        by_anchor: dict[str, dict[str, list[int]]] = {}
+        for index, meaning in enumerate(self.meanings):
+            if meaning is None or meaning.kind not in ("position", "low") or meaning.of_container:
+                continue
+            anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
+            axis = _ON_AXES.get(meaning.axis, meaning.axis)
+            by_anchor.setdefault(anchor, {}).setdefault(axis, []).append(index)
+        for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
+            for role in _XYZ:
+                if role in self.fixed:
+                    by_axis[role] = [self.fixed[role]]
+            if not all(axis in by_axis for axis in _XYZ):
+                continue
+            for chosen in _same_prefix(header, [by_axis[axis] for axis in _XYZ]):
+                values, unit = self.joined(chosen)
+                words = {meaning.axis for index in chosen if (meaning := self.meanings[index]) is not None}
+                up = "z" if "height" in words else ""
+                columns = {axis: header[index] for axis, index in zip(_XYZ, chosen, strict=True)}
+                choices.append((values, unit, anchor, columns, up))
+                break
+        for index, meaning in enumerate(self.meanings):
+            if meaning is not None and meaning.kind == "positions" and not choices:
+                values, unit = self.triples(index)
+                choices.append((values, unit, meaning.anchor, {"position": header[index]}, ""))
+        return choices[:1]
+
+    def corner_choices(self) -> list[Geometry]:
+        """Geometries from the corners with the smallest and the largest coordinates."""
+        header = self.table.header
+        ends = [self.columns_of(kind) for kind in ("low", "position", "edge1", "edge2", "high")]
+        low, plain, first, second, high = ends
+        pairs = [(low, high), (first, second), (low, first), (plain, high), (plain, second)]
+        for begins, finishes in pairs:
+            begin = {_ON_AXES.get(axis, axis): columns for axis, columns in begins.items()}
+            finish = {_ON_AXES.get(axis, axis): columns for axis, columns in finishes.items()}
+            if not all(axis in begin and axis in finish for axis in _XYZ):
+                continue
+            lows = [begin[axis][0] for axis in _XYZ]
+            highs = [finish[axis][0] for axis in _XYZ]
+            corner, unit = self.joined(lows)
+            far, far_unit = self.joined(highs)
+            if unit != far_unit:
+                corner, far = (
+                    values * LENGTH_UNITS.get(name, 1.0) for values, name in ((corner, unit), (far, far_unit))
+                )
+                unit = "mm"
+            columns = {axis: header[index] for axis, index in zip(_XYZ, lows, strict=True)}
+            columns |= {f"{axis} (far)": header[index] for axis, index in zip(_XYZ, highs, strict=True)}
+            size = far - corner
+            for row in np.flatnonzero((size <= 0).any(axis=1)):
+                axis = int(np.flatnonzero(size[row] <= 0)[0])
+                self.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far[row, axis]:g}")
+                size[row] = np.nan
+            return [Geometry(size, corner, _XYZ, unit, unit, "corner", True, columns)]
+        return []
+
+    def pose_choices(self) -> list[Geometry]:
+        """Geometries from matrices, or from positions and quaternions."""
+        header = self.table.header
+        sizes = self.size_choices()
+        if not sizes:
+            return []
+        size, axes, unit, _, columns = sizes[0]
+        quaternions = self.columns_of("quaternion")
+        matrix = next(
+            (index for index in range(len(header)) if any(_is_matrix(row[index]) for row in self.table.rows[:3])), None
+        )
+        if matrix is not None:
+            rotations, places = np.full((len(size), 3, 3), np.nan), np.full((len(size), 3), np.nan)
+            for row, cell in enumerate(self.cells(matrix)):
+                array = _matrix_of(cell)
+                if array is None:
+                    self.bad(row, matrix, f"must be a 4×4 matrix of numbers{_bad_member(cell)}")
+                else:
+                    rotations[row], places[row] = array[:3, :3], array[:3, 3]
+            columns = {**columns, "pose": header[matrix]}
+            return [self._pose(size, places, axes, unit, unit, rotations, columns, matrix, "")]
+        places_of = self.place_choices() if quaternions else []
+        if not places_of:
+            return []
+        named = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
+        listed = [quaternions.get(str(axis), [None])[0] for axis in range(4)]
+        orders = [named] if None not in named else [listed, [listed[3], *listed[:3]]] if None not in listed else []
+        place, place_unit, anchor, more, _ = places_of[0]
+        geometries: list[Geometry] = []
+        poses: list[tuple[int, FloatArray, dict[str, str], int, float]] = []
+        for number, order in enumerate(orders):
+            indices = [index for index in order if index is not None]
+            values = np.stack([self.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
+            all_columns = {**columns, **more, "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]]}
+            if number == 1:
+                all_columns["order of quaternions"] = "x, y, z, w"
+            rotation = _rotations_of(values)
+            poses.append((int((_tilt(rotation) > _LEVEL).sum()), rotation, all_columns, indices[0], 0.4 * number))
+        least = min((tilted for tilted, *_ in poses), default=0)
+        for tilted, rotation, all_columns, index, prior in poses:
+            if tilted == least:
+                geometry = self._pose(size, place, axes, unit, place_unit, rotation, all_columns, index, anchor)
+                geometries.append(replace(geometry, prior=prior))
+        return geometries
+
+    def _pose(
+        self,
+        size: FloatArray,
+        place: FloatArray,
+        axes: tuple[str, str, str],
+        size_unit: str,
+        place_unit: str,
+        rotation: FloatArray,
+        columns: dict[str, str],
+        index: int,
+        anchor: str,
+    ) -> Geometry:
+        """A geometry of poses. Boxes that are not at right angles are refused."""
+        for row in np.flatnonzero(_tilt(rotation) > _LEVEL):
+            degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
+            self.bad(
+                int(row), index, f"is turned by {degrees:.3g}° out of right angles: only level boxes at right angles"
+            )
+        return Geometry(size, place, axes, size_unit, place_unit, anchor, True, columns, turn=np.abs(np.rint(rotation)))
+
+    def array_choices(self) -> list[Geometry]:
+        """Geometries of columns without names: sizes first or places first, or two corners."""
+        header, width = self.table.header, len(self.table.header)
+        starts = [start for start in (0, 1) if width >= start + 6]
+        geometries = []
+        for start in starts:
+            names = header[start : start + 6]
+            values = np.stack([self._quiet(start + offset) for offset in range(6)], axis=1)
+            first, second = values[:, :3], values[:, 3:]
+            prior = 0.8 * start
+            is_size = [_mostly(np.asarray((part > 0).all(axis=1))) for part in (first, second)]
+            are_ends = _mostly(np.asarray((second > first).all(axis=1)))
+            listed = tuple(map(role_of, "012"))
+            columns = dict(zip((*listed, *_XYZ), names, strict=True))
+            if is_size[0]:
+                geometries.append(Geometry(first, second, ("0", "1", "2"), columns=columns, prior=prior))
+            if is_size[1]:
+                swapped = dict(zip((*_XYZ, *listed), names, strict=True))
+                geometries.append(Geometry(second, first, ("0", "1", "2"), columns=swapped, prior=prior + 0.4))
+            if are_ends:
+                ends = dict(zip((*_XYZ, *(f"{axis} (far)" for axis in _XYZ)), names, strict=True))
+                corners = Geometry(second - first, first, _XYZ, "", "", "corner", True, ends, prior + 0.2)
+                geometries.append(corners)
+        for name in geometries[0].columns.values() if geometries else ():
+            self.numbers(header.index(name), LENGTH_UNITS)  # names bad cells
+        return geometries
+
+    def array_extras(self, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
+        """Rotations, the column of weights, and whether these are densities, of columns without names behind the first.
+
+        Whole numbers from 0 to 5 are rotations, numbers up to ``_DENSEST`` densities in those of water, all others
+        weights.
+        """
+        header = self.table.header
+        used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()
+        turns, weight, is_density = None, None, False
+        for index in range(max(used, default=-1) + 1, len(header)):
+            values = self._quiet(index)
+            whole = bool((values == np.rint(values)).all())
+            if whole and values.min() >= 0 and values.max() <= 5:
+                if values.max() > 0 and turns is None:
+                    rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
+                    turns = Turns(header[index], rules, values.astype(np.int64))
+            elif values.min() > 0 and weight is None:
+                weight, is_density = index, bool(values.max() <= _DENSEST)
+        return turns, weight, is_density
+
+    def _quiet(self, index: int) -> FloatArray:
+        numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+        values = np.array([np.nan if number is None else number.value for number in numbers])
+        with np.errstate(invalid="ignore"):
+            return np.where(np.isnan(values), np.nanmedian(values) if np.isfinite(values).any() else 1.0, values)
+
+    # The rest.
+
+    def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
+        """(n,) names of the first column of these kinds, and its name."""
+        index = self.fixed.get(role)
+        if index is None:
+            index = next(
+                (
+                    number
+                    for kind in kinds
+                    for number, meaning in enumerate(self.meanings)
+                    if meaning is not None and meaning.kind == kind and number not in self.fixed.values()
+                ),
+                None,
+            )
+        if index is None:
+            return None, ""
+        return [cell_text(cell) for cell in self.cells(index)], self.table.header[index]
+
+    def first(self, kind: str, role: str = "") -> int | None:
+        if role in self.fixed:
+            return self.fixed[role]
+        return next(
+            (
+                index
+                for index, meaning in enumerate(self.meanings)
+                if meaning is not None and meaning.kind == kind and not meaning.of_container
+            ),
+            None,
+        )
+
+    def turns(self) -> Turns | None:
+        """The column of rotations."""
+        index = self.first("rotation", "rotation")
+        if index is None:
+            return None
+        cells, name = self.cells(index), self.table.header[index]
+        known = [cell for cell in cells if cell not in (None, "")]
+        if not known:
+            return None
+        letters = [_letters_of(cell) for cell in cells]
+        codes = np.full(len(cells), -1, np.int64)
+        if sum(turn is not None for turn in letters) * 2 > len(known):
+            array = np.zeros((len(cells), 3), np.int64)
+            for row, turn in enumerate(letters):
+                if turn is None:
+                    self.bad(row, index, _shown_turn(cells[row], "three letters"))
+                else:
+                    array[row], codes[row] = turn, 0
+            return Turns(name, ("letters",), codes, array)
+        values = [_turn_number(cell, self.table.decimal) for cell in cells]
+        used = {value for value in values if value is not None}
+        whole = {value for value in used if float(value).is_integer()}
+        in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
+        if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
+            rules: tuple[str, ...] = ("degrees",)
+            allowed = [value is not None and value % 90 == 0 for value in values]
+            codes = np.array(
+                [
+                    int(value // 90) % 4 if ok and value is not None else -1
+                    for value, ok in zip(values, allowed, strict=True)
+                ]
+            )
+            kind = "a multiple of 90"
+        elif max(whole, default=0) <= 1:
+            rules, kind = ("swap", "py3dbp"), "0 or 1"
+            allowed = [value in (0, 1) for value in values]
+        elif 0 in whole or max(whole) <= 5:
+            rules, kind = ("py3dbp",) if 0 in whole else ("py3dbp", "py3dbp from 1"), "0 to 5"
+            allowed = [value is not None and value in range(6) for value in values]
+        else:
+            rules, kind = ("py3dbp from 1",), "1 to 6"
+            allowed = [value is not None and value in range(1, 7) for value in values]
+        if rules != ("degrees",):
+            codes = np.array(
+                [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
+                np.int64,
+            )
+        if sum(allowed) * 2 <= len(known):
+            return None  # words of another kind; sizes are then taken as placed
+        for row, ok in enumerate(allowed):
+            if not ok:
+                self.bad(row, index, _shown_turn(cells[row], kind))
+        return Turns(name, rules, codes)
+
+
+_DENSEST: Final = 1.5
+"""Largest density in a column without a name, in that of water; denser than any carton."""
+_LEVEL: Final = 2e-3
+"""Largest difference of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
+
+
+_MOST_SOUND: Final = 0.9
+"""Least share of rows without a header that must be what a column is taken for; the others have bad cells."""
+
+
+def _mostly(rows: NDArray[np.bool_]) -> bool:
+    sound = int(np.count_nonzero(rows))
+    return sound >= _MOST_SOUND * len(rows) or sound >= len(rows) - 1 > 1
+
+
+def _tilt(rotation: FloatArray) -> FloatArray:
+    """(n,) largest difference of the axes of (n, 3, 3) rotations from right angles."""
+    tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
+    return tilt
+
+
+def _role_of(meaning: ColumnMeaning) -> str:
+    if meaning.kind == "size":
+        return role_of(meaning.axis)
+    return meaning.axis if meaning.kind == "position" else {"positions": "position"}.get(meaning.kind, meaning.kind)
+
+
+def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
+    """Three columns of one object, such as ``dimensions.width`` … If none share an object, the first of each."""
+    by_prefix: dict[str, list[int]] = {}
+    for number, columns in enumerate(picked):
+        for index in columns:
+            by_prefix.setdefault(header[index].rpartition(".")[0], [-1] * len(picked))
+            slots = by_prefix[header[index].rpartition(".")[0]]
+            slots[number] = index if slots[number] < 0 else slots[number]
+    whole = [tuple(slots) for slots in by_prefix.values() if -1 not in slots]
+    return whole[:1] or [tuple(columns[0] for columns in picked)]
+
+
+def _is_matrix(cell: Any) -> bool:
+    return isinstance(cell, list | tuple) and _matrix_of(cell) is not None
+
+
+def _matrix_of(cell: Any) -> FloatArray | None:
+    try:
+        array = np.asarray(cell, dtype=float)
+    except (TypeError, ValueError):
+        return None
+    if array.shape == (16,):
+        array = array.reshape(4, 4)
+    return array if array.shape in ((4, 4), (3, 4)) and np.isfinite(array).all() else None
+
+
+def _bad_member(cell: Any) -> str:
+    """Which member of a matrix is no number, from 0, for messages; "": its shape is wrong."""
+    flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
+    for index, value in enumerate(flat):
+        number = cell_number(value)
+        if number is None or not np.isfinite(number.value):
+            return f", got {printable_name(str(value))} as number {index}"
+    return ""
+
+
+def _rotations_of(quaternion: FloatArray) -> FloatArray:
+    """(n, 3, 3) rotation matrices of (n, 4) quaternions w, x, y, z."""
+    with np.errstate(invalid="ignore"):
+        w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def _letters_of(cell: Any) -> tuple[int, int, int] | None:
+    """Which size lies along x, y and z, of three letters such as "YXZ" or "WLH"; None: they are no turn."""
+    text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
+    for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
+        if sorted(text) == sorted(letters):
+            return letters.index(text[0]), letters.index(text[1]), letters.index(text[2])
+    return None
+
+
+_YES: Final = frozenset(
+    ("true", "yes", "ja", "oui", "si", "sí", "tak", "rotated", "turned", "gedreht", "x", "y", "j", "1")
+)
+_NO: Final = frozenset(("false", "no", "nein", "non", "nie", "original", "none", "n", "0", "", "-"))
+
+
+def _turn_number(cell: Any, decimal: str) -> float | None:
+    if isinstance(cell, bool):
+        return float(cell)
+    number = cell_number(re.sub(r"\s*(°|deg|degrees|grad)$", "", cell) if isinstance(cell, str) else cell, decimal)
+    if number is not None and np.isfinite(number.value):
+        return number.value
+    text = cell_text(cell).lower()
+    return 1.0 if text in _YES else 0.0 if text in _NO else None
+
+
+def _shown_turn(cell: Any, kind: str) -> str:
+    return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
+
+
+def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> BoxColumns:
+    """The columns of a source by what they hold.
+
+    Args:
+        chosen: role (``ROLES``) → name of the column that holds it, or "-".
+
+    Raises:
+        InputError: a chosen column does not exist. Missing places and sizes leave ``geometries`` empty.
+    """
+    work = Extraction(source, chosen or {})
+    turns = None
+    geometries = work.pose_choices() if source.boxes.table.has_header else work.array_choices()
+    if source.boxes.table.has_header and not geometries:
+        places, sizes = work.place_choices(), work.size_choices()
+        for size, axes, size_unit, placed, columns in sizes:
+            for place, place_unit, anchor, more, up in places:
+                if size_unit and place_unit and size_unit != place_unit:
+                    size = size * LENGTH_UNITS[size_unit]
+                    place = place * LENGTH_UNITS[place_unit]
+                    size_unit = place_unit = "mm"
+                geometries.append(
+                    Geometry(size, place, axes, size_unit, place_unit, anchor, placed, {**columns, **more}, named_up=up)
+                )
+        if not geometries:
+            geometries = work.corner_choices()
+        turns = work.turns()
+    weight_index = work.first("weight", "weight")
+    density_index = work.first("density") if weight_index is None else None
+    if not source.boxes.table.has_header:
+        turns, extra, is_density = work.array_extras(geometries)
+        weight_index, density_index = (None, extra) if is_density else (extra, None)
+    weight, weight_unit = None, ""
+    if weight_index is not None:
+        if any(cell not in (None, "", 0, "0", 0.0) for cell in work.cells(weight_index)):
+            weight, weight_unit = work.numbers(weight_index, MASS_UNITS)
+    elif density_index is not None:
+        weight, weight_unit = work.numbers(density_index, {"kg/m3": 1.0})
+    sequence_index = work.first("sequence", "sequence")
+    sequence = None
+    if sequence_index is not None:
+        sequence, _ = work.numbers(sequence_index, {"": 1.0})
+    used = {name for geometry in geometries for name in geometry.columns.values()}
+    plan, plan_name = work.texts("plan", role="plan")
+    article, article_name = work.texts("article", role="article")
+    item_id, item_name = work.texts("item_id", "number", role="item_id")
+    if item_id is None and article is not None:
+        item_id, item_name = article, article_name
+    group, group_name = work.texts("group")
+    header = source.boxes.table.header
+    named = {
+        "weight": "" if weight_index is None else header[weight_index],
+        "density": "" if density_index is None else header[density_index],
+        "rotation": "" if turns is None else turns.column,
+        "sequence": "" if sequence_index is None else header[sequence_index],
+        "plan": plan_name,
+        "article": article_name,
+        "item_id": item_name,
+        "product_group": group_name,
+    }
+    known = used | set(named.values())
+    return BoxColumns(
+        source,
+        geometries,
+        turns,
+        weight,
+        weight_unit,
+        density_index is not None,
+        plan,
+        article,
+        item_id,
+        group,
+        sequence,
+        {role: name for role, name in named.items() if name},
+        work.faults,
+        tuple(name for name in header if name not in known),
+    )

@@ -1,0 +1,427 @@
+"""Column names of other tools' files (``ColumnMeaning``): words of six languages, units, axes and anchors.
+
+A name may be a header of a sheet ("Länge [mm]", "Pos. X", "Gewicht (kg)"), or the path of a value in JSON
+("position.x", "stackable.dx", "WHD[0]"). English, German, French, Spanish, Italian and Polish words are known, with and
+without accents, and the letters that people write for them (L, B, H).
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final, Literal
+
+Kind = Literal[
+    "size", "sizes", "position", "positions", "low", "high", "quaternion", "matrix", "weight", "density", "volume",
+    "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
+    "row_kind", "strength",
+]  # fmt: skip
+"""What a column holds. ``sizes`` and ``positions`` are three numbers in one cell; ``low`` and ``high`` are coordinates
+of the corners with the smallest and the largest x, y and z; ``sequence`` is a packing order, ``number`` a running
+number that may be one."""
+
+LENGTH_UNITS: Final = {
+    "mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "millimetre": 1.0, "millimetres": 1.0, "milimetry": 1.0,
+    "millimetri": 1.0, "milimetros": 1.0,
+    "cm": 10.0, "centimeter": 10.0, "centimeters": 10.0, "centimetre": 10.0, "centimetres": 10.0, "zentimeter": 10.0,
+    "dm": 100.0,
+    "m": 1000.0, "meter": 1000.0, "meters": 1000.0, "metre": 1000.0, "metres": 1000.0, "metri": 1000.0,
+    "metros": 1000.0,
+    "in": 25.4, "inch": 25.4, "inches": 25.4, "zoll": 25.4, "pouces": 25.4, "pulgadas": 25.4, "pollici": 25.4,
+    "cale": 25.4, "ft": 304.8, "feet": 304.8, "foot": 304.8,
+    "um": 0.001, "tick": 1 / 16000, "ticks": 1 / 16000,
+}  # fmt: skip
+"""Name of a unit of length → millimetres. A tick is the unit of packvium's files, 1/16000 mm."""
+MASS_UNITS: Final = {
+    "kg": 1.0, "kgs": 1.0, "kilogram": 1.0, "kilograms": 1.0, "kilo": 1.0, "kilos": 1.0, "kilogramm": 1.0,
+    "g": 0.001, "gr": 0.001, "gram": 0.001, "grams": 0.001, "gramm": 0.001, "grammes": 0.001, "gramos": 0.001,
+    "lb": 0.45359237, "lbs": 0.45359237, "pound": 0.45359237, "pounds": 0.45359237, "pfund": 0.5,
+    "oz": 0.028349523125, "t": 1000.0, "tonne": 1000.0, "tonnes": 1000.0,
+}  # fmt: skip
+"""Name of a unit of mass → kilograms."""
+
+
+def word_set(text: str) -> frozenset[str]:
+    """The words of a text."""
+    return frozenset(text.split())
+
+
+_SIZES: Final = {
+    "length": "length len lengths lange laenge longueur long longitud largo lunghezza lungh lung dlugosc dlug dl",
+    "width": "width widths wide breite breit br largeur larg ancho anchura anch larghezza largh szerokosc szer",
+    "height": "height heights high hoehe hohe ho hauteur haut alto altura altezza alt wysokosc wys",
+    "depth": "depth depths deep tiefe profondeur prof profundidad fondo profondita glebokosc gleb",
+}
+_X, _Y, _Z = ("x", "y", "z")
+_AXES: Final = {_X: 0, _Y: 1, _Z: 2}
+_POSITION: Final = word_set(
+    "pos position positions posn coord coords coordinate coordinates koordinate koordinaten loc location "
+    "placement place posizione posicion pozycja poz coordonnee coordonnees coordenada coordenadas coordinata "
+    "wspolrzedna wspolrzedne ubicacion emplacement origin start point punkt anchor offset translation xyz flb "
+    "flbcoordinates ecke corner coin esquina angolo rog left"
+)
+_LOW: Final = word_set("min minimum low lower start begin from von flb front minimal")
+_HIGH: Final = word_set("max maximum high upper end to bis rrt far maximal top")
+_CENTRE: Final = word_set(
+    "center centre centers centres centroid mid middle midpoint mitte mittelpunkt zentrum schwerpunkt milieu centro "
+    "centroide srodek com"
+)
+_BASE: Final = word_set("base bottom unten boden basis bas fondo podstawa")
+_PLACED: Final = word_set(
+    "placed rotated packed oriented final actual effective turned platziert gepackt gedreht place tourne girado"
+)
+_DIMENSIONS: Final = word_set(
+    "dimension dimensions dims dim size sizes masse abmessung abmessungen abmasse groesse grosse extent extents "
+    "dimensiones dimensioni dimensioni wymiary wymiar taille misure medidas shape lxwxh lxbxh lwh lbh whd wdh dwh hwd "
+    "wxhxd wxdxh lxlxh bxhxt dimensionen"
+)
+_HALF: Final = word_set("half halfsize halfextents halfextent")
+_CONTAINER: Final = word_set(
+    "container containers bin bins pallet pallets palette paletten paleta palet pale palety bancale bancali truck "
+    "carrier contenedor conteneur contenitore kontener ladungstrager ladetrager trailer vehicle lkw camion"
+)
+_WORDS: Final[dict[Kind, frozenset[str]]] = {
+    "weight": word_set(
+        "weight weights mass masses masse gewicht gew poids peso pesos waga masa ciezar wt wgt bruttogewicht kg"
+    ),
+    "density": word_set("density dichte densite densidad densita gestosc"),
+    "volume": word_set("volume vol volumen volumes objetosc objem kubatur"),
+    "rotation": word_set(
+        "rotation rotated rotationtype rot rt orientation orient orientierung ausrichtung drehung gedreht rotacion "
+        "rotazione rotacja orientacion orientazione orientacja tourne girado ruotato obrot angle winkel yaw "
+        "turned"
+    ),
+    "quantity": word_set(
+        "quantity qty quantities amount count copies menge anzahl stuck stueck stk quantite qte nombre cantidad "
+        "quantita ilosc liczba pieces pcs qta uds ud unidades stuckzahl anzahlstuck pezzi piezas sztuk"
+    ),
+    "layers": word_set("layers layer tiers lagen lage schichten couches couche capas strati warstwy"),
+    "sequence": word_set(
+        "sequence seq step steps order packingorder packorder loadorder loadingorder placementorder rank reihenfolge "
+        "schritt packreihenfolge ordre etape secuencia sequenza passo kolejnosc krok paso"
+    ),
+    "number": word_set(
+        "nr no num number numero nummer index idx lfd lfdnr lp n pos position row zeile ligne fila riga wiersz"
+    ),
+    "article": word_set(
+        "article articles artikel artikelnr artikelnummer sku skus product products produkt produkte produit articulo "
+        "articolo artykul producto prodotto material materialnr ref reference referencia riferimento type typ tipo "
+        "kind name names bezeichnung description beschreibung partno article_id codice codigo code kod item"
+    ),
+    "item_id": word_set(
+        "id ids uid uuid itemid boxid caseid box boxes case cases carton cartons karton packstuck packstueck colis "
+        "caja bulto collo scatola kiste barcode label ean sscc handle partno partnumber"
+    ),
+    "group": word_set("group productgroup gruppe warengruppe category kategorie categorie categoria"),
+    "plan": word_set("plan plans planid load stack batch solution pattern") | _CONTAINER,
+    "material": word_set("werkstoff"),
+    "strength": word_set("loadbear strength maxload tragkraft bearing"),
+}
+_LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
+    (("L", "l", "H"), ("length", "width", "height")),
+    (("L", "l", "h"), ("length", "width", "height")),
+    (("l", "w", "h"), ("length", "width", "height")),
+    (("l", "b", "h"), ("length", "width", "height")),
+    (("w", "h", "d"), ("width", "height", "depth")),
+    (("b", "h", "t"), ("width", "height", "depth")),
+    (("l", "h", "p"), ("width", "height", "depth")),
+    (("l", "p", "a"), ("width", "depth", "height")),
+    (("l", "w", "d"), ("length", "width", "depth")),
+    (("d", "s", "w"), ("length", "width", "height")),
+    (("l", "a", "h"), ("length", "width", "height")),
+)
+"""Letters of three columns → what they stand for: longueur, largeur, hauteur; Länge, Breite, Höhe; Breite, Höhe, Tiefe;
+largeur, hauteur, profondeur; larghezza, profondità, altezza; długość, szerokość, wysokość; largo, ancho, and H. The
+first rows tell capitals from small letters."""
+
+_LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
+"""Letters that stand for a size also alone."""
+_BOX: Final = word_set("box item case carton package pkg karton kiste caja colis collo placed dim size")
+
+_TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
+_UNIT_MARK: Final = re.compile(
+    r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
+)
+_INDEX: Final = re.compile(r"\[(\d+)\]")
+_ORDER: Final = re.compile(
+    r"(?<![a-z])([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])(?![a-z])", re.IGNORECASE
+)
+"""The order of three sizes in one cell: "Maße (LxBxH)"."""
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnMeaning:
+    """What the name of a column says.
+
+    Attributes:
+        kind: what the column holds.
+        axis: of sizes: length, width, height, depth, or x, y, z (``dx``, ``LX``); of positions: x, y, z, or the word of
+            a size; of both: "0", "1", "2" for the members of a list, from 0; "": no axis.
+        unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": none is named.
+        anchor: for positions, the point that the name says (``centre``, ``base-centre``, ``corner``); "": none.
+        placed: whether the name says that sizes are those of the box as placed.
+        half: whether sizes are half extents.
+        of_container: whether the column is about the container or pallet, not about the box.
+        letter: whether the axis was found from a single letter.
+        order: for three numbers in one cell, their axes, such as ("length", "width", "height"); empty: not named.
+    """
+
+    kind: Kind
+    axis: str = ""
+    unit: str = ""
+    anchor: str = ""
+    placed: bool = False
+    half: bool = False
+    of_container: bool = False
+    letter: bool = False
+    order: tuple[str, ...] = ()
+
+
+def plain_text(text: str) -> str:
+    """Text without accents: "Länge" → "Lange", "długość" → "dlugosc", "Maße" → "Masse"."""
+    text = text.replace("ł", "l").replace("Ł", "L").replace("ß", "ss").replace("µ", "u").replace("°", " deg ")
+    return "".join(letter for letter in unicodedata.normalize("NFKD", text) if not unicodedata.combining(letter))
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). "": none."""
+    for match in _UNIT_MARK.finditer(name):
+        word = plain_text(next(filter(None, match.groups()), "")).strip(" .").lower()
+        if word in LENGTH_UNITS or word in MASS_UNITS:
+            return (name[: match.start()] + name[match.end() :]).strip(), word
+    parts = re.split(r"[\s_.\-]+", name.strip())
+    if len(parts) > 1:
+        word = plain_text(parts[-1]).lower()
+        units = LENGTH_UNITS.keys() | MASS_UNITS.keys()
+        if (word in units and len(word) > 1) or (word in ("m", "g", "t") and parts[-1] == word):
+            return name.strip()[: -len(parts[-1])].rstrip(" _.-,"), word
+    camel = re.fullmatch(r"(.*[a-z])(Mm|Cm|Kg|MM|CM|KG|Lbs|Lb|Inches|Meters)", name.strip())
+    if camel is not None:
+        return camel[1], camel[2].lower()
+    return name, ""
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is only a unit, as in a line of units below headers: "mm", "[kg]"."""
+    word = plain_text(text).strip(" []().").lower()
+    return word in LENGTH_UNITS or word in MASS_UNITS
+
+
+def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
+    """What the names of a table's columns mean, in their order; None: the name is not known.
+
+    Single letters are read together: L, B and H are length, width and height, but B, H and T width, height and depth.
+    """
+    meanings = [_meaning(name) for name in names]
+    bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
+    single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
+    for letters, axes in _LETTERS:
+        strict = letters != tuple(letter.lower() for letter in letters)
+        places = [
+            next((index for index, base in single.items() if (base if strict else base.lower()) == letter), None)
+            for letter in letters
+        ]
+        if None in places:
+            continue
+        for index, axis in zip(places, axes, strict=True):
+            assert index is not None
+            unit = split_unit(names[index])[1]
+            meanings[index] = ColumnMeaning("size", axis, unit if unit in LENGTH_UNITS else "", letter=True)
+        break
+    else:
+        for index, base in single.items():
+            lone = _LONE.get(base.lower())
+            if meanings[index] is None and lone is not None:
+                meanings[index] = ColumnMeaning("size", lone, split_unit(names[index])[1], letter=True)
+    return meanings
+
+
+def words_of(name: str) -> list[str]:
+    """The words of a name, plain and in lower case: "posX [mm]" → pos, x; "stackable.dx" → stackable, dx."""
+    text = plain_text(name)
+    text = re.sub(r"(?<=[a-z])(?=[XYZ](?![a-z]))", " ", text)
+    return [match[0].lower() for match in _TOKEN.finditer(text)]
+
+
+@lru_cache(maxsize=1 << 14)
+def _meaning(name: str) -> ColumnMeaning | None:
+    base, unit = split_unit(name)
+    indices = _INDEX.findall(base)
+    index = indices[-1] if indices and base.endswith("]") else ""
+    written = _ORDER.search(base)
+    if written is not None:
+        order = _letters_order("".join(written.groups()))
+        return ColumnMeaning("sizes", unit=unit if unit in LENGTH_UNITS else "", order=order)
+    words = words_of(_INDEX.sub(" ", base))
+    if not words:
+        return None
+    if {_X, _Y, _Z} <= set(words) and not index:  # three coordinates in a cell: "Position (x, y, z)"
+        return ColumnMeaning("positions", unit=unit if unit in LENGTH_UNITS else "", anchor=_anchor_of(set(words)))
+    of_sharp = "ß" in name  # "Maße" are sizes, "Masse" is a mass
+    tail = words_of(_INDEX.sub(" ", base.rpartition(".")[2])) or words
+    path = words[: -len(tail)] if len(words) > len(tail) else []
+    length_unit = unit if unit in LENGTH_UNITS else ""
+    contained = bool(_CONTAINER.intersection(tail[:-1])) and tail[-1] not in _CONTAINER
+    meaning = _geometry(tail, path, index, of_sharp)
+    if meaning is not None:
+        return replace(meaning, unit=length_unit, of_container=contained)
+    kind = _kind_of(tail, path)
+    if kind is None:
+        return None
+    if kind == "weight":
+        return ColumnMeaning(kind, unit=unit if unit in MASS_UNITS else "", of_container=contained)
+    return ColumnMeaning(kind, unit=unit, axis=index, of_container=contained and kind in ("quantity", "volume"))
+
+
+def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> ColumnMeaning | None:
+    """The meaning of a name that is a size or a coordinate; None: it is none."""
+    words, context = set(tail), set(path)
+    everything = words | context
+    placed = bool(words & _PLACED or context & _PLACED)
+    half = bool(everything & _HALF) or "half" in everything
+    last = tail[-1]
+    primed = last == "'" and len(tail) > 1
+    if primed:
+        return ColumnMeaning("size", tail[-2], placed=True) if tail[-2] in _AXES else None
+    size_word = next((size for size, names in _SIZES.items() if words & set(names.split())), None)
+    if size_word is None and len(tail) == 2 and tail[0] in _BOX and last in _LONE:
+        size_word = _LONE[last]
+    if last == "qw":
+        return ColumnMeaning("quaternion", "w")
+    axis = next((word for word in reversed(tail) if word in _AXES), None)
+    numbered = next((word for word in reversed(tail) if word in ("1", "2")), None)
+    compact = re.fullmatch(r"([dlsw]|len|dim|size|extent|ext|box|siz)([xyz])", last) or (
+        re.fullmatch(r"([xyz])(len|length|dim|size|extent|width|span)", last)
+    )
+    if compact is not None and not words & _POSITION:
+        letter = compact[2] if compact[2] in _AXES else compact[1]
+        if last[1:] == "w" or last[:-1] == "w":
+            return None  # wx: an angular speed, or a word of another kind
+        return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
+    point = re.fullmatch(r"(c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last)
+    back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi)", last)
+    edge = re.fullmatch(r"([xyz])([012])", "".join(tail[-2:])) if numbered or last == "0" else None
+    mark, letter = (point[1], point[2]) if point else (back[2], back[1]) if back else ("", "")
+    if letter:
+        if mark == "q":
+            return ColumnMeaning("quaternion", letter)
+        if mark in ("c", "m", "ctr", "cen", "center", "centre", "mid"):
+            return ColumnMeaning("position", letter, anchor="centre")
+        return ColumnMeaning(
+            "low" if mark in ("min", "lo", "start") else "high" if mark in ("max", "hi", "end") else "position", letter
+        )
+    if edge is not None and not size_word:
+        return ColumnMeaning("low" if edge[2] in "0" else f"edge{edge[2]}", edge[1])  # type: ignore[arg-type]  # resolved by the caller
+    if everything & {"quaternion", "quat", "quaternions", "orientation"} and (axis or last == "w" or index):
+        return ColumnMeaning("quaternion", index or axis or last)
+    is_dims = bool(words & _DIMENSIONS or context & _DIMENSIONS)
+    if "masse" in words and not of_sharp and not index and axis is None:
+        is_dims = bool((words | context) & (_DIMENSIONS - {"masse"}))
+    if words & _CONTAINER and words & {"location", "nr", "no", "id"} and axis is None and not index:
+        return None
+    is_position = bool(everything & _POSITION) or bool(everything & _CENTRE and (axis or index))
+    if size_word and is_position and not is_dims and not index and "left" not in words:
+        return ColumnMeaning("position", size_word, anchor=_anchor_of(everything))
+    if size_word and not (words & {"unit", "units", "total", "max", "min", "sum", "weight"}):
+        return ColumnMeaning("size", size_word, placed=placed, half=half)
+    if axis is not None:
+        if is_dims or words & {"d", "delta", "l", "len", "size"} or half:
+            return ColumnMeaning("size", axis, placed=placed, half=half)
+        if everything & {"rotation", "rot", "angle", "euler"}:
+            return None
+        if len(tail) == 1 or is_position or everything & (_CENTRE | _LOW | _HIGH | _BASE):
+            if everything & _HIGH and not everything & {"left"}:
+                return ColumnMeaning("high", axis)
+            kind: Kind = "low" if everything & {"min", "minimum", "low", "lower"} else "position"
+            return ColumnMeaning(kind, axis, anchor=_anchor_of(everything))
+        return ColumnMeaning("position", axis) if len(tail) <= 2 and not words & {"bin", "grid"} else None
+    if index and is_dims:
+        return ColumnMeaning("size", _order_axis(everything, int(index)), placed=placed, half=half)
+    if index and (is_position or everything & (_LOW | _HIGH | _CENTRE)):
+        if everything & {"max", "high", "upper", "end"}:
+            return ColumnMeaning("high", index)
+        kind = "low" if everything & {"min", "low", "lower", "start"} else "position"
+        return ColumnMeaning(kind, index, anchor=_anchor_of(everything))
+    if not index and words & _DIMENSIONS and is_dims:
+        return ColumnMeaning("sizes", placed=placed, half=half, order=_orders(everything))
+    if not index and len(words & (_POSITION | _CENTRE)) and words & {
+        "position", "coordinates", "koordinaten", "coords", "xyz", "location", "flb", "corner", "placement", "center",
+        "centre", "coordonnees", "coordenadas", "coordinate", "wspolrzedne", "posizione", "posicion", "pozycja",
+    }:  # fmt: skip
+        return ColumnMeaning("positions", anchor=_anchor_of(everything))
+    return None
+
+
+def _order_axis(words: set[str], index: int) -> str:
+    """The axis of a member of a list of sizes: in WHD the second is the height; elsewhere "1"."""
+    order = _orders(words)
+    return order[index] if index < len(order) else str(index)
+
+
+def _orders(words: set[str]) -> tuple[str, ...]:
+    return next((order for word in sorted(words) if (order := _letters_order(word.replace("x", "")))), ())
+
+
+def _letters_order(letters: str) -> tuple[str, ...]:
+    """The sizes that three letters name, as "WHD" does; empty: they name none."""
+    for known, axes in _LETTERS:
+        if sorted(known) == sorted(letters):
+            return tuple(axes[known.index(letter)] for letter in letters)
+        plain = [letter.lower() for letter in known]
+        if sorted(plain) == sorted(letters.lower()) and len(set(plain)) == 3:
+            return tuple(axes[plain.index(letter)] for letter in letters.lower())
+    return ()
+
+
+def _anchor_of(words: set[str]) -> str:
+    if words & _CENTRE:
+        return "base-centre" if words & _BASE else "centre"
+    return "corner" if words & {"corner", "ecke", "flb", "flbcoordinates", "coin", "esquina", "angolo", "rog"} else ""
+
+
+_FIRST: Final[tuple[Kind, ...]] = (
+    "weight", "density", "volume", "quantity", "layers", "rotation", "strength", "group", "sequence",
+)  # fmt: skip
+
+
+def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
+    """What a name without axes means."""
+    words = set(tail)
+    joined = "".join(tail)
+    if joined == "m":
+        return "weight"
+    if joined in ("fragile", "color", "colour", "farbe", "status", "level"):
+        return None
+    for kind in _FIRST:
+        if words & _WORDS[kind] or joined in _WORDS[kind]:
+            if kind == "sequence" and words & {"id", "no", "nr", "nummer", "number"} and "order" in words:
+                return "plan"  # order_id: the customer's order
+            if kind == "quantity" and words & {"id", "nr", "no", "name"}:
+                break
+            if kind == "weight" and words & {"max", "limit", "capacity", "total", "maximum"}:
+                return None
+            if kind == "rotation" and words & {"allowed", "possible", "keep", "updown"}:
+                return None
+            return kind
+    if "row" in words and "type" in words:
+        return "row_kind"
+    if joined in ("auftrag", "auftragsnr", "commande", "pedido", "ordine", "zamowienie", "orderid", "planid"):
+        return "plan"
+    named = {"id", "name", "nr", "no", "number", "nummer", "index", "label", "numer"}
+    if words & _WORDS["plan"] and not words & {"item", "box", "case", "article", "artikel", "sku"}:
+        rest = words - _WORDS["plan"] - named - {"location"}
+        return "plan" if not rest else None
+    if words & {"sku", "article", "artikel", "artykul", "articulo", "articolo", "product", "produkt", "produit"}:
+        return "article"
+    if joined in _WORDS["item_id"] or (words & _WORDS["item_id"] and words <= _WORDS["item_id"] | named | {"item"}):
+        return "item_id"
+    if words <= _WORDS["number"] | {"lfd", "laufende"}:
+        return "number"
+    if joined in _WORDS["article"] or (words & _WORDS["article"] and words <= _WORDS["article"] | named):
+        return "article"
+    if "stackable" in path and "name" in words:
+        return "article"
+    return None

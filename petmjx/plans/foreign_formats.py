@@ -1,0 +1,651 @@
+"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, with what
+is known of the form.
+
+Sources of the forms: py3dbp (``Item.string``, ``get_dimension``; github.com/enzoruiz/3dbinpacking) and its fork with a
+web API (github.com/jerry800416/3D-bin-packing), packingsolver's certificates, 3d-bin-container-packing's placements,
+the solution file of D-Wave's example (github.com/dwave-examples/3d-bin-packing), packvium's results, MuJoCo's MJCF.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.file_kinds import foreign_kind
+from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.plans.column_names import column_meanings
+from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.nested_json import BoxList, box_lists, decoded_json
+from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
+from petmjx.plans.raw_tables import RawTable, decoded_text
+from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
+
+
+@dataclass(frozen=True, slots=True)
+class KnownForm:
+    """What is known of a form. Empty values are not known, and found by plausibility.
+
+    Attributes:
+        name: the form in words.
+        units: name of the unit of lengths; masses: of masses (``column_names``).
+        anchor: point of a box to which coordinates refer.
+        up: the vertical axis, "y" or "z".
+        sizes: "placed": sizes are those of the box as placed; "item": before it is turned.
+        rule: how a column of rotations turns a box (``readings.ROTATION_RULES``).
+    """
+
+    name: str
+    units: str = ""
+    masses: str = ""
+    anchor: str = ""
+    up: str = ""
+    sizes: str = ""
+    rule: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxSource:
+    """The boxes of a file, before they are understood.
+
+    Attributes:
+        boxes: list of boxes with places.
+        form: what is known of it.
+        notes: lines about how the file was taken apart.
+    """
+
+    boxes: BoxList
+    form: KnownForm
+    notes: tuple[str, ...] = ()
+
+
+MOST_BYTES: Final = 32 << 20
+"""Largest file of another tool: 200,000 boxes. As Python values they take ten times as much memory."""
+
+PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
+_UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
+PACKINGSOLVER: Final = replace(_UPRIGHT, name="packingsolver's certificate")
+JAVA: Final = replace(_UPRIGHT, name="3d-bin-container-packing")
+D_WAVE: Final = KnownForm("the solution of D-Wave's example", anchor="corner", sizes="placed", up="z")
+PACKVIUM: Final = replace(_UPRIGHT, name="packvium's result")
+BENCHMARK: Final = KnownForm("centres and dimensions as placed", anchor="centre", up="z", sizes="placed")
+SCENE: Final = KnownForm("a MuJoCo scene (MJCF)", "m", "kg", "centre", "z", "placed")
+OWN: Final = KnownForm("petmjx's table", "mm", "kg", "corner", "z", "item", "swap")
+BED_BPP: Final = KnownForm("BED-BPP", anchor="corner", up="z", sizes="item", rule="swap")
+ARRAY: Final = KnownForm("an array of numbers", anchor="corner", up="z")
+POSES: Final = KnownForm("poses", up="z")
+
+
+def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
+    """The lists of boxes in a file's bytes, the likeliest first. Lists may lack places or sizes.
+
+    Raises:
+        InputError: the file is none of the known forms, or is damaged. The error does not name the file.
+    """
+    if len(data) > MOST_BYTES:
+        raise NoBoxes(f"is larger than {MOST_BYTES >> 20} MiB, too large for a file of another tool")
+    head = bytes(data[:8])
+    if head.startswith(b"\x93NUMPY"):
+        return _sources_of_arrays({"": _loaded_array(data)})
+    if head.startswith(b"PK\x03\x04"):
+        if b".npy" in bytes(data[: 1 << 16]):
+            return _sources_of_arrays(_loaded_arrays(data))
+        if (kind := foreign_kind(data)) is not None and "ZIP" in kind:
+            raise InputError(kind)
+        return sources_of_tables(read_raw_tables(data))
+    text, _ = decoded_text(data)
+    start = text.lstrip("\ufeff \t\r\n")
+    if start.startswith("<"):
+        if re.search(r"<mujoco[\s>/]", start[:20_000]):
+            return [_scene(text)]
+        raise NoBoxes(foreign_kind(start.encode()[:4096]) or "is XML of another kind")
+    if start[:1] in ("{", "[") and not re.match(r"\[\s*[A-Za-z]", start):
+        try:
+            value = decoded_json(start)
+        except InputError as error:
+            if start.startswith("{") or "nested" in str(error):  # of which another reader says more
+                raise NoBoxes(str(error)) from None
+            raise
+        sources = [_with_known_form(boxes) for boxes in box_lists(value)]
+        if not sources:
+            raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
+        return sources
+    if (kind := foreign_kind(data)) is not None:
+        raise NoBoxes(kind)
+    if (printed := _printed(text)) is not None:
+        return [printed]
+    return sources_of_tables(read_raw_tables(data))
+
+
+def sources_of_tables(file: RawFile) -> list[BoxSource]:
+    """Tables as lists of boxes. Tables with the same header are parts of one list."""
+    groups: dict[tuple[str, ...], list[RawTable]] = {}
+    for table in file.tables:
+        groups.setdefault(table.header, []).append(table)
+    sources = []
+    for tables in groups.values():
+        rows = [row for table in tables for row in table.rows]
+        several_sheets = len({table.title for table in tables}) > 1
+        names = [
+            "/".join(filter(None, (table.title if several_sheets else "", table.part)))
+            for table in tables
+            for _ in table.rows
+        ]
+        places = [f"{table.title}, {place}" if several_sheets else place for table in tables for place in table.places]
+        lost = tuple(entry for table in tables for entry in table.lost)
+        notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
+        decimals = {table.decimal for table in tables if table.decimal != "."}
+        joined = replace(
+            tables[0],
+            rows=rows,
+            places=places,
+            lost=lost,
+            notes=notes,
+            decimal=decimals.pop() if len(decimals) == 1 else ".",
+        )
+        boxes = BoxList(joined, "", tuple(names), _containers_above(joined))
+        sources.append(_with_known_form(boxes, file.kind))
+    return sorted(sources, key=lambda source: (source.boxes.has_places, len(source.boxes.table.rows)), reverse=True)
+
+
+_SIZE_ABOVE: Final = re.compile(
+    r"(?:pallet|palette|container|bin|truck|paleta|pal[eé]|bancale|carrier|kontener|contenedor|conteneur)[^\d]{0,40}?"
+    r"(\d[\d.,]*)\s*[x×*]\s*(\d[\d.,]*)(?:\s*[x×*]\s*(\d[\d.,]*))?",
+    re.IGNORECASE,
+)
+
+
+def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
+    """The size of the carrier in the lines above a table: "Palette 1200 x 800"."""
+    for line in table.above:
+        if (match := _SIZE_ABOVE.search(line)) is not None:
+            numbers = [cell_number(part, table.decimal) for part in match.groups() if part]
+            if all(numbers):
+                values = [number.value for number in numbers if number is not None]
+                return {"": dict(zip(("length", "width", "height"), values, strict=False))}
+    return {}
+
+
+def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
+    """A list of boxes with what is known of its form, by the names of its fields."""
+    names = {name.lower() for name in boxes.table.header}
+    plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
+    around = {str(name).lower() for name in boxes.around}
+    if {"type", "id", "bin", "lx", "ly", "lz"} <= names:
+        return _certificate(boxes)
+    if any(name.startswith("x'") or name.endswith("x'") for name in names):
+        return _of_d_wave(boxes)
+    if "stackable.dx" in names:
+        return BoxSource(boxes, JAVA)
+    if "rotationtype" in plain and (names & {"width", "whd[0]", "whd"}):
+        kept, left = _without_corner_posts(boxes)
+        lines = (f"{count_text(left, 'corner post is', 'corner posts are')} left out",) if left else ()
+        name = "py3dbp's web API" if "fititem" in boxes.path.lower() else f"py3dbp ({kind})"
+        return BoxSource(kept, replace(PY3DBP, name=name), lines)
+    if {"item_type", "dimensions.length", "position.x", "orientation"} <= names:
+        return BoxSource(boxes, PACKVIUM)
+    of_benchmark = {"position.x", "dimensions.width", "dimensions.depth", "dimensions.height", "rotation"} <= names
+    if of_benchmark and names & {"sku_id", "sku", "skuid"} and "container" in around:
+        return BoxSource(boxes, BENCHMARK)
+    if {"flb_coordinates[0]", "orientation"} <= names:
+        return BoxSource(boxes, BED_BPP)
+    if {"length_mm", "width_mm", "height_mm", "x_mm", "y_mm", "z_mm"} <= names:
+        return BoxSource(boxes, OWN)
+    if not boxes.table.has_header:
+        return BoxSource(boxes, ARRAY)
+    if "matrix" in boxes.kinds or any("matrix" in name or "pose" in name or "transform" in name for name in names):
+        return BoxSource(boxes, POSES)
+    return BoxSource(boxes, KnownForm(kind))
+
+
+def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
+    """Boxes without the posts that the fork of py3dbp puts into the corners of its container; and their number."""
+    if "type" not in boxes.table.header:
+        return boxes, 0
+    kinds = boxes.table.column("type")
+    kept = [index for index, kind in enumerate(kinds) if kind != "corner"]
+    return (_rows(boxes, kept), len(kinds) - len(kept)) if kept else (boxes, 0)
+
+
+def _rows(boxes: BoxList, kept: Sequence[int]) -> BoxList:
+    table = replace(
+        boxes.table,
+        rows=[boxes.table.rows[index] for index in kept],
+        places=[boxes.table.places[index] for index in kept],
+    )
+    return replace(boxes, table=table, parts=tuple(boxes.parts[index] for index in kept) if boxes.parts else ())
+
+
+def _certificate(boxes: BoxList) -> BoxSource:
+    """packingsolver's certificate: rows of type ITEM are boxes; rows of type BIN are containers, COPIES times each."""
+    table = boxes.table
+    upper = {name.upper(): table.header.index(name) for name in table.header}
+    kinds = [cell_text(row[upper["TYPE"]]).upper() for row in table.rows]
+    items = [index for index, kind in enumerate(kinds) if kind not in ("BIN", "STACK")]
+    containers: dict[str, Mapping[str, float]] = {}
+    notes = []
+    for row, kind in zip(table.rows, kinds, strict=True):
+        if kind != "BIN":
+            continue
+        sizes = [cell_number(row[upper[name]], table.decimal) for name in ("LX", "LY", "LZ")]
+        if all(sizes):
+            containers[cell_text(row[upper["BIN"]])] = {
+                axis: number.value for axis, number in zip("xyz", sizes, strict=True) if number is not None
+            }
+        copies = cell_number(row[upper["COPIES"]]) if "COPIES" in upper else None
+        if copies is not None and copies.value > 1:
+            notes.append(
+                f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} alike, and is read once"
+            )
+    kept = _rows(boxes, items)
+    return BoxSource(replace(kept, containers=containers), PACKINGSOLVER, tuple(notes))
+
+
+def _of_d_wave(boxes: BoxList) -> BoxSource:
+    """The solution of D-Wave's example. Its bins stand one behind the other along x: each is moved to x = 0."""
+    dashes = re.compile(r"^[-=]{2,}$")
+    kept = [
+        index
+        for index, row in enumerate(boxes.table.rows)
+        if not all(cell is None or dashes.match(str(cell)) for cell in row)
+    ]
+    boxes = _rows(boxes, kept)
+    table = boxes.table
+    x = next((index for index, name in enumerate(table.header) if name.strip().lower() == "x"), None)
+    bins = next((index for index, name in enumerate(table.header) if name.lower().startswith("bin")), None)
+    if x is None or bins is None or len({row[bins] for row in table.rows}) < 2:
+        return BoxSource(boxes, D_WAVE)
+    first: dict[Any, float] = {}
+    for row in table.rows:
+        number = cell_number(row[x], table.decimal)
+        if number is not None:
+            first[row[bins]] = min(first.get(row[bins], np.inf), number.value)
+    rows = []
+    for row in table.rows:
+        number = cell_number(row[x], table.decimal)
+        moved = row[x] if number is None else number.value - first[row[bins]]
+        rows.append((*row[:x], moved, *row[x + 1 :]))
+    note = "bins stand one behind the other along x: each is moved to x = 0"
+    return BoxSource(replace(boxes, table=replace(table, rows=rows)), D_WAVE, (note,))
+
+
+# Printed text of py3dbp.
+
+_ITEM_LINE: Final = re.compile(
+    r"^\W*(?P<name>.*?)\((?P<width>[^x(),]+)x(?P<height>[^x(),]+)x(?P<depth>[^x(),]+),\s*weight:\s*(?P<weight>[^)]*)\)"
+    r"\s*pos\(\[?(?P<position>.*?)\]?\)\s*rt\((?P<rotation_type>[^)]*)\)"
+)
+_BIN_LINE: Final = re.compile(
+    r"^[:\W]*(?P<name>.*?)\((?P<width>[\d.]+)x(?P<height>[\d.]+)x(?P<depth>[\d.]+),\s*max_weight"
+)
+_FIELD_LINE: Final = re.compile(
+    r"^(name|partno|part no|color|position|rotation type|W\*H\*D|volume|weight)\s*:\s*(.*)$"
+)
+_PRINTED: Final = ("name", "width", "height", "depth", "weight", "pos x", "pos y", "pos z", "rotation_type")
+
+
+def _printed(text: str) -> BoxSource | None:
+    """The boxes in text that py3dbp or its fork printed; None: it is no such text."""
+    if "pos(" not in text and "W*H*D" not in text:
+        return None
+    rows: list[tuple[Any, ...]] = []
+    places: list[str] = []
+    parts: list[str] = []
+    lost: list[tuple[str, str]] = []
+    containers: dict[str, Mapping[str, float]] = {}
+    part, unfitted, fitted = "", False, 0
+    fields: dict[str, str] = {}
+    begun = 0
+    bins = 0
+
+    def end_fields() -> None:
+        if "position" in fields and not unfitted:
+            sizes = fields.get("W*H*D", "").split("*")
+            triple = _triple_cells(fields["position"])
+            name = fields.get("partno") or fields.get("part no") or fields.get("name")
+            if len(sizes) == 3 and len(triple) == 3:
+                rows.append((name, *sizes, fields.get("weight"), *triple, fields.get("rotation type")))
+                places.append(f"line {begun}")
+                parts.append(part)
+            else:
+                lost.append((f"line {begun}", "has no three sizes and coordinates"))
+        fields.clear()
+
+    for number, line in enumerate(text.splitlines(), start=1):
+        plain = line.strip()
+        if re.match(r"\W*UNFIT", plain, re.IGNORECASE):
+            end_fields()
+            unfitted = True
+        elif re.match(r"\W*FITTED", plain, re.IGNORECASE):
+            unfitted = False
+        elif (bin_line := _BIN_LINE.match(plain)) is not None:
+            end_fields()
+            bins += 1
+            part, unfitted = bin_line["name"].strip() or str(bins), False
+            if part in containers:
+                part = f"{part} ({bins})"
+            containers[part] = {axis: float(bin_line[axis]) for axis in ("width", "height", "depth")}
+        elif (item := _ITEM_LINE.match(plain)) is not None:
+            fitted += unfitted
+            if unfitted:
+                continue
+            triple = _triple_cells(item["position"])
+            if len(triple) != 3:
+                lost.append((f"line {number}", f"pos must be three numbers, got {len(triple)}"))
+                continue
+            cells = (item["width"], item["height"], item["depth"], item["weight"], *triple, item["rotation_type"])
+            rows.append((item["name"].strip(), *(cell.strip() or None for cell in cells)))
+            places.append(f"line {number}")
+            parts.append(part)
+        elif (entry := _FIELD_LINE.match(plain)) is not None:
+            if entry[1] in ("name", "partno", "part no") and fields:
+                end_fields()
+            begun = begun if fields else number
+            fields[entry[1]] = entry[2].strip()
+        elif plain.startswith("***"):
+            end_fields()
+        elif "pos(" in plain and not unfitted:
+            lost.append((f"line {number}", f"is no box as py3dbp prints it: {printable_name(plain)}"))
+    end_fields()
+    if not rows and not lost:
+        return None
+    parts = parts if len(set(parts)) > 1 else [""] * len(parts)
+    if not any(parts) and containers:
+        containers = {"": next(iter(containers.values()))}
+    table = RawTable(_PRINTED, rows, places, ".", lost=tuple(lost))
+    left = (f"{count_text(fitted, 'box is', 'boxes are')} not placed, and left out",) if fitted else ()
+    return BoxSource(BoxList(table, "", tuple(parts), containers, left), replace(PY3DBP, name="text printed by py3dbp"))
+
+
+def _triple_cells(text: str) -> list[str]:
+    """The three numbers of a printed position, as text, so that a bad one can be named."""
+    plain = re.sub(r"Decimal\(\s*['\"]?([^'\")]*)['\"]?\s*\)", r"\1", text).strip("[]() ")
+    return [part.strip() for part in plain.split(",")]
+
+
+# NumPy arrays.
+
+
+def _loaded_array(data: bytes | bytearray) -> Any:
+    try:
+        return np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise InputError(f"is not a whole NumPy array, or one of Python objects: {error}") from error
+
+
+def _loaded_arrays(data: bytes | bytearray) -> dict[str, Any]:
+    check_archive(data)
+    try:
+        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+            return {name: archive[name] for name in archive.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        raise InputError(f"is not a whole archive of NumPy arrays: {error}") from error
+
+
+def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
+    """Arrays as lists of boxes: one array with a row a box, or several with a row a box each.
+
+    Raises:
+        InputError: no array has rows of boxes.
+    """
+    named = {name: array for name, array in arrays.items() if getattr(array, "ndim", 0) >= 1}
+    for name, array in named.items():
+        if array.dtype.names:
+            header = tuple(array.dtype.names)
+            rows = [tuple(_cell_of(value) for value in row) for row in array.ravel().tolist()]
+            table = RawTable(header, rows, [f"row {index}" for index in range(len(rows))], title=name)
+            return [_with_known_form(BoxList(table, name, ("",) * len(rows)), "a NumPy array")]
+    containers = _containers_in(arrays)
+    columns = {
+        name: array
+        for name, array in named.items()
+        if (array.ndim <= 2 or array.shape[1:] in ((4, 4), (3, 4))) and not _is_container(name)
+    }
+    lengths = Counter(len(array) for array in columns.values())
+    if len(columns) > 1 and lengths and column_names_known(columns):
+        n_rows = lengths.most_common(1)[0][0]
+        header_list: list[str] = []
+        stacked: list[Any] = []
+        for name, array in columns.items():
+            if len(array) != n_rows:
+                continue
+            if array.ndim == 3:
+                header_list.append(name)
+                stacked.append(array.tolist())
+                continue
+            flat = array.reshape(n_rows, -1)
+            header_list += [name] if array.ndim == 1 else [f"{name}[{index}]" for index in range(flat.shape[1])]
+            stacked += [flat[:, index].tolist() for index in range(flat.shape[1])]
+        rows = list(zip(*stacked, strict=True))
+        table = RawTable(tuple(header_list), rows, [f"row {index}" for index in range(n_rows)])
+        return [_with_known_form(BoxList(table, "", ("",) * n_rows, containers), "NumPy arrays")]
+    sources = []
+    for name, array in named.items():
+        if _is_container(name) or array.dtype.kind not in "fiu":
+            continue
+        if array.ndim == 3 and array.shape[1:] in ((4, 4), (3, 4)):
+            rows = [(matrix,) for matrix in array.tolist()]
+            table = RawTable(("matrix",), rows, [f"row {index}" for index in range(len(rows))], title=name)
+            sources.append(BoxSource(BoxList(table, name, ("",) * len(rows), containers), POSES))
+            continue
+        plans = array if array.ndim == 3 else array[None] if array.ndim == 2 else None
+        if plans is None or not 6 <= plans.shape[2] <= 64:
+            continue
+        rows, places, parts = [], [], []
+        for number, plan in enumerate(plans.tolist()):
+            used = [index for index, row in enumerate(plan) if any(row)]
+            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length end with rows of zeros
+                rows.append(tuple(plan[index]))
+                places.append(f"row {index}" if array.ndim == 2 else f"plan {number}, row {index}")
+                parts.append("" if array.ndim == 2 else str(number))
+        if len(named) > 1:
+            parts = ["/".join(filter(None, (name, part))) for part in parts]
+        header = tuple(f"column {index}" for index in range(plans.shape[2]))
+        table = RawTable(header, rows, places, title=name, has_header=False)
+        sources.append(BoxSource(BoxList(table, name, tuple(parts), containers), ARRAY))
+    if not sources:
+        shapes = ", ".join(f"{name or 'array'} {getattr(array, 'shape', ())}" for name, array in arrays.items())
+        raise InputError(f"holds no array of boxes (n, 6 to 64): {printable_name(shapes)}")
+    return _as_plans(sources)
+
+
+def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
+    """Lists of boxes, those with the same columns as one list of several plans; the longest first."""
+    groups: dict[tuple[str, ...], list[BoxSource]] = {}
+    for source in sources:
+        groups.setdefault(source.boxes.table.header, []).append(source)
+    joined = []
+    for group in groups.values():
+        first = group[0]
+        tables = [source.boxes.table for source in group]
+        several = len(group) > 1
+        places = [f"{table.title}, {place}" if several else place for table in tables for place in table.places]
+        table = replace(tables[0], rows=[row for table in tables for row in table.rows], places=places)
+        parts = tuple(part for source in group for part in source.boxes.parts)
+        joined.append(replace(first, boxes=replace(first.boxes, table=table, parts=parts)))
+    return sorted(joined, key=lambda source: len(source.boxes.table.rows), reverse=True)
+
+
+def column_names_known(columns: Mapping[str, Any]) -> bool:
+    """Whether names of arrays are those of sizes and places."""
+    names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
+    kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
+    posed = any(array.ndim == 3 for array in columns.values())
+    return (posed or bool(kinds & {"position", "low"})) and bool(kinds & {"size", "high"})
+
+
+def _cell_of(value: Any) -> Any:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _is_container(name: str) -> bool:
+    return bool(re.search(r"bin|container|pallet", name, re.IGNORECASE)) and not re.search(r"id", name, re.IGNORECASE)
+
+
+def _containers_in(arrays: Mapping[str, Any]) -> dict[str, Mapping[str, float]]:
+    for name, array in arrays.items():
+        if _is_container(name) and getattr(array, "size", 0) == 3:
+            return {"": {str(axis): float(value) for axis, value in enumerate(np.ravel(array))}}
+    return {}
+
+
+# Scenes.
+
+_PALLET: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wall|robot|gripper", re.IGNORECASE)
+
+
+def _scene(text: str) -> BoxSource:
+    """The boxes of a MuJoCo scene: free bodies whose only shape is a box. MuJoCo itself reads the text.
+
+    Raises:
+        InputError: MuJoCo cannot read it, or no free body is a box.
+    """
+    import mujoco  # the code that understands all of MJCF: defaults, angles, masses from densities
+
+    try:
+        model = mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        text = " ".join(str(error).split())
+        number = re.search(r"[Ll]ine(?: number)?[ =](\d+)", text)
+        line = "" if number is None else f"line {number[1]}: "
+        raise InputError(f"{line}is a MuJoCo scene that MuJoCo refuses: {text}") from None
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    rows, places, pallets = [], [], 0
+    others: list[str] = []
+    for body in range(1, model.nbody):
+        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        if not any(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE for joint in joints):
+            continue
+        name = model.body(body).name or f"body {body}"
+        shapes = range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body])
+        solid = [shape for shape in shapes if model.geom_contype[shape] or model.geom_conaffinity[shape]] or list(
+            shapes
+        )
+        if _PALLET.search(name):
+            pallets += 1
+            continue
+        if len(solid) != 1 or model.geom_type[solid[0]] != mujoco.mjtGeom.mjGEOM_BOX:
+            others.append(name)
+            continue
+        shape = solid[0]
+        size = 2 * model.geom_size[shape]
+        matrix = np.eye(4)
+        matrix[:3, :3] = data.geom_xmat[shape].reshape(3, 3)
+        matrix[:3, 3] = data.geom_xpos[shape]
+        rows.append((name, *map(float, size), matrix.tolist(), float(model.body_mass[body])))
+        places.append(f"body {name}")
+    if others:
+        raise InputError(f"is a MuJoCo scene with free bodies that are not one box each: {first_names(others)}")
+    if not rows:
+        raise InputError("is a MuJoCo scene without a free body that is one box")
+    notes = []
+    if pallets:
+        notes.append(f"{count_text(pallets, 'body', 'bodies')} named as a pallet or floor left out")
+    table = RawTable(("name", "size_x", "size_y", "size_z", "matrix", "mass"), rows, places)
+    return BoxSource(BoxList(table, "", ("",) * len(rows)), SCENE, tuple(notes))
+
+
+# Python objects.
+
+
+def sources_of_object(value: Any) -> list[BoxSource]:
+    """The boxes of a Python object: py3dbp's packer, bin or list of bins; an array; nested dictionaries and lists.
+
+    Raises:
+        InputError: the object holds no boxes.
+    """
+    if isinstance(value, np.ndarray):
+        return _sources_of_arrays({"": value})
+    bins = _bins_of(value)
+    if bins:
+        return [_of_bins(bins)]
+    if isinstance(value, Mapping) and value and all(isinstance(inner, np.ndarray) for inner in value.values()):
+        return _sources_of_arrays(value)
+    sources = [_with_known_form(boxes, "Python values") for boxes in box_lists(value)]
+    if not sources:
+        raise InputError("holds no boxes: petmjx looks for objects with places and sizes")
+    return sources
+
+
+def sources_of_frame(frame: Any) -> list[BoxSource]:
+    """The boxes of a data frame whose columns have other names. Rows count from 0.
+
+    Raises:
+        NoBoxes: the frame is no table.
+    """
+    try:
+        if hasattr(frame, "iloc") and hasattr(frame, "columns"):
+            header = tuple(str(name) for name in frame.columns)
+            rows = [tuple(_plain(cell) for cell in row) for row in frame.itertuples(index=False, name=None)]
+        else:
+            import pyarrow as pa
+
+            table = pa.table(frame)
+            header = tuple(table.column_names)
+            rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
+    except Exception as error:  # whatever an object raises that is no table
+        raise NoBoxes(f"is no table: {type(error).__name__}") from None
+    places = [f"row {number}" for number in range(len(rows))]
+    raw = RawTable(header, rows, places, decimal_of(rows))
+    return [_with_known_form(BoxList(raw, "", ("",) * len(rows)), "a data frame")]
+
+
+def _plain(cell: Any) -> Any:
+    """A cell of pandas as a Python value; None where it is missing."""
+    cell = cell.item() if isinstance(cell, np.generic) else cell
+    return None if cell is None or (isinstance(cell, float) and np.isnan(cell)) else cell
+
+
+def _bins_of(value: Any) -> list[Any]:
+    """The bins of py3dbp's objects; empty: the object is none of them."""
+    if isinstance(value, Mapping | str | bytes | np.ndarray) or value is None:
+        return []
+    if isinstance(value, list | tuple):
+        bins = [holder for inner in value for holder in _bins_of(inner)]
+        return bins if value and all(_bins_of(inner) for inner in value[:3]) else []
+    if isinstance(getattr(value, "bins", None), list):
+        return [holder for holder in value.bins if getattr(holder, "items", None)]
+    items = getattr(value, "items", None)
+    if (
+        isinstance(items, list)
+        and items
+        and all(hasattr(items[0], name) for name in ("position", "rotation_type", "width"))
+    ):
+        return [value]
+    return []
+
+
+def _of_bins(bins: Sequence[Any]) -> BoxSource:
+    rows, places, parts = [], [], []
+    containers: dict[str, Mapping[str, float]] = {}
+    left = 0
+    for number, holder in enumerate(bins, start=1):
+        name = str(getattr(holder, "name", None) or getattr(holder, "partno", None) or number)
+        part = name if len(bins) == 1 or name not in containers else f"{name} ({number})"
+        containers[part] = {axis: float(getattr(holder, axis)) for axis in ("width", "height", "depth")}
+        left += len(getattr(holder, "unfitted_items", None) or ())
+        for index, item in enumerate(holder.items):
+            position = list(item.position)
+            label = getattr(item, "name", None) or getattr(item, "partno", None) or ""
+            cells = (item.width, item.height, item.depth, getattr(item, "weight", None), *position, item.rotation_type)
+            rows.append((str(label), *(cell_triple_value(cell) for cell in cells)))
+            places.append(f"bin {name}, item {index}")
+            parts.append(part)
+    table = RawTable(_PRINTED, rows, places)
+    lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
+    return BoxSource(BoxList(table, "", tuple(parts), containers, lines), replace(PY3DBP, name="py3dbp's objects"))
+
+
+def cell_triple_value(value: Any) -> Any:
+    """A number of a Python object as a float; other values unchanged."""
+    number = cell_number(value)
+    return value if number is None else number.value

@@ -1,0 +1,582 @@
+"""Plans of other tools' files (``read_foreign``): columns are understood, a reading is chosen, and boxes become the
+same checked table of placements as those of petmjx's own forms."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.checked_records import reason
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names, printable, printable_name
+from petmjx.common.units import FloatArray
+from petmjx.plans.box_columns import BoxColumns, box_columns, role_of
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, words_of
+from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.foreign_formats import PACKINGSOLVER, BoxSource, sources_of_bytes
+from petmjx.plans.input_conventions import Limits
+from petmjx.plans.json_reader import unpacked_bytes
+from petmjx.plans.nested_json import BoxList
+from petmjx.plans.placement_table import RefusedPlan, Table, as_column
+from petmjx.plans.plan_fields import (
+    FARTHEST_MM,
+    LARGEST_KG,
+    LARGEST_MM,
+    SMALLEST_KG,
+    SMALLEST_MM,
+    coordinate_fault,
+    positive_fault,
+)
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
+from petmjx.plans.raw_cells import GROUPED, cell_number, cell_text
+from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.reading_candidates import Candidate, layout_of
+from petmjx.plans.reading_choice import TIE, choose_reading, container_of
+from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
+
+USUAL_KG_M3: Final = 300.0
+"""Density of boxes if a file has no weights, that of cartons in BED-BPP's orders. Verdicts hardly depend on it, where
+all boxes have the same."""
+_WATER_KG_M3: Final = 1000.0
+_RELATIVE: Final = 1.5
+"""Densities up to this are in those of water."""
+_MATCHED: Final = 0.9
+"""Least share of boxes whose item is in a table of items that belongs to them."""
+PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignPlans:
+    """The plans of a file of another tool.
+
+    Attributes:
+        table: the good plans, as a table of placements in millimetres and kilograms; None: there are none.
+        refused: plans and rows that cannot be used.
+        reading: how the file was read.
+        containers: plan id → x, y and z size of its container, mm; NaN where not known.
+    """
+
+    table: Table | None
+    refused: tuple[RefusedPlan, ...]
+    reading: Reading
+    containers: Mapping[str, FloatArray]
+
+
+def read_foreign(
+    data: bytes | bytearray, path: Path, source: str, wishes: Wishes, items: Path | None = None
+) -> ForeignPlans:
+    """The plans in a file's bytes.
+
+    Args:
+        source: name of the file in messages.
+        items: file with the sizes and weights of items, for files of places alone; None: none, or the one beside.
+
+    Raises:
+        AmbiguousFile: the file can be read in two ways.
+        InputError: the file holds no plans. The lines do not name the file.
+    """
+    return plans_of_sources(sources_of_bytes(data, path), path, source, wishes, items)
+
+
+def plans_of_sources(
+    sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes, items: Path | None = None
+) -> ForeignPlans:
+    """The plans in lists of boxes, the likeliest first. Arguments and errors are those of :func:`read_foreign`."""
+    chosen = _with_items(sources, path, items)
+    if chosen.boxes.table.decimal:
+        return _plans_of(chosen, sources, path, source, wishes)
+    try:
+        first = _plans_of(_with_decimal(chosen, ","), sources, path, source, wishes)
+    except InputError:
+        first = None
+    try:
+        second = _plans_of(_with_decimal(chosen, GROUPED), sources, path, source, wishes)
+    except InputError:
+        second = None
+    both = [plans for plans in (first, second) if plans is not None]
+    best = min(both, key=lambda plans: plans.reading.cost, default=None)
+    if best is None or (len(both) == 2 and abs(both[0].reading.cost - both[1].reading.cost) < TIE):
+        return _plans_of(chosen, sources, path, source, wishes)  # names a number that may be two
+    return best
+
+
+def _with_decimal(source: BoxSource, decimal: str) -> BoxSource:
+    note = "decimal commas" if decimal == "," else "marks between thousands"
+    table = replace(source.boxes.table, decimal=decimal, notes=(*source.boxes.table.notes, note))
+    return replace(source, boxes=replace(source.boxes, table=table))
+
+
+def _plans_of(
+    chosen: BoxSource, sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes
+) -> ForeignPlans:
+    columns = box_columns(chosen, wishes.columns)
+    if not columns.geometries or not columns.n_boxes:
+        raise _no_geometry(columns, sources, path, source)
+    written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
+    columns = replace(columns, geometries=written or columns.geometries)
+    return _Builder(columns, source, wishes).plans()
+
+
+# Items beside the places.
+
+
+def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
+    """The list of boxes with places, with sizes and weights from a table of items where it lacks them."""
+    best = sources[0]
+    if items is not None:
+        tables = sources_of_bytes(bytes_of(items), items)
+        joined = with_items_of(best, tables[0], printable(str(items)))
+        if joined is None:
+            raise InputError(f"{printable(str(items))}: its items are not those of the boxes")
+        return joined
+    if best.boxes.has_places and not best.boxes.has_sizes:
+        for other in sources[1:]:
+            if (
+                other.boxes.has_sizes
+                and (joined := with_items_of(best, other, other.boxes.path or "the other table")) is not None
+            ):
+                return joined
+    if path is not None and best.boxes.has_places and not best.boxes.has_sizes:
+        return _with_articles_beside(best, path)
+    if best.form == PACKINGSOLVER and path is not None:
+        return _with_items_beside(best, path)
+    return best
+
+
+_OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
+_MOST_BESIDE: Final = 20
+"""Most files of items that are looked at beside a file of places alone."""
+
+
+def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
+    """Boxes with the sizes of the items in a file beside theirs, if exactly one such file has them."""
+    try:
+        beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
+    except OSError:
+        return best
+    joined = []
+    for file in beside[:_MOST_BESIDE]:
+        try:
+            source = sources_of_bytes(bytes_of(file), file)[0]
+        except InputError:
+            continue  # another file
+        if source.boxes.has_sizes and (whole := with_items_of(best, source, file.name)) is not None:
+            joined.append(whole)
+    return joined[0] if len(joined) == 1 else best
+
+
+def bytes_of(path: Path) -> bytearray:
+    try:
+        data, fault = unpacked_bytes(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{printable(str(path))}: cannot be read ({reason(error)})") from None
+    if fault is not None:
+        raise InputError(f"{printable(str(path))}: {fault}")
+    return data
+
+
+def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
+    """packingsolver's certificate with the weights of the items file beside it, if their sizes agree."""
+    stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
+    for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
+        beside = path.with_name(name)
+        if beside == path or not beside.is_file():
+            continue
+        joined = with_items_of(best, sources_of_bytes(bytes_of(beside), beside)[0], name, by_number=True)
+        if joined is not None:
+            return joined
+        return replace(best, notes=(*best.notes, f"{name} beside it has other items, and is not read"))
+    return replace(best, notes=(*best.notes, "no items file is beside it (NAME_items.csv), which would have weights"))
+
+
+def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
+    """Boxes with the columns of their items added; None: the items are not theirs.
+
+    Args:
+        by_number: whether the box's column ID counts the rows of items from 0; sizes must then agree.
+    """
+    table, other = best.boxes.table, items.boxes.table
+    rows = _rows_by_number(table, other) if by_number else _rows_by_name(table, other)
+    if rows is None:
+        return None
+    added = [index for index, column in enumerate(other.header) if column not in table.header]
+    if by_number:
+        added = [index for index in added if other.header[index].upper() == "WEIGHT"]
+    header = (*table.header, *(other.header[index] for index in added))
+    cells = [
+        (*row, *(None if item is None else other.rows[item][index] for index in added))
+        for row, item in zip(table.rows, rows, strict=True)
+    ]
+    joined = replace(table, header=header, rows=cells)
+    note = f"sizes and weights from {name}" if not by_number else f"weights from {name}"
+    return replace(best, boxes=replace(best.boxes, table=joined), notes=(*best.notes, note))
+
+
+def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None:
+    upper = {name.upper(): index for index, name in enumerate(table.header)}
+    theirs = {name.upper(): index for index, name in enumerate(other.header)}
+    if not {"X", "Y", "Z"} <= theirs.keys():
+        return None
+    rows: list[int | None] = []
+    alike = 0
+    for row in table.rows:
+        number = cell_number(row[upper["ID"]])
+        index = None if number is None or not 0 <= number.value < len(other.rows) else int(number.value)
+        rows.append(index)
+        if index is not None:
+            one = sorted(number.value for name in ("LX", "LY", "LZ") if (number := cell_number(row[upper[name]])))
+            two = sorted(number.value for name in "XYZ" if (number := cell_number(other.rows[index][theirs[name]])))
+            alike += len(one) == len(two) and bool(np.allclose(one, two))
+    return rows if alike >= _MATCHED * max(len(table.rows), 1) else None
+
+
+def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
+    """The row of each box's item, by the pair of columns whose values agree most."""
+    best, most = None, _MATCHED * max(len(table.rows), 1)
+    for theirs in range(len(other.header)):
+        names: dict[str, int] = {}
+        for number, row in enumerate(other.rows):
+            names.setdefault(cell_text(row[theirs]), number)
+        names.pop("", None)
+        if len(names) < len(other.rows):
+            continue
+        for ours in range(len(table.header)):
+            rows = [names.get(cell_text(row[ours])) for row in table.rows]
+            matched = sum(row is not None for row in rows)
+            text = any(not cell_text(row[ours]).replace(".", "").isdigit() for row in table.rows[:5])
+            if matched + 0.5 * text > most:
+                best, most = rows, matched + 0.5 * text
+    return best
+
+
+def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> InputError:
+    """Why a file has no places or sizes, and what to do. ``NoBoxes``: it seems to be no file of boxes at all."""
+    boxes = columns.source.boxes
+    kinds = set().union(*(other.boxes.kinds for other in sources))
+    file = source if path is None else printable(str(path))
+    quantities = bool(kinds & {"quantity", "layers"})
+    sized = boxes.has_sizes or bool(kinds & {"size", "sizes"})
+    places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"})
+    if not columns.n_boxes:
+        return InputError("holds no box")
+    items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
+    if quantities and (items_of_packingsolver or (sized and not places_named)):
+        what = "quantities and layers" if "layers" in kinds else "quantities"
+        return InputError(f"has types of boxes with {what}, and no places: {PACK.format(file=file)}")
+    names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
+    if places_named and not sized:
+        return InputError(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
+    if sized and not places_named:
+        return InputError(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
+    if sized:
+        return InputError(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
+    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; say which with --columns x=NAME,…")
+
+
+# Rows become plans.
+
+
+class _Builder:
+    """The plans of one list of boxes."""
+
+    def __init__(self, columns: BoxColumns, source: str, wishes: Wishes) -> None:
+        self.columns, self.source, self.wishes = columns, source, wishes
+        self.boxes: BoxList = columns.source.boxes
+        self.places = self.boxes.table.places
+        self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
+        self.faults: dict[int, str] = {}
+
+    def plans(self) -> ForeignPlans:
+        names = self._plan_names()
+        rows_of: dict[str, list[int]] = {}
+        for row, name in enumerate(names):
+            rows_of.setdefault(name, []).append(row)
+        plans = {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
+        try:
+            lost = self._plans_with_lost(names)
+            reading, candidate = choose_reading(self.columns, plans, self.wishes, lost)
+        except AmbiguousFile:
+            if not self.boxes.table.lost:
+                raise
+            place, fault = self.boxes.table.lost[0]  # what is missing makes the rest implausible
+            raise InputError(f"{place}: {fault}") from None
+        self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
+        size, low, containers = self._geometry(reading, candidate, plans)
+        self._check_ranges(reading, candidate, size, low)
+        mass = self._masses(reading, size)
+        refused: list[RefusedPlan] = []
+        good: dict[str, NDArray[np.int64]] = {}
+        sequences: list[NDArray[np.int64]] = []
+        orders: list[str] = []
+        for name, rows in plans.items():
+            where = f"{self.source}: plan {printable_name(name)}"
+            if name in lost:
+                place, fault = lost[name]
+                refused.append(RefusedPlan(name, f"{where}, {place}: {fault}"))
+                continue
+            bad = [row for row in rows.tolist() if row in self.faults]
+            if bad:
+                more = f" (and {count_text(len(bad) - 1, 'more row')})" if len(bad) > 1 else ""
+                refused.append(RefusedPlan(name, f"{where}, {self._place_of(bad[0])}: {self.faults[bad[0]]}{more}"))
+                continue
+            if (twice := self._repeated(rows)) is not None:
+                refused.append(RefusedPlan(name, f"{where}, {twice}"))
+                continue
+            sequence, order = self._sequence(rows, low[rows], size[rows])
+            good[name] = rows
+            sequences.append(sequence)
+            orders.append(order)
+        order = self._order_note(orders, list(good))
+        if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
+            self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
+        reading = replace(
+            reading,
+            order=order,
+            notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
+            density_kg_m3=self._density() if self._lacks_masses() else None,
+        )
+        table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
+        return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _place_of(self, row: int) -> str:
+        """Where a row is, with the name of its box."""
+        ids = self.columns.item_id
+        name = "" if ids is None or not ids[row] else f" ({printable_name(ids[row])})"
+        return f"{self.places[row]}{name}"
+
+    def _plans_with_lost(self, names: Sequence[str]) -> dict[str, tuple[str, str]]:
+        """Name of a plan that lacks a row → (place, fault) of the first such row.
+
+        A row that cannot be read may belong to the plan before it or after it; both are refused.
+        """
+        numbers = [_number_of(place, row) for row, place in enumerate(self.places)]
+        lost: dict[str, tuple[str, str]] = {}
+        for place, fault in self.boxes.table.lost:
+            number = _number_of(place, 0)
+            before = max((row for row in range(len(numbers)) if numbers[row] < number), default=0)
+            after = min((row for row in range(len(numbers)) if numbers[row] > number), default=len(names) - 1)
+            for row in (before, after):
+                lost.setdefault(names[row], (place, fault))
+        return lost
+
+    def _plan_names(self) -> list[str]:
+        """(n,) the name of each row's plan. Numbers of containers follow the file's name, so that files do not share
+        them.
+        """
+        parts = self.boxes.parts or ("",) * self.columns.n_boxes
+        column = self.columns.plan
+        if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
+            column = None  # a name for nearly each box is no plan
+        stem = Path(self.source).name.split(".")[0] or "plan"
+        names = [
+            "/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)
+        ]
+        if not any(names):
+            self.notes.append(f"no plan_id: {printable_name(stem)}")
+            return [stem] * len(names)
+        words = words_of(self.columns.columns.get("plan", ""))
+        if "plan" in words or "order" in words:  # names of plans, and no numbers of containers
+            return [name or stem for name in names]
+        if len(set(names)) == 1 and names[0].isdigit():
+            return [stem] * len(names)  # the number of the only container
+        return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
+
+    def _geometry(
+        self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
+    ) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
+        """(n, 3) sizes and corners along the plan's axes, mm; and the containers' sizes, mm."""
+        factor = LENGTH_UNITS[reading.length_units[1]]
+        n = self.columns.n_boxes
+        size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
+        containers: dict[str, FloatArray] = {}
+        moved = set()
+        whole = layout_of(self.columns, candidate)
+        for name, rows in plans.items():
+            container = layout_of(self.columns, candidate, container_of(self.boxes.containers, name)).container * factor
+            if self.wishes.deck_mm is not None and np.isnan(container[:2]).any():
+                container = np.array([*self.wishes.deck_mm, np.nan])
+            containers[name] = container
+            size[rows], low[rows] = whole.size[rows] * factor, whole.low[rows] * factor
+            moved.add(self._move(low, rows, size, container, reading))
+        for note in sorted(filter(None, moved)):
+            self.notes.append(note)
+        return size, low, containers
+
+    def _move(
+        self, low: FloatArray, rows: NDArray[np.int64], size: FloatArray, container: FloatArray, reading: Reading
+    ) -> str:
+        """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("": nothing moved)."""
+        used = rows[[row not in self.columns.faults for row in rows.tolist()]]
+        if not len(used):
+            return ""
+        notes = []
+        bottom = float(np.nanmin(low[used, 2]))
+        small = 0.01 * float(np.nanmedian(size[used, 2]))
+        if abs(bottom) > small:
+            low[rows, 2] -= bottom
+            notes.append(f"heights count from the lowest box, {bottom:g} mm")
+        elif bottom:
+            low[rows, 2] = np.where(np.abs(low[rows, 2]) <= abs(bottom), 0.0, low[rows, 2])
+        if reading.origin == "middle":
+            begin = np.nanmin(low[used, :2], axis=0)
+            shift = container[:2] / 2 if not np.isnan(container[:2]).any() else -begin
+            low[rows, :2] += shift
+            notes.append("the origin is the middle of the carrier")
+        else:
+            begin = np.nanmin(low[used, :2], axis=0)
+            shift = np.where(begin < -DEFAULT_TOLERANCE_MM, -begin, 0.0)
+            if shift.any():
+                low[rows, :2] += shift
+                notes.append("the origin is another corner of the carrier")
+        return "; ".join(notes)
+
+    def _check_ranges(self, reading: Reading, candidate: Candidate, size: FloatArray, low: FloatArray) -> None:
+        """Add faults of sizes and coordinates out of range, with the names of their columns."""
+        sizes, places = reading.length_units
+        names = dict(reading.columns)
+        axes = candidate.geometry.axes
+        named_sizes = [
+            next(filter(None, map(names.get, (role_of(axis), "sizes", f"{axis} (far)"))), role_of(axis))
+            for axis in axes
+        ]
+        named_places = [names.get(axis, names.get("position", axis)) for axis in "xyz"]
+        size_limits = _limits(SMALLEST_MM, LARGEST_MM, sizes)
+        place_limits = _limits(-FARTHEST_MM, FARTHEST_MM, places)
+        raw_size, raw_place = candidate.geometry.size, candidate.geometry.place
+        smallest, largest, _ = size_limits
+        low_place, high_place, _ = place_limits
+        with np.errstate(invalid="ignore"):
+            bad = (raw_size < smallest) | (raw_size > largest)
+            far = (raw_place < low_place) | (raw_place > high_place)
+        for row in np.flatnonzero(bad.any(axis=1) | far.any(axis=1)).tolist():
+            for axis in range(3):
+                fault = None
+                if bad[row, axis]:
+                    fault = positive_fault(named_sizes[axis], float(raw_size[row, axis]), *size_limits)
+                elif far[row, axis]:
+                    fault = coordinate_fault(named_places[axis], float(raw_place[row, axis]), *place_limits)
+                if fault is not None:
+                    self.faults.setdefault(row, fault)
+
+    def _lacks_masses(self) -> bool:
+        weight = self.columns.weight
+        return weight is None or (self.wishes.density_kg_m3 is not None and bool(np.isnan(weight).any()))
+
+    def _density(self) -> float:
+        return self.wishes.density_kg_m3 or USUAL_KG_M3
+
+    def _masses(self, reading: Reading, size: FloatArray) -> FloatArray:
+        """(n,) masses, kg; those that are missing by the density."""
+        columns, volume = self.columns, size.prod(axis=1) / 1e9
+        density = self._density()
+        if columns.weight is None:
+            self.notes.append(f"no weights: {density:g} kg/m³ (--density)")
+            return np.asarray(volume * density)
+        if columns.weight_is_density:
+            relative = np.nanmax(columns.weight) <= _RELATIVE
+            self.notes.append(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
+            return np.asarray(volume * columns.weight * (_WATER_KG_M3 if relative else 1.0))
+        name = columns.columns["weight"]
+        mass = columns.weight * MASS_UNITS[reading.masses]
+        empty = np.isnan(mass) | ~(mass > 0)
+        if self.wishes.density_kg_m3 is not None and empty.any():
+            self.notes.append(f"{count_text(int(empty.sum()), 'missing weight')}: {density:g} kg/m³")
+            for row in np.flatnonzero(empty).tolist():
+                if self.columns.faults.get(row, ("", ""))[0] == name:
+                    self.faults.pop(row, None)
+            return np.asarray(np.where(empty, volume * density, mass))
+        limits = _limits(SMALLEST_KG, LARGEST_KG, reading.masses, MASS_UNITS)
+        for row in np.flatnonzero((mass < SMALLEST_KG) | (mass > LARGEST_KG)).tolist():
+            fault = positive_fault(name, float(columns.weight[row]), *limits)
+            if fault is not None:
+                self.faults.setdefault(row, fault)
+        return np.asarray(mass)
+
+    def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
+        """(n,) packing order of a plan's rows, from 1, and where it is from."""
+        if self.columns.sequence is not None:
+            return self.columns.sequence[rows].astype(np.int64), "sequence"
+        order = np.arange(1, len(rows) + 1)
+        in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
+        at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
+        if (in_order & ~at_all).any():
+            order[np.argsort(low[:, 2], kind="stable")] = np.arange(1, len(rows) + 1)
+            return order, "height"
+        return order, "rows"
+
+    def _repeated(self, rows: NDArray[np.int64]) -> str | None:
+        """The fault of a plan whose packing order has a number twice, or one that is not whole; None: it has none."""
+        sequence = self.columns.sequence
+        if sequence is None:
+            return None
+        name, seen = self.columns.columns["sequence"], dict[float, int]()
+        for row in rows.tolist():
+            value = float(sequence[row])
+            if not value.is_integer():
+                return f"{self.places[row]}: {name} must be a whole number, got {value:g}"
+            if value in seen:
+                plans = "" if self.columns.plan else "; several plans? then name their column: --columns plan=NAME"
+                return f"{self.places[seen[value]]} and {self.places[row]}: {name} {value:g} is there twice{plans}"
+            seen[value] = row
+        return None
+
+    def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
+        """Where the packing order is from, with a note if it is not the column of one."""
+        sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
+        if sorted_plans:
+            some = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"
+            self.notes.append(f"rows are not in packing order{some}: boxes are placed from the ground up")
+            return "height"
+        if "rows" in orders or not orders:
+            self.notes.append("no sequence: the order of rows")
+            return "rows"
+        return "sequence"
+
+    def _table(
+        self,
+        good: Sequence[NDArray[np.int64]],
+        sequences: Sequence[NDArray[np.int64]],
+        names: Sequence[str],
+        size: FloatArray,
+        low: FloatArray,
+        mass: FloatArray,
+    ) -> Table:
+        rows = np.concatenate(good)
+        columns = self.columns
+        article = columns.article or columns.item_id
+        if columns.article is None:
+            self.notes.append("no article" + (": names of boxes" if article is not None else ""))
+        if article is None:
+            article = [""] * columns.n_boxes
+        values: dict[str, Any] = {
+            "plan_id": [names[row][:1000] for row in rows.tolist()],
+            "sequence": np.concatenate(sequences),
+            "article": [article[row][:1000] for row in rows.tolist()],
+            **{name: size[rows, axis] for axis, name in enumerate(("length_mm", "width_mm", "height_mm"))},
+            "weight_kg": mass[rows],
+            **{name: low[rows, axis] + 0.0 for axis, name in enumerate(("x_mm", "y_mm", "z_mm"))},
+        }
+        for name, texts in (("item_id", columns.item_id), ("product_group", columns.group)):
+            if texts is not None and any(texts):
+                values[name] = [texts[row][:1000] for row in rows.tolist()]
+        numbers = np.array([_number_of(self.places[row], row) for row in rows.tolist()], np.int64)
+        return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+def _number_of(place: str, otherwise: int) -> int:
+    match = re.search(r"(\d+)\D*$", place)
+    return int(match[1]) if match is not None and len(match[1]) < 10 else otherwise
+
+
+_UNIT_NAMES: Final = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches", "kg": "kilograms"}
+
+
+def _limits(low: float, high: float, unit: str, units: Mapping[str, float] = LENGTH_UNITS) -> Limits:
+    factor = units[unit]
+    return Limits(low / factor, high / factor, _UNIT_NAMES.get(unit, unit))

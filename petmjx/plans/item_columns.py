@@ -1,0 +1,448 @@
+"""Columns of tables of items (``ItemColumns``): sizes, weights, quantities, layers and names of goods that have no
+places yet.
+
+Names of columns are understood as in tables of boxes (``petmjx.plans.column_names``); here are also those that only
+orders have: weights of whole rows, boxes of a layer, numbers of cartons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import FloatArray
+from petmjx.plans.box_columns import IGNORED, ROLES, Extraction
+from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_unit, word_set, words_of
+from petmjx.plans.foreign_formats import BoxSource
+from petmjx.plans.nested_json import BoxList
+from petmjx.plans.order_generator import MOST_ITEMS
+from petmjx.plans.raw_cells import cell_number, cell_text
+
+ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
+"""Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` those
+of one of its ``layers``; ``weight`` is of a box, ``total weight`` of all boxes of a row."""
+TWO_WAYS: Final = "can be read in two ways:"
+_KINDS: Final[dict[str, Kind]] = {
+    "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
+}  # fmt: skip
+MOST_PIECES: Final = 100_000
+"""Largest quantity of a row."""
+
+_TOTAL: Final = word_set(
+    "total totale gesamt gesamtgewicht summe totalgewicht positionsgewicht zeilengewicht razem laczna calkowita sum "
+    "complessivo"
+)
+_UNIT_WEIGHT: Final = word_set(
+    "stuckgewicht stueckgewicht einzelgewicht kartongewicht kistengewicht artikelgewicht nettogewicht unitweight "
+    "caseweight boxweight itemweight"
+)
+_WEIGHT: Final = word_set(
+    "weight mass gewicht poids peso waga masa ciezar gesamtgewicht totalgewicht positionsgewicht zeilengewicht"
+)
+_GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
+"""Words of weights with the packaging, which are taken where there are net weights beside."""
+_PIECES: Final = word_set(
+    "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
+    "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
+)
+_COUNTED: Final = _PIECES | word_set(
+    "nb nbr nombre n no num number of ordered order total gesamt totale bestellt bestellmenge de di anz "
+    "pro per commandes pedidas ordinati zamowione pick picked"
+)
+"""Names of columns with quantities have a word of ``_PIECES``, and only words of ``_COUNTED``; their cells are whole
+numbers, and no column is called a quantity."""
+_QUANTITY: Final = word_set("qta bestellmenge bestellt ordered commande pedida ordinata zamowiono need demand bedarf")
+"""Names of columns with quantities by themselves."""
+_NO_QUANTITY: Final = word_set(
+    "price preis prix precio prezzo cena priority prio profit value wert zone temperature temp color colour farbe date "
+    "datum year zip plz line zeile row ligne riga rotation rotations stackable fragile max min limit layer level class "
+    "klasse vpe lot batch charge stack stacking position pos volume weight index stop destination family customer "
+    "store route dock door aisle"
+)
+"""Words of columns with whole numbers that are no quantities."""
+_LAYER: Final = word_set("layer lage schicht couche capa strato warstwa warstwe warstwie")
+_PER: Final = word_set("per pro je par por na w each a")
+_ORDERS: Final = word_set(
+    "order orders auftrag auftrage auftragsnr auftragsnummer bestellung bestellnr bestellnummer commande commandes "
+    "pedido pedidos ordine ordini zamowienie zamowienia po lieferschein lieferung sendung delivery shipment livraison "
+    "entrega consegna dostawa"
+)
+_NUMBERED: Final = word_set("nr no number nummer numero n id num sales purchase customer kunden name code deg")
+"""Names of columns with orders have a word of ``_ORDERS``, and besides only words of ``_NUMBERED``."""
+_ARTICLE: Final = word_set("indeks towar goods ware good mercancia merce marchandise")
+_TYPE: Final = word_set("type typ kind name code")
+_PIECE: Final = word_set("box carton karton case item package")
+"""Names of columns with articles: "Box type"."""
+_ORDER: Final = word_set("order orders ordre")
+"""Names of columns with a packing order, which are also those of customers' orders: the values decide."""
+
+
+@dataclass(frozen=True, eq=False)
+class ItemColumns:
+    """The items of a source by column.
+
+    Attributes:
+        source: where they come from.
+        size: (n, 3) length, width and height in the file's unit; NaN where a cell is bad.
+        size_unit: unit that names or cells give; "": none.
+        size_names: columns of the three sizes; one, if they are in one column.
+        weight: (n,) weights in the file's unit; None: no column has any.
+        weight_unit: unit that the name or the cells give; "": none.
+        weight_is: what ``weight`` is of: "box", "row", or "density"; "": the name does not say whether of a box or row.
+        quantity: (n,) whole numbers of boxes; NaN where a cell is bad; None: one box a row.
+        layers: (n,) whole numbers of layers; None: no column.
+        per_layer: whether ``quantity`` counts the boxes of a layer; None: the name does not say.
+        order, article, item_id, group: (n,) names; None: no column.
+        sequence: (n,) order of arrival; None: no column.
+        columns: role → name of its column.
+        faults: row → (column, text) of its first bad cell.
+        unread: names of columns that are not used, though they hold something.
+        maybe_quantity: the unknown column that may hold quantities, if none is known; "": there is none.
+    """
+
+    source: BoxSource
+    size: FloatArray
+    size_unit: str
+    size_names: tuple[str, ...]
+    weight: FloatArray | None
+    weight_unit: str
+    weight_is: str
+    quantity: FloatArray | None
+    layers: FloatArray | None
+    per_layer: bool | None
+    order: list[str] | None
+    article: list[str] | None
+    item_id: list[str] | None
+    group: list[str] | None
+    sequence: FloatArray | None
+    columns: Mapping[str, str]
+    faults: Mapping[int, tuple[str, str]]
+    unread: tuple[str, ...] = ()
+    maybe_quantity: str = ""
+
+    @property
+    def n_rows(self) -> int:
+        return len(self.source.boxes.table.rows)
+
+    @property
+    def boxes(self) -> BoxList:
+        return self.source.boxes
+
+
+def has_sizes_of_items(source: BoxSource) -> bool:
+    """Whether a list has sizes, also as packingsolver's items have them: X, Y and Z."""
+    return source.boxes.has_sizes or _is_of_packingsolver(source.boxes.table.header)
+
+
+def _is_of_packingsolver(header: Sequence[str]) -> bool:
+    """Whether columns are those of packingsolver's items: X, Y, Z are sizes there, and no coordinates."""
+    upper = {name.upper() for name in header}
+    marks = upper & {"COPIES", "PROFIT"} or any(name.startswith("ROTATION") for name in upper)
+    return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(marks)
+
+
+class _ItemExtraction(Extraction):
+    """The columns of one source while they are taken apart, with those that only orders have."""
+
+    def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
+        header = source.boxes.table.header
+        for role, name in chosen.items():
+            if role not in ROLES and role not in ITEM_ROLES:
+                known = ", ".join((*ROLES, *ITEM_ROLES))
+                raise InputError(f"columns: unknown {printable_name(role)}; there are {known}")
+            if role in ITEM_ROLES and name not in (*header, IGNORED):
+                names = ", ".join(map(printable_name, header[:20]))
+                raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
+        super().__init__(source, {role: name for role, name in chosen.items() if role in ROLES})
+        self.chosen = {role: name for role, name in chosen.items() if role in ITEM_ROLES}
+        self.totals: set[int] = set()
+        self.of_box: set[int] = set()
+        self.of_layer: set[int] = set()
+        if _is_of_packingsolver(header):
+            self._take_packingsolver()
+        self._take_names_of_orders()
+        for role, name in self.chosen.items():
+            if name != IGNORED:
+                index = header.index(name)
+                self.meanings[index] = ColumnMeaning(_KINDS[role])
+                self.of_layer.discard(index)
+                self.totals.discard(index)
+                {"per layer": self.of_layer, "total weight": self.totals}.get(role, set()).add(index)
+
+    def _take_packingsolver(self) -> None:
+        for index, name in enumerate(self.table.header):
+            if name.upper() in ("X", "Y", "Z"):
+                self.meanings[index] = ColumnMeaning("size", name.lower())
+
+    def _take_names_of_orders(self) -> None:
+        """The meanings of names that only orders have."""
+        known = {meaning.kind for meaning in self.meanings if meaning is not None}
+        for index, name in enumerate(self.table.header):
+            base, unit = split_unit(name)
+            words = set(words_of(base))
+            joined = "".join(words_of(base))
+            meaning = self.meanings[index]
+            if words & _WEIGHT and words & _TOTAL:
+                self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
+                self.totals.add(index)
+            elif joined in _UNIT_WEIGHT or (words & _WEIGHT and words & {"unit", "piece", "each", "stuck", "per"}):
+                self.meanings[index] = ColumnMeaning("weight", unit=unit if unit in MASS_UNITS else "")
+                self.of_box.add(index)
+            elif words & _LAYER and words & _PER:
+                self.meanings[index] = ColumnMeaning("quantity")
+                self.of_layer.add(index)
+            elif "quantity" not in known and self._is_quantity(words, joined) and self._is_whole(index):
+                self.meanings[index] = ColumnMeaning("quantity")
+            elif ("plan" not in known and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
+                meaning is None and joined in _ORDERS
+            ):
+                self.meanings[index] = ColumnMeaning("plan")
+            elif meaning is None and (joined in _ARTICLE or (words & _TYPE and words <= _TYPE | _PIECE)):
+                self.meanings[index] = ColumnMeaning("article")
+
+    @staticmethod
+    def _is_quantity(words: set[str], joined: str) -> bool:
+        if words & _PER:
+            return False
+        return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
+
+    def _is_whole(self, index: int) -> bool:
+        """Whether most cells of a column are whole numbers which are no names: these count up, or are all large."""
+        numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+        whole = [number.value for number in numbers if number is not None and number.value.is_integer()]
+        if len(whole) * 2 <= len(numbers):
+            return False
+        steps = np.diff(whole)
+        return not (len(whole) > 2 and bool((steps > 0).all())) and min(whole) <= MOST_ITEMS
+
+    def maybe_quantity(self) -> str:
+        """The column without a known name whose cells may be quantities: small whole numbers; "": there is none.
+
+        Rows of boxes repeat their articles: there such a column is none.
+        """
+        articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
+        if (
+            articles is not None
+            and len(set(articles)) < len(articles)
+            and "plan" not in {meaning.kind for meaning in self.meanings if meaning is not None}
+        ):
+            return ""
+        for index, name in enumerate(self.table.header):
+            if self.meanings[index] is not None or index in self.taken or set(words_of(name)) & _NO_QUANTITY:
+                continue
+            numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+            values = [number.value for number in numbers if number is not None and not number.unit]
+            whole = len(values) == len(numbers) and all(value.is_integer() for value in values)
+            if whole and self._is_whole(index) and 1 < max(values) <= MOST_ITEMS and min(values) >= 0:
+                return name
+        return ""
+
+    def role(
+        self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
+    ) -> int | None:
+        """The column of a role: the chosen one, else the first of its kind; None: there is none."""
+        name = self.chosen.get(role)
+        if name is not None:
+            return None if name == IGNORED else self.table.header.index(name)
+        for index, meaning in enumerate(self.meanings):
+            if meaning is None or meaning.kind != kind or meaning.of_container or index in self.taken:
+                continue
+            if (within is None or index in within) and (without is None or index not in without):
+                return index
+        return None
+
+    @property
+    def taken(self) -> set[int]:
+        return {
+            *self.fixed.values(),
+            *(self.table.header.index(name) for name in self.chosen.values() if name != IGNORED),
+        }
+
+    def counts(self, index: int, smallest: int, otherwise: float | None = None) -> FloatArray:
+        """(n,) whole numbers of a column; NaN where a cell is bad.
+
+        Args:
+            otherwise: the number of empty cells; None: they are bad.
+        """
+        values = np.full(len(self.table.rows), np.nan)
+        for row, cell in enumerate(self.cells(index)):
+            if otherwise is not None and cell in (None, ""):
+                values[row] = otherwise
+                continue
+            number = cell_number(cell, self.table.decimal)
+            if number is not None and number.value.is_integer() and smallest <= number.value <= MOST_PIECES:
+                values[row] = number.value
+                continue
+            shown = "is missing" if cell in (None, "") else f'got "{printable_name(cell_text(cell))}"'
+            limits = f"must be a whole number from {smallest} to {MOST_PIECES:,}"
+            self.bad(row, index, shown if cell in (None, "") else f"{limits}, {shown}")
+        return values
+
+    def _check_single(self, columns: Mapping[str, str]) -> None:
+        """Refuse tables with two different columns of a size, such as those of a carton and of what is in it.
+
+        Args:
+            columns: role → name of the chosen column.
+
+        Raises:
+            InputError: there are two, and no option says which is right.
+        """
+        for role, name in columns.items():
+            index = self.table.header.index(name)
+            meaning = self.meanings[index]
+            if role in self.fixed or meaning is None:
+                continue
+            for other, rival in enumerate(self.meanings):
+                if other == index or rival is None or rival.of_container or rival.placed != meaning.placed:
+                    continue
+                if (rival.kind, rival.axis) == (meaning.kind, meaning.axis) and self.cells(other) != self.cells(index):
+                    raise self.tie(role, name, self.table.header[other])
+
+    @staticmethod
+    def tie(role: str, name: str, other: str) -> InputError:
+        """The error of two columns that may have a role."""
+        return InputError(
+            f"{TWO_WAYS} the {role} is {printable_name(name)}, or {printable_name(other)}; say which with --columns "
+            f"{role}={name} or --columns {role}={other}"
+        )
+
+    def sizes(self) -> tuple[FloatArray, str, tuple[str, ...]] | None:
+        """(n, 3) length, width and height, their unit, and names of their columns; None: there are none."""
+        choices = self.size_choices()
+        if not choices:
+            return None
+        values, axes, unit, _, columns = choices[0]
+        self._check_single(columns)
+        upright = next((axis for axis in ("height", "z", "2", "depth") if axis in axes), axes[2])
+        order = [index for index, axis in enumerate(axes) if axis != upright] + [axes.index(upright)]
+        named = tuple(columns.values())
+        return values[:, order], unit, tuple(named[index] for index in order) if len(named) == 3 else named
+
+
+def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> ItemColumns | None:
+    """The columns of a source of items; None: it has no sizes.
+
+    Args:
+        chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that holds it, or "-".
+
+    Raises:
+        InputError: a chosen column does not exist.
+    """
+    work = _ItemExtraction(source, chosen or {})
+    sizes = work.sizes()
+    if sizes is None:
+        return None
+    header = source.boxes.table.header
+    columns: dict[str, str] = {}
+    layer_index = work.role("per layer", "quantity", within=work.of_layer)
+    quantity_index, per_layer = work.role("quantity", "quantity", without=work.of_layer), None
+    if layer_index is not None and (quantity_index is None or "per layer" in work.chosen):
+        quantity_index, per_layer = layer_index, True
+    elif layer_index is not None or "quantity" in work.chosen:
+        per_layer = False
+    if quantity_index is not None and "quantity" not in work.chosen and not per_layer:
+        cells = work.cells(quantity_index)
+        for index, meaning in enumerate(work.meanings):
+            rival = meaning is not None and meaning.kind == "quantity" and index not in work.of_layer
+            if rival and work.cells(index) != cells:
+                raise work.tie("quantity", header[quantity_index], header[index])
+    layers_index = work.role("layers", "layers")
+    copies = _is_of_packingsolver(header)
+    quantity = layers = None
+    if quantity_index is not None:
+        quantity = work.counts(quantity_index, 0, 1.0 if copies else None)
+        columns["per layer" if per_layer else "quantity"] = header[quantity_index]
+    if layers_index is not None and quantity_index is not None:
+        layers = work.counts(layers_index, 1, 1.0)
+        columns["layers"] = header[layers_index]
+    weight, unit, weight_is = _weight(work, columns)
+    sequence_index = work.first("sequence", "sequence")
+    sequence, order = None, None
+    if sequence_index is not None:
+        order = _orders_in(work, sequence_index)
+        if order is None:
+            sequence, _ = work.numbers(sequence_index, {"": 1.0})
+    named_order, order_name = work.texts("plan", role="plan")
+    order = named_order if named_order is not None else order
+    article, article_name = work.texts("article", role="article")
+    item_id, item_name = work.texts("item_id", role="item_id")
+    group, group_name = work.texts("group")
+    if order is not None:
+        columns["plan"] = order_name or header[sequence_index or 0]
+    columns |= {role: name for role, name in (("article", article_name), ("item_id", item_name)) if name}
+    values, size_unit, names = sizes
+    used = {*names, *columns.values(), group_name, *([] if sequence_index is None else [header[sequence_index]])}
+    maybe = "" if quantity is not None or "quantity" in work.chosen else work.maybe_quantity()
+    unread = [
+        name
+        for index, name in enumerate(header)
+        if name not in used and any(cell not in (None, "") for cell in work.cells(index))
+    ]
+    return ItemColumns(
+        source, values, size_unit, names, weight, unit, weight_is, quantity, layers, per_layer, order, article, item_id,
+        group, sequence, columns, work.faults, tuple(unread), maybe,
+    )  # fmt: skip
+
+
+def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray | None, str, str]:
+    """(n,) weights or densities, their unit, and of what they are (``ItemColumns.weight_is``)."""
+    header = work.table.header
+    row_index = work.role("total weight", "weight", within=work.totals)
+    index = work.fixed.get("weight")
+    if index is None and "total weight" not in work.chosen:
+        gross = {number for number, name in enumerate(header) if _GROSS.intersection(words_of(name))} - work.totals
+        index = work.role("weight", "weight", within=gross)
+        index = work.role("weight", "weight", without=work.totals) if index is None else index
+    if index is not None:
+        weight_is = "box" if index in work.of_box or "weight" in work.fixed else ""
+        columns["weight"] = header[index]
+    elif row_index is not None:
+        index, weight_is = row_index, "row"
+        columns["total weight"] = header[index]
+    else:
+        index, weight_is = work.first("density"), "density"
+        if index is None:
+            return None, "", ""
+        columns["density"] = header[index]
+        return work.numbers(index, {"kg/m3": 1.0})[0], "", weight_is
+    if all(cell in (None, "", 0, "0", 0.0) for cell in work.cells(index)):
+        columns.pop("weight", None), columns.pop("total weight", None)
+        return None, "", ""
+    weight, unit = work.numbers(index, MASS_UNITS)
+    return weight, unit, weight_is
+
+
+def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
+    """(n,) customers' orders in a column called "order", whose values are no packing order: some are there twice, or
+    are no numbers; None: it is a packing order."""
+    if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
+        return None
+    cells = [cell_text(cell) for cell in work.cells(index)]
+    numbers = [cell_number(cell) for cell in cells]
+    if len(set(cells)) == len(cells) and all(numbers):
+        return None
+    return cells
+
+
+def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> BoxSource:
+    """A source with some of its rows, and more notes.
+
+    Args:
+        kept: (n,) whether a row is kept.
+    """
+    table = source.boxes.table
+
+    def chosen(values: Sequence[Any]) -> list[Any]:
+        return [value for value, keeps in zip(values, kept.tolist(), strict=True) if keeps]
+
+    parts = tuple(chosen(source.boxes.parts)) if source.boxes.parts else ()
+    boxes = replace(
+        source.boxes, table=replace(table, rows=chosen(table.rows), places=chosen(table.places)), parts=parts
+    )
+    return replace(source, boxes=boxes, notes=(*source.notes, *notes))

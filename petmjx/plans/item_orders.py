@@ -1,0 +1,473 @@
+"""Items by column become orders (``orders_of_items``): units, masses, quantities and targets are found out.
+
+Where names leave the unit open, sizes and densities decide, and what can be read in two ways is refused. Items without
+weights get a density.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, first_names, printable_name
+from petmjx.common.units import FloatArray
+from petmjx.options.run_options import RunOptions
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.foreign_formats import KnownForm
+from petmjx.plans.foreign_plans import USUAL_KG_M3
+from petmjx.plans.input_conventions import Limits
+from petmjx.plans.item_columns import TWO_WAYS, ItemColumns
+from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Order, target_extent_mm, target_named
+from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
+from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM, positive_fault
+from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
+from petmjx.plans.reading_choice import TIE
+from petmjx.plans.reading_files import wishes_of
+from petmjx.plans.readings import Wishes
+
+SET_KG_M3: Final = 200.0
+"""Density of boxes of RoboBPP's sets, which have no masses: an assumption, about the mean of BED-BPP's boxes."""
+EURO: Final = "euro-pallet"
+_PALLET_MM: Final = (300.0, 1700.0)
+"""Sides of what may be a pallet: a container of a file outside of this is none, and its boxes go on a Euro pallet."""
+
+_LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
+_MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
+_MIXED: Final = 1.5
+"""Cost of inches with kilograms, or of pounds with metric lengths, where names do not say so."""
+_DENSEST_KG_M3: Final = 1e6
+"""Densities above this are no evidence of a unit, but damaged weights."""
+_BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
+"""Units of test problems, whose bins have 10 or 100 units: 1 m."""
+_LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
+"""Units of lists of lengths, which are those of RoboBPP, in cm, unless the sizes say otherwise."""
+ROW_LEAD: Final = 0.75
+"""Cost by which densities are more plausible if weights are of rows than if they are of boxes, from which on both are
+possible: boxes of 1,500 kg/m³, of which ten make up a row. Weights of boxes are usual."""
+_WATER_KG_M3: Final = 1000.0
+_RELATIVE: Final = 1.5
+"""Densities up to this are in those of water."""
+_FULL: Final = 1.02
+"""Largest share of a target that a layer may cover."""
+
+PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
+DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")
+SIZES: Final = KnownForm("an array of sizes")
+_WITHOUT_MASSES: Final = (LENGTHS.name, DELI.name)
+"""Forms with ``SET_KG_M3``."""
+_NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
+"""Forms whose orders have numbers for names, before which the file's name is put."""
+
+
+@dataclass(frozen=True)
+class OrderReading:
+    """What a caller says about a file of orders. BED-BPP's own form needs none of it.
+
+    Attributes:
+        wishes: columns, units and density; empty values are found out.
+        target: what orders are packed on that do not say it themselves: "euro-pallet", "rollcontainer", or sizes in
+            millimetres, "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
+        most_items: largest number of items of an order.
+        items: file with the sizes and weights of articles, for orders that name articles alone; None: none.
+    """
+
+    wishes: Wishes = field(default_factory=Wishes)
+    target: str = ""
+    most_items: int = MOST_ITEMS
+    items: Path | None = None
+
+    @classmethod
+    def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
+        """What options of a run say about files of orders: units, columns, density, items and a written reading.
+
+        Raises:
+            InputError: the target is unknown, or the written reading cannot be read.
+        """
+        return cls(wishes_of(options), "" if target is None else target_named(target), items=options.items)
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignOrders:
+    """The orders of a file.
+
+    Attributes:
+        orders: (id, order) of the good ones, in the order of the file.
+        refused: (id, line) of the others.
+        line: how the file was read.
+    """
+
+    orders: tuple[tuple[str, Order], ...]
+    refused: tuple[tuple[str, str], ...]
+    line: str
+
+
+@dataclass(frozen=True)
+class _Units:
+    """Units of an order's numbers, and whether weights are of rows."""
+
+    length: str
+    mass: str
+    of_rows: bool = False
+
+
+def orders_of_items(columns: ItemColumns, source: str, reading: OrderReading) -> ForeignOrders:
+    """The orders of a list of items.
+
+    Args:
+        source: name of the file in messages.
+
+    Raises:
+        InputError: the items can be read in two ways, or none is good. The line does not name the file.
+    """
+    return _OrderBuilder(columns, source, reading).orders()
+
+
+class _OrderBuilder:
+    """The orders of one list of items."""
+
+    def __init__(self, columns: ItemColumns, source: str, reading: OrderReading) -> None:
+        self.columns, self.source, self.reading = columns, source, reading
+        self.table = columns.boxes.table
+        self.form = columns.source.form
+        self.notes: list[str] = [*columns.source.notes, *self.table.notes, *columns.boxes.left_out]
+        self.faults = {row: f"{column} {text}" for row, (column, text) in columns.faults.items()}
+
+    def orders(self) -> ForeignOrders:
+        if name := self.columns.maybe_quantity:
+            raise InputError(
+                f"{TWO_WAYS} each row is one box, or {printable_name(name)} counts its boxes; say which with --columns "
+                f"quantity=- or --columns quantity={name}"
+            )
+        names = self._names()
+        rows_of: dict[str, list[int]] = {}
+        for row, name in enumerate(names):
+            rows_of.setdefault(name, []).append(row)
+        units = self._units()
+        size = self.columns.size * LENGTH_UNITS[units.length]
+        self._check_sizes(units.length)
+        targets = {name: self._target(name, rows[0], units.length) for name, rows in rows_of.items()}
+        counts = self._counts(size, targets, names)
+        mass = self._masses(units, size, counts)
+        lost = self._lost(names)
+        good: list[tuple[str, Order]] = []
+        refused: list[tuple[str, str]] = []
+        for name, rows in rows_of.items():
+            where = f"{self.source}: order {printable_name(name)}"
+            if (fault := self._fault(rows, lost.get(name), counts)) is not None:
+                refused.append((name, f"{where}{fault}"))
+                continue
+            good.append((name, self._order(targets[name], self._sorted(rows), counts, size, mass)))
+        return ForeignOrders(tuple(good), tuple(refused), self._line(units, targets, good))
+
+    # Names and rows.
+
+    def _names(self) -> list[str]:
+        """(n,) the id of each row's order."""
+        parts = self.columns.boxes.parts or ("",) * self.columns.n_rows
+        column = self.columns.order
+        stem = Path(self.source).name.split(".")[0] or "order"
+        names = [
+            "/".join(filter(None, (part, "" if column is None else column[row])))[:LONGEST_NAME]
+            for row, part in enumerate(parts)
+        ]
+        if column is None and self.form.name in _NUMBERED:
+            return [f"{stem}-{name}" if name else stem for name in names]
+        return [name or stem for name in names]
+
+    def _lost(self, names: Sequence[str]) -> dict[str, str]:
+        """Name of an order that lacks a row → place and fault. A lost row may belong to the order before or after."""
+        numbers = [_number_of(place) for place in self.table.places]
+        lost: dict[str, str] = {}
+        for place, fault in self.table.lost:
+            number = _number_of(place)
+            before = max((row for row in range(len(numbers)) if numbers[row] < number), default=0)
+            after = min((row for row in range(len(numbers)) if numbers[row] > number), default=len(names) - 1)
+            for row in (before, after):
+                lost.setdefault(names[row], f", {place}: {fault}")
+        return lost
+
+    def _fault(self, rows: Sequence[int], lost: str | None, counts: NDArray[np.int64]) -> str | None:
+        """Why an order is refused; None: it is good."""
+        if lost is not None:
+            return lost
+        bad = [row for row in rows if row in self.faults]
+        if bad:
+            more = f" (and {count_text(len(bad) - 1, 'more row')})" if len(bad) > 1 else ""
+            return f", {self.table.places[bad[0]]}: {self.faults[bad[0]]}{more}"
+        n_items = int(counts[list(rows)].sum())
+        if not n_items:
+            return ": must have at least one item: all quantities are 0"
+        if n_items > (most := self.reading.most_items):
+            one = " (several orders? name their column: --columns plan=NAME)" if self.columns.order is None else ""
+            return f": must have at most {most:,} items, got {n_items:,}{one}"
+        return None
+
+    def _sorted(self, rows: Sequence[int]) -> list[int]:
+        """The rows of an order in the sequence of arrival."""
+        sequence = self.columns.sequence
+        if sequence is None or np.isnan(sequence[list(rows)]).any():
+            return list(rows)
+        return sorted(rows, key=lambda row: float(sequence[row]))
+
+    def _order(
+        self, target: str, rows: Sequence[int], counts: NDArray[np.int64], size: FloatArray, mass: FloatArray
+    ) -> Order:
+        columns = self.columns
+        items: list[Item] = []
+        for row in rows:
+            article = "" if columns.article is None else columns.article[row][:LONGEST_NAME]
+            item_id = "" if columns.item_id is None else columns.item_id[row][:LONGEST_NAME]
+            name = article or item_id or self.table.places[row]
+            group = "" if columns.group is None else columns.group[row][:LONGEST_NAME]
+            length, width, height = size[row].tolist()
+            item = Item(name, item_id or name, group, length, width, height, float(mass[row]))
+            items += [item] * int(counts[row])
+        return Order(target, tuple(items), tuple(range(1, len(items) + 1)))
+
+    # Units.
+
+    def _units(self) -> _Units:
+        """The most plausible units.
+
+        Raises:
+            InputError: two units of lengths, or weights of boxes and of rows, are possible; or no row is good.
+        """
+        columns, wishes = self.columns, self.reading.wishes
+        good = np.array([row not in self.faults for row in range(columns.n_rows)])
+        with np.errstate(invalid="ignore"):
+            good &= (columns.size > 0).all(axis=1)
+        if not good.any():
+            row = min(self.faults, default=0)
+            names = columns.size_names
+            axis = int(np.argmin(np.nan_to_num(columns.size[row], nan=1.0)))
+            value = columns.size[row, axis]
+            fault = self.faults.get(row, f"{names[axis if len(names) == 3 else 0]} must be > 0, got {value:g}")
+            raise InputError(f"{self.table.places[row]}: {fault}")
+        named = wishes.units or columns.size_unit or self.form.units
+        prior = _BIN_PRIOR if self.form in (MPV, SIZES) else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
+        lengths = {named: 0.0} if named else dict(prior)
+        masses: dict[str, float] = {"kg": 0.0}
+        weighed = columns.weight is not None and columns.weight_is != "density"
+        if weighed:
+            known = wishes.masses or columns.weight_unit or self.form.masses
+            masses = {known: 0.0} if known else dict(_MASS_PRIOR)
+        of_rows = [False]
+        if weighed and columns.weight_is == "row":
+            of_rows = [True]
+        elif weighed and columns.weight_is == "" and self._has_quantities(good):
+            of_rows = [False, True]
+        costs = sorted(
+            (self._unit_cost(length, mass, rows, good) + more + extra, length, mass, rows)
+            for length, more in lengths.items()
+            for mass, extra in masses.items()
+            for rows in of_rows
+        )
+        of_boxes, of_whole = (next((entry for entry in costs if entry[3] == rows), None) for rows in (False, True))
+        if of_boxes is not None and of_whole is not None and of_whole[0] + ROW_LEAD < of_boxes[0]:
+            name = columns.columns["weight"]
+            raise InputError(
+                f"{TWO_WAYS} {printable_name(name)} is of one box, or of all boxes of a row; say which "
+                f"with --columns weight={name} or --columns 'total weight={name}'"
+            )
+        best = of_boxes or costs[0]
+        close = [entry for entry in costs if entry[3] == best[3] and entry[0] < best[0] + TIE]
+        if (other := next((entry for entry in close if entry[1] != best[1]), None)) is not None:
+            ways = (
+                f"lengths in {_UNIT_NAMES.get(unit, unit)} ({self._shown(unit, good)})" for unit in (best[1], other[1])
+            )
+            raise InputError(f"{TWO_WAYS} {', or '.join(ways)}; say which with --units")
+        return _Units(best[1], best[2], best[3])
+
+    def _has_quantities(self, good: NDArray[np.bool_]) -> bool:
+        quantity = self.columns.quantity
+        return quantity is not None and bool((quantity[good] > 1).any())
+
+    def _unit_cost(self, length: str, mass: str, of_rows: bool, good: NDArray[np.bool_]) -> float:
+        columns, factor = self.columns, LENGTH_UNITS[length]
+        size = columns.size[good] * factor
+        cost = side_cost(float(np.exp(np.log(size).mean())))
+        cost += 20.0 * (float(size.max()) > LARGEST_MM) + 20.0 * (float(size.min()) < SMALLEST_MM)
+        container = self._container(next(iter(columns.boxes.containers), ""))
+        if container is not None:
+            cost += deck_cost(container[:2] * factor, True)
+        if columns.weight is None or columns.weight_is == "density":
+            return cost
+        kg = columns.weight[good] * MASS_UNITS[mass]
+        if of_rows and columns.quantity is not None:
+            with np.errstate(invalid="ignore", divide="ignore"):
+                kg = kg / columns.quantity[good]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            densities = kg / (size.prod(axis=1) / 1e9)
+        densities = densities[(densities > 0) & (densities < _DENSEST_KG_M3)]
+        if len(densities):
+            cost += density_cost(float(np.median(densities)))
+        return cost + _MIXED * ((length in ("in", "ft")) != (mass == "lb"))
+
+    def _shown(self, unit: str, good: NDArray[np.bool_]) -> str:
+        sides = np.median(self.columns.size[good], axis=0) * LENGTH_UNITS[unit]
+        return f"boxes of {' × '.join(f'{side:.0f}' for side in sides)} mm"
+
+    # Targets.
+
+    def _container(self, part: str) -> FloatArray | None:
+        """Length, width and height of a container in the file's unit; None: the file names none."""
+        containers = self.columns.boxes.containers
+        sizes = containers.get(part) or containers.get("") or {}
+        if len(sizes) < 2:
+            return None
+        upright = next((axis for axis in ("height", "z", "2", "depth") if axis in sizes), None)
+        level = [value for axis, value in sizes.items() if axis != upright][:2]
+        if len(level) < 2:
+            return None
+        return np.array([*level, math.nan if upright is None else sizes[upright]])
+
+    def _target(self, name: str, row: int, unit: str) -> str:
+        """What an order is packed on."""
+        if self.reading.target:
+            return target_named(self.reading.target)
+        parts = self.columns.boxes.parts
+        container = self._container(parts[row] if parts else "")
+        if container is None:
+            return EURO
+        level = container[:2] * LENGTH_UNITS[unit]
+        for known, extent in TARGET_EXTENT_MM.items():
+            if np.allclose(sorted(level), sorted(extent), rtol=0.005):
+                return known
+        low, high = _PALLET_MM
+        if ((level >= low) & (level <= high)).all():
+            return target_named(f"{level[0]:g}x{level[1]:g}")
+        self._note(f"the container, {level[0]:,.0f} × {level[1]:,.0f} mm, is no pallet")
+        return EURO
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
+
+    # Quantities and masses.
+
+    def _counts(self, size: FloatArray, targets: Mapping[str, str], names: Sequence[str]) -> NDArray[np.int64]:
+        """(n,) the number of boxes of each row.
+
+        Raises:
+            InputError: quantities may be those of a layer or of all layers.
+        """
+        columns = self.columns
+        if columns.quantity is None:
+            return np.ones(columns.n_rows, np.int64)
+        quantity = np.nan_to_num(columns.quantity)
+        if columns.layers is None:
+            return quantity.astype(np.int64)
+        layers = np.nan_to_num(columns.layers, nan=1.0)
+        per_layer = columns.per_layer
+        if per_layer is None and (layers > 1).any():
+            several = layers > 1
+            areas = np.array([math.prod(target_extent_mm(targets[name])) for name in names])
+            cover = quantity * size[:, 0] * size[:, 1] / areas
+            with np.errstate(invalid="ignore"):
+                if bool((cover[several] <= _FULL).all()):
+                    raise self._layer_tie()
+            self._note("quantities are of all layers")
+        elif per_layer:
+            self._note("quantities are of each layer")
+        return (quantity * layers if per_layer else quantity).astype(np.int64)
+
+    def _layer_tie(self) -> InputError:
+        name = self.columns.columns["quantity"]
+        shown = printable_name(name)
+        return InputError(
+            f"{TWO_WAYS} {shown} counts the boxes of one layer, or of all layers; say which with "
+            f"--columns 'per layer={name}' or --columns quantity={name}"
+        )
+
+    def _masses(self, units: _Units, size: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
+        """(n,) mass of a box of each row, kg."""
+        columns, wishes = self.columns, self.reading.wishes
+        volume: FloatArray = size.prod(axis=1) / 1e9
+        usual = SET_KG_M3 if self.form.name in _WITHOUT_MASSES else USUAL_KG_M3
+        density = wishes.density_kg_m3 or usual
+        if columns.weight is None:
+            self._note(f"no weights: {density:g} kg/m³ (--density)")
+            by_density: FloatArray = volume * density
+            return by_density
+        if columns.weight_is == "density":
+            relative = float(np.nanmax(columns.weight)) <= _RELATIVE
+            self._note(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
+            of_columns: FloatArray = volume * columns.weight * (_WATER_KG_M3 if relative else 1.0)
+            return of_columns
+        name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
+        mass = columns.weight * MASS_UNITS[units.mass]
+        if units.of_rows:
+            self._note("weights are of rows")
+            mass = mass / np.maximum(counts, 1)
+        empty = np.isnan(mass) | ~(mass > 0)
+        if wishes.density_kg_m3 is not None and empty.any():
+            self._note(f"{count_text(int(empty.sum()), 'missing weight')}: {density:g} kg/m³")
+            for row in np.flatnonzero(empty).tolist():
+                if columns.faults.get(row, ("", ""))[0] == name:
+                    self.faults.pop(row, None)
+            return np.where(empty, volume * density, mass)
+        limits = _limits(SMALLEST_KG, LARGEST_KG, units.mass, MASS_UNITS)
+        with np.errstate(invalid="ignore"):
+            bad = (mass < SMALLEST_KG) | (mass > LARGEST_KG)
+        for row in np.flatnonzero(bad).tolist():
+            fault = positive_fault(name, float(columns.weight[row]), *limits)
+            self.faults.setdefault(row, fault or f"{name} must be the weight of {counts[row]:,} boxes")
+        return mass
+
+    def _check_sizes(self, unit: str) -> None:
+        """Add faults of sizes out of range."""
+        limits = _limits(SMALLEST_MM, LARGEST_MM, unit, LENGTH_UNITS)
+        size, names = self.columns.size, self.columns.size_names
+        with np.errstate(invalid="ignore"):
+            bad = (size < limits[0]) | (size > limits[1])
+        for row in np.flatnonzero(bad.any(axis=1)).tolist():
+            axis = int(np.flatnonzero(bad[row])[0])
+            fault = positive_fault(names[axis if len(names) == 3 else 0], float(size[row, axis]), *limits)
+            if fault is not None:
+                self.faults.setdefault(row, fault)
+
+    # The line.
+
+    def _line(self, units: _Units, targets: Mapping[str, str], good: Sequence[tuple[str, Order]]) -> str:
+        columns = self.columns
+        lengths = (
+            units.length
+            if columns.weight is None or columns.weight_is == "density"
+            else f"{units.length}, {units.mass}"
+        )
+        names = [*columns.size_names, *(columns.columns[role] for role in _SHOWN if role in columns.columns)]
+        boxes = sum(len(order.items) for _, order in good)
+        kinds = list(dict.fromkeys(targets.values()))
+        parts = [
+            f"{count_text(len(good), 'order')}, {count_text(boxes, 'box', 'boxes')}",
+            lengths,
+            f"columns {', '.join(map(printable_name, names))}",
+            f"packed on {first_names(kinds, 3)}",
+            *(["one box a row"] if columns.quantity is None and self.form.name not in _NUMBERED else []),
+            *([f"not used: {first_names(columns.unread)}"] if columns.unread else []),
+        ]
+        return f"{self.source}: read as {self.form.name}; {'; '.join([*parts, *dict.fromkeys(self.notes)])}"
+
+
+_SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
+"""Roles whose columns the line names after those of sizes."""
+
+
+def _number_of(place: str) -> int:
+    digits = "".join(character if character.isdigit() else " " for character in place).split()
+    return int(digits[-1]) if digits and len(digits[-1]) < 10 else 0
+
+
+_UNIT_NAMES: Final = {"mm": "millimetres", "cm": "centimetres", "m": "metres", "in": "inches", "kg": "kilograms"}
+
+
+def _limits(low: float, high: float, unit: str, units: Mapping[str, float]) -> Limits:
+    factor = units[unit]
+    return Limits(low / factor, high / factor, _UNIT_NAMES.get(unit, unit))

@@ -1,0 +1,480 @@
+"""Boxes nested anywhere in JSON, NumPy arrays or Python objects: lists of boxes become raw tables.
+
+A list of boxes is a list (or an object) of objects with the same fields, one object of lists, or a list of lists of
+numbers. Fields of fields are named by their path: ``position.x``, ``stackable.dx``, ``WHD[0]``. What is around a list
+names its plan and its container.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+from petmjx.plans.column_names import ColumnMeaning, column_meanings, word_set, words_of
+from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
+from petmjx.plans.raw_tables import MOST_ROWS, RawTable
+
+_DEEPEST: Final = 12
+"""Deepest nesting that is searched."""
+_UNPLACED: Final = word_set(
+    "unfit unfitted unpacked unplaced unassigned unloaded leftover leftovers remaining rejected failed unused "
+    "notpacked notplaced"
+)
+"""Words of lists whose boxes are not in the plan."""
+_PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
+_LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
+"""Words of lists whose members are parts of one plan."""
+_NAMES: Final = (
+    "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
+    "binId",
+    "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
+)  # fmt: skip
+"""Fields that name a plan, from the surest on."""
+_HOLDERS: Final = word_set(
+    "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
+    "containersize palletsize load_carrier"
+)
+_PRINTED_SIZES: Final = re.compile(r"\(?\s*([\d.]+)\s*[x×]\s*([\d.]+)\s*[x×]\s*([\d.]+)")
+_LISTED: Final = 16
+"""Most numbers of a list that become fields of their own: a 4×4 matrix has 16."""
+
+
+@dataclass(frozen=True, eq=False)
+class BoxList:
+    """A list of boxes, as a raw table with what is around it.
+
+    Attributes:
+        table: the boxes.
+        path: path of the list, with [] for any member: "containers[].stack.placements[]".
+        parts: (n,) name of each row's plan; "" where nothing names it.
+        containers: name of a plan → axis (as in ``ColumnMeaning``) → size of its container, in the file's unit.
+        left_out: a line about boxes that are not placed.
+        around: fields of the objects around the list, of the first box.
+    """
+
+    table: RawTable
+    path: str
+    parts: tuple[str, ...] = ()
+    containers: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    around: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def meanings(self) -> list[ColumnMeaning | None]:
+        return column_meanings(self.table.header)
+
+    @property
+    def kinds(self) -> set[str]:
+        return {meaning.kind for meaning in self.meanings if meaning is not None and not meaning.of_container}
+
+    @property
+    def has_places(self) -> bool:
+        """Whether the boxes have coordinates."""
+        return bool(self.kinds & {"position", "positions", "low", "matrix"})
+
+    @property
+    def has_sizes(self) -> bool:
+        """Whether the boxes have sizes."""
+        return bool(self.kinds & {"size", "sizes", "high"})
+
+
+class JsonLines(list[Any]):
+    """The values of JSON lines.
+
+    Attributes:
+        lines: number of each value's line.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[int] = []
+
+
+def decoded_json(text: str) -> Any:
+    """The value of a text: JSON, or JSON lines.
+
+    Raises:
+        InputError: the text is neither. The error names the line and the column, and no file.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise InputError("not JSON (nested too deeply)") from None
+    except json.JSONDecodeError as error:
+        lines = [line for line in text.splitlines() if line.strip()]
+        if error.msg == "Extra data" and len(lines) > 1 and all(line.lstrip()[:1] in "{[" for line in lines):
+            values = JsonLines()
+            for number, line in enumerate(text.splitlines(), start=1):
+                if not line.strip():
+                    continue
+                values.lines.append(number)
+                try:
+                    values.append(json.loads(line))
+                except json.JSONDecodeError as fault:
+                    raise InputError(f"not JSON at line {number}, column {fault.colno} ({fault.msg})") from None
+            return values
+        raise InputError(f"not JSON at line {error.lineno}, column {error.colno} ({error.msg})") from None
+    except ValueError as error:  # whole numbers of thousands of digits
+        raise InputError(f"not JSON ({error})") from None
+
+
+@dataclass(frozen=True, eq=False)
+class _Member:
+    """One object of a list, and where it is.
+
+    Attributes:
+        value: the object.
+        place: its path in the file: "containers[0].boxes[3]".
+        around: (step, object) pairs from the outermost on: the name or number under which each object around it is
+            found, and the object.
+    """
+
+    value: Mapping[str, Any]
+    place: str
+    around: tuple[tuple[str, Mapping[str, Any]], ...]
+
+
+def box_lists(value: Any) -> list[BoxList]:
+    """All lists of boxes in a value, those with places and the most boxes first.
+
+    Raises:
+        InputError: there are too many boxes.
+    """
+    groups: dict[str, list[_Member]] = {}
+    for path, member in _members(value, "", "", (), 0):
+        groups.setdefault(path, []).append(member)
+        if len(groups[path]) > MOST_ROWS:
+            raise InputError(f"has more than {MOST_ROWS:,} boxes")
+    lists = [boxes for path, members in groups.items() if (boxes := _box_list(path, members)) is not None]
+    if isinstance(value, JsonLines):
+        lists = [_by_lines(boxes, value.lines) for boxes in lists]
+    unplaced = [boxes for boxes in lists if _is_unplaced(boxes.path)]
+    placed = [boxes for boxes in lists if not _is_unplaced(boxes.path)]
+    left = sum(len(boxes.table.rows) for boxes in unplaced)
+    lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
+    ranked = sorted(placed, key=lambda boxes: (boxes.has_places, boxes.has_sizes, len(boxes.table.rows)), reverse=True)
+    return [_with_lines(boxes, lines) for boxes in ranked]
+
+
+def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
+    """Boxes of JSON lines with the numbers of their lines: "[4].items[2]" → "line 5, items[2]"."""
+    places = []
+    for place in boxes.table.places:
+        member = re.match(r"\[(\d+)\]\.?", place)
+        rest = "" if member is None else place[member.end() :]
+        places.append(place if member is None else f"line {lines[int(member[1])]}{f', {rest}' if rest else ''}")
+    return replace(boxes, table=replace(boxes.table, places=places))
+
+
+def _with_lines(boxes: BoxList, lines: tuple[str, ...]) -> BoxList:
+    return replace(boxes, left_out=(*boxes.left_out, *lines))
+
+
+def _is_unplaced(path: str) -> bool:
+    words = words_of(path.replace("_", " "))
+    return bool(_UNPLACED.intersection(words)) or "not placed" in " ".join(words) or "not packed" in " ".join(words)
+
+
+def _members(
+    value: Any, path: str, place: str, around: tuple[tuple[str, Mapping[str, Any]], ...], depth: int
+) -> Iterator[tuple[str, _Member]]:
+    """(path, member) for each object of each list in a value."""
+    if depth > _DEEPEST:
+        return
+    if isinstance(value, Mapping):
+        if (rows := _columnar(value)) is not None:
+            for index, row in enumerate(rows):
+                yield f"{path}[]", _Member(row, f"{place}[{index}]", ((_last(path), value), *around))
+            return
+        step = (*around, (_last_step(place), value))
+        members = [name for name, inner in value.items() if isinstance(inner, Mapping)]
+        alike = len(members) > 1 and len(members) == len(value) and _alike([value[name] for name in members])
+        keyed = _is_plan_key(value)
+        for name, inner in value.items():
+            inner_place = f"{place}.{name}" if place else str(name)
+            if keyed:
+                yield from _members(inner, f"{path}[]", inner_place, (*step, (str(name), {"id": str(name)})), depth + 1)
+            elif alike and isinstance(inner, Mapping):
+                yield f"{path}[]", _Member({"id": name, **inner}, inner_place, step)
+                yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
+            elif isinstance(inner, Mapping | list | tuple | np.ndarray):
+                generic = f"{path}.{name}" if path else str(name)
+                yield from _members(inner, generic, inner_place, step, depth + 1)
+        return
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if not isinstance(value, list | tuple):
+        return
+    if (rows := _rows_of_numbers(value)) is not None:
+        for index, row in enumerate(rows):
+            yield f"{path}[]", _Member(row, f"{place}[{index}]", around)
+        return
+    for index, inner in enumerate(value):
+        inner_place = f"{place}[{index}]"
+        if isinstance(inner, Mapping):
+            yield f"{path}[]", _Member(inner, inner_place, around)
+        if isinstance(inner, Mapping | list | tuple):
+            yield from _members(inner, f"{path}[]", inner_place, around, depth + 1)
+
+
+def _last(path: str) -> str:
+    return path.rpartition(".")[2]
+
+
+def _last_step(place: str) -> str:
+    return place.rpartition(".")[2]
+
+
+def _alike(members: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether objects have the same kind of fields, as the boxes of one list do."""
+    names = [set(member) for member in members[:50]]
+    common = set.intersection(*names)
+    return len(common) >= 2 and len(common) * 2 >= max(map(len, names))
+
+
+_FORM_WORDS: Final = word_set(
+    "box boxes item items placement placements package packages packed placed fitted fit carton cartons case cases "
+    "data result results rows records bin bins container containers pallet pallets plans layout solution parcels "
+    "objects orders order stack positions kartons pieces"
+)
+"""Words of fields that hold lists of boxes, and name no plan."""
+
+
+def _is_plan_key(value: Mapping[str, Any]) -> bool:
+    """Whether the fields of an object are names of plans: all hold lists, and none is a word of a form."""
+    lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
+    if len(lists) != len(value) or not lists:
+        return False
+    if len(lists) == 1 and _FORM_WORDS.intersection(words_of(next(iter(value)))):
+        return False
+    if not all(isinstance(inner[0], Mapping) and _alike([inner[0], lists[0][0]]) for inner in lists):
+        return False
+    return not any(_is_unplaced(str(name)) for name in value)
+
+
+_LEAST_COLUMNS: Final = 5
+
+
+def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
+    """The rows of an object of lists of one length, or of pandas' form with ``columns`` and ``data``; None: none."""
+    names, data = value.get("columns"), value.get("data")
+    if isinstance(names, list) and isinstance(data, list) and data and all(isinstance(row, list) for row in data):
+        if all(isinstance(name, str) for name in names) and all(len(row) == len(names) for row in data):
+            return [dict(zip(names, row, strict=True)) for row in data]
+        return None
+    lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
+    lengths = {len(inner) for inner in lists.values()}
+    known = sum(meaning is not None for meaning in column_meanings(list(lists)))
+    if len(lengths) != 1 or 0 in lengths or known < 2:
+        return None
+    if any(isinstance(inner[0], Mapping) for inner in lists.values()):
+        return None
+    flat = sum(3 if isinstance(inner[0], list | tuple) else 1 for inner in lists.values())
+    if flat < _LEAST_COLUMNS:
+        return None
+    return [{name: inner[index] for name, inner in lists.items()} for index in range(lengths.pop())]
+
+
+_LEAST_NUMBERS: Final = 6
+
+
+def _rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
+    """Rows of a list of lists of numbers: sizes, coordinates and more, or matrices; None: the list is none."""
+    if not value or not all(isinstance(row, list | tuple) for row in value):
+        return None
+    first = value[0]
+    if len(first) in (3, 4) and all(isinstance(inner, list | tuple) and len(inner) == 4 for inner in first):
+        return [{"matrix": row} for row in value]
+    widths = {len(row) for row in value}
+    if len(first) < _LEAST_NUMBERS or len(first) > 64 or len(widths) > 2:
+        return None
+    numeric = sum(cell_number(cell) is not None for row in value[:50] for cell in row)
+    if numeric < 0.8 * sum(len(row) for row in value[:50]):
+        return None
+    return [{f"column {number}": cell for number, cell in enumerate(row, start=1)} for row in value]
+
+
+def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
+    """Path → value of an object: objects in it by ".", short lists of numbers by "[0]". Longer lists are left out."""
+    flat: dict[str, Any] = {}
+    for name, inner in value.items():
+        path = f"{prefix}{name}"
+        if isinstance(inner, np.ndarray):
+            inner = inner.tolist()
+        if isinstance(inner, Mapping) and (quantity := _quantity(inner)) is not None:
+            flat[path] = quantity
+        elif isinstance(inner, Mapping):
+            if depth < 4:
+                flat |= flattened(inner, f"{path}.", depth + 1)
+        elif isinstance(inner, list | tuple):
+            if _is_matrix(inner):
+                flat[path] = inner
+            elif 0 < len(inner) <= _LISTED and not any(isinstance(cell, Mapping | list | tuple) for cell in inner):
+                flat |= {f"{path}[{index}]": cell for index, cell in enumerate(inner)}
+        else:
+            flat[path] = inner
+    return flat
+
+
+def _quantity(value: Mapping[str, Any]) -> Any:
+    """The text of an object that is a number with a unit: {"value": "400", "unit": "mm"}; None: it is none."""
+    if "value" in value and isinstance(value.get("unit"), str) and len(value) <= 4:
+        return f"{value['value']} {value['unit']}"
+    if set(value) == {"ticks"}:
+        return f"{value['ticks']} ticks"
+    return None
+
+
+def _is_matrix(value: Sequence[Any]) -> bool:
+    return len(value) in (3, 4) and all(isinstance(row, list | tuple) and len(row) in (3, 4) for row in value)
+
+
+def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
+    """A list of objects as a table; None: they are no boxes."""
+    flat = [flattened(member.value) for member in members]
+    counts: dict[str, int] = {}
+    for row in flat:
+        for name in row:
+            counts[name] = counts.get(name, 0) + 1
+    header = tuple(counts)
+    meanings = [meaning for meaning in column_meanings(header) if meaning is not None and not meaning.of_container]
+    kinds = [meaning.kind for meaning in meanings]
+    matrices = any(isinstance(row.get(name), list | tuple) for row in flat[:1] for name in header)
+    numbered = any(name.startswith("column ") for name in header) and len(header) >= _LEAST_NUMBERS
+    geometric = sum(kind in ("size", "position", "low", "high") for kind in kinds)
+    triples = sum(kind in ("sizes", "positions") for kind in kinds)
+    if not (geometric >= 3 or triples or matrices or numbered):
+        return None
+    kept, left = [], 0
+    for number, row in enumerate(flat):
+        flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and isinstance(value, bool)]
+        if flags and not all(flags):
+            left += 1
+        else:
+            kept.append(number)
+    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in kept]
+    places = [members[number].place or f"[{number}]" for number in kept]
+    table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
+    parts = _parts([members[number] for number in kept])
+    containers: dict[str, Mapping[str, float]] = {}
+    for number, part in zip(kept, parts, strict=True):
+        if part not in containers:
+            containers[part] = _container_of(members[number])
+    lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
+    around: dict[str, Any] = {}
+    for _, holder in members[0].around:
+        around |= {name: inner for name, inner in holder.items() if not isinstance(inner, list)}
+    return BoxList(
+        table, path, tuple(parts), {part: sizes for part, sizes in containers.items() if sizes}, lines, around
+    )
+
+
+def _cell(value: Any) -> Any:
+    return value.strip() or None if isinstance(value, str) else value
+
+
+def _parts(members: Sequence[_Member]) -> list[str]:
+    """The name of each member's plan: those of the objects around it which differ, else the innermost name."""
+    depth = max((len(member.around) for member in members), default=0)
+    levels = [
+        [member.around[level] if level < len(member.around) else ("", {}) for member in members]
+        for level in range(depth)
+    ]
+    several = [
+        level
+        for level in levels
+        if len({id(holder) for _, holder in level}) > 1 and not _LAYERS.intersection(words_of(level[0][0]))
+    ]
+    if not several:
+        return [_only_name(members[0].around)] * len(members) if members else []
+    names = []
+    for level in several:
+        distinct = {id(holder): (step, holder) for step, holder in level}
+        labels = _names_of(list(distinct.values()))
+        by_holder = dict(zip(distinct, labels, strict=True))
+        names.append([by_holder[id(holder)] for _, holder in level])
+    return ["/".join(filter(None, parts)) for parts in zip(*names, strict=True)]
+
+
+def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
+    """The name of the only plan of a file; "": nothing names it."""
+    for _, holder in reversed(around):
+        for name in _NAMES[:10]:
+            if (text := _name_text(holder.get(name))) != "":
+                return text
+    for step, holder in reversed(around):
+        if step.endswith("]") or not step:
+            for name in ("id", "ID", "name", "bin", "partno"):
+                if (text := _name_text(holder.get(name))) != "":
+                    return text
+    return ""
+
+
+def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
+    """The names of objects around boxes: of each the first field whose text no other has, else its place."""
+    texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
+    counts = {name: Counter(values) for name, values in texts.items()}
+    names = []
+    for number, (step, _) in enumerate(holders):
+        unique = (
+            values[number] for name, values in texts.items() if values[number] and counts[name][values[number]] == 1
+        )
+        member = re.search(r"\[(\d+)\]$", step)
+        names.append(next(unique, step if member is None else str(int(member[1]) + 1)))
+    return names
+
+
+def _name_text(value: Any) -> str:
+    if isinstance(value, str):
+        printed = re.match(r"^([\w .#-]+)\([\d.]+\s*x", value)  # py3dbp prints "euro(1200x800x1500, …)"
+        return (printed[1] if printed else value).strip()[:1000]
+    return cell_text(value) if isinstance(value, int | float) and not isinstance(value, bool) else ""
+
+
+def _container_of(member: _Member) -> dict[str, float]:
+    """The size of the container around a box, by axis; empty: none is named."""
+    for step, holder in reversed(member.around):
+        for name, inner in holder.items():
+            words = words_of(str(name))
+            is_box = (
+                isinstance(inner, Mapping) and str(name).lower() == "box"
+            )  # beside a list, as py3dbp's web API has it
+            if not (_HOLDERS.intersection(words) or str(name).lower() in _HOLDERS or is_box):
+                continue
+            if isinstance(inner, Mapping) and (sizes := _sizes_in(inner)):
+                return sizes
+            if isinstance(inner, list | tuple) and len(inner) == 3 and all(map(cell_number, inner)):
+                return {str(axis): float(cell_number(cell).value) for axis, cell in enumerate(inner)}  # type: ignore[union-attr]  # as just checked
+            if isinstance(inner, str) and (printed := _PRINTED_SIZES.search(inner)):
+                return dict(zip(("width", "height", "depth"), map(float, printed.groups()), strict=True))
+        alone = {
+            name: inner for name, inner in holder.items() if not (isinstance(inner, list) and _holds_objects(inner))
+        }
+        if (sizes := _sizes_in(alone)) and step != "":
+            return sizes
+        if sizes and set(holder) & {"items", "boxes", "placements", "stack", "fitted_items", "packages"}:
+            return sizes
+    return {}
+
+
+def _holds_objects(value: Sequence[Any]) -> bool:
+    return any(isinstance(inner, Mapping) for inner in value[:1])
+
+
+def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
+    """Axis → size among the fields of an object; empty: it has no three sizes."""
+    flat = flattened(value)
+    sizes: dict[str, float] = {}
+    for name, meaning in zip(flat, column_meanings(list(flat)), strict=True):
+        number = cell_number(flat[name])
+        if meaning is not None and meaning.kind == "size" and number is not None and number.value > 0:
+            sizes.setdefault(meaning.axis, number.value)
+    return sizes if len(sizes) == 3 else {}

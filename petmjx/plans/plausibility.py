@@ -1,0 +1,246 @@
+"""Plausibility of layouts and units: overlaps, floating boxes, support, neighbours, the carrier, sizes and densities.
+
+Costs are like negative log likelihoods: they are added, and a difference of 1.5 is odds of 4 to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import FloatArray
+
+_OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 15.0, 4.0, 2.0
+"""Costs if all boxes overlap, float, are outside the carrier, hang over, and touch no neighbour. A box that overlaps
+or floats by mistake is rare in a packer's output; overhang and gaps are not."""
+_TOLERANCE: Final = 0.01
+"""Tolerance of touching, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm. Centres are
+often rounded to centimetres or half millimetres."""
+_SMALL_LOAD: Final = 160
+"""Boxes of one plan by which it is judged; of larger plans the first ones that are packed count, from the ground up."""
+_CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
+"""Geometric mean of a carton's sides and its spread (of the logarithm), from BED-BPP's 1.5 million boxes."""
+_CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
+"""Density of cartons and its spread."""
+_DECKS_MM: Final = (
+    (1200.0, 800.0), (1200.0, 1000.0), (800.0, 600.0), (600.0, 400.0), (1219.2, 1016.0), (1100.0, 1100.0),
+    (1140.0, 1140.0), (1200.0, 1200.0), (1000.0, 1000.0), (800.0, 700.0), (5898.0, 2352.0), (12032.0, 2352.0),
+    (13600.0, 2480.0),
+)  # fmt: skip
+"""Usual carriers: pallets of Europe, America and Asia, the roll container, sea containers and a trailer."""
+_PALLETS: Final = 10
+"""The first of the carriers are pallets; on the others a load lies only if the file says so."""
+_DECK_SPREAD: Final = 0.6
+_LARGE_MM: Final = 1000.0
+"""Least length of a carrier that a load's footprint is evidence of: two cartons also have that of a small one."""
+_NEAR: Final = 0.03
+"""Share by which a deck may differ from a usual one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The boxes in one reading, in the file's unit of coordinates, along the plan's axes.
+
+    Attributes:
+        low, size: (n, 3) corners and sizes.
+        container: sizes of the container along x, y, z; NaN where not known.
+    """
+
+    low: FloatArray
+    size: FloatArray
+    container: FloatArray
+
+
+def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]]:
+    """How implausible a layout is, where its origin is, and (overlapping, floating, outside boxes, sum of supported
+    shares).
+
+    Heights count from the lowest box. If that is not at 0, the reading costs more.
+    """
+    low, size = layout.low, layout.size
+    tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
+    bottom = float(low[:, 2].min())
+    heights = low[:, 2] - bottom
+    offset = 0.0
+    if abs(bottom) > tolerance:
+        offset = 1.0 if 0 < bottom < 1.2 * float(np.median(size[:, 2])) else 4.0
+        half = layout.container[2] / 2
+        if not np.isnan(half) and abs(bottom + half) <= 2 * tolerance:
+            offset = 0.8
+    low = np.column_stack([low[:, :2], heights])
+    if len(low) > _SMALL_LOAD:
+        lowest = np.argsort(heights, kind="stable")[:_SMALL_LOAD]
+        low, size = low[lowest], size[lowest]
+    scale = len(layout.low) / len(low)
+    high = low + size
+    overlapping, floating, supported, touching = _contacts(low, high, tolerance)
+    outside, origin_cost, origin = _outside(low, high, layout.container, tolerance)
+    n = len(low)
+    poor = np.maximum(0.0, 1.0 - supported / 0.75)[~floating].sum() / n
+    cost = (
+        _odd_cost(overlapping, _OVERLAP)
+        + _odd_cost(floating, _FLOAT)
+        + _odd_cost(outside, _OUTSIDE)
+        + _SUPPORT * poor
+        + _TOUCH * (1 - touching.mean()) * (n > 1)
+        + offset
+        + origin_cost
+    )
+    if offset == 1.0 and origin == "given":
+        origin = "floor"
+    elif offset:
+        origin = "floor" if origin == "given" else origin
+    counts = (
+        round(scale * int(overlapping.sum())),
+        round(scale * int(floating.sum())),
+        round(scale * int(outside.sum())),
+        scale * float(supported.sum()),
+    )
+    return float(cost), origin, counts
+
+
+_NEGATIVE: Final = 1.0
+"""Cost of corners with negative coordinates, where no container is known: the origin is then no corner of the deck."""
+_FIRST_ODD, _MORE_ODD = 3.0, 1.5
+"""Most that the first odd box costs, and each further one: one plan in 20 has a box that a packer put wrong. In a plan
+of few boxes a share says less."""
+
+
+def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
+    """Cost of boxes that are odd in one way.
+
+    Args:
+        weight: cost if all are.
+    """
+    count = int(np.count_nonzero(odd))
+    return min(weight * count / len(odd), _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
+
+
+def _contacts(
+    low: FloatArray, high: FloatArray, tolerance: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
+    """(n,) whether boxes overlap another one, float, the supported share of their bases, and whether they touch another
+    one at a side or have none beside them. The deck is at height 0."""
+    common = [
+        np.minimum.outer(high[:, axis], high[:, axis]) - np.maximum.outer(low[:, axis], low[:, axis])
+        for axis in range(3)
+    ]
+    wide = [length > tolerance for length in common]
+    overlaps = wide[0] & wide[1] & wide[2]
+    np.fill_diagonal(overlaps, False)
+    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # row below, column above
+    carried = on_top & wide[0] & wide[1]
+    np.fill_diagonal(carried, False)
+    base = (high - low)[:, 0] * (high - low)[:, 1]
+    share = np.minimum((np.where(carried, common[0] * common[1], 0.0).sum(axis=0)) / base, 1.0)
+    on_deck = np.abs(low[:, 2]) <= tolerance
+    share = np.where(on_deck, 1.0, share)
+    overlapping = overlaps.any(axis=1)
+    floating = ~on_deck & ~carried.any(axis=0) & ~overlapping
+    sides = np.zeros_like(overlaps)
+    for axis, other in ((0, 1), (1, 0)):
+        meets = np.abs(np.subtract.outer(high[:, axis], low[:, axis])) <= tolerance
+        beside = meets & wide[other] & wide[2]
+        sides |= beside | beside.T
+    beside_some = wide[2].copy()
+    np.fill_diagonal(beside_some, False)
+    touching = np.asarray(sides.any(axis=1) | ~beside_some.any(axis=1))
+    return np.asarray(overlapping), np.asarray(floating), np.asarray(share), touching
+
+
+def _outside(
+    low: FloatArray, high: FloatArray, container: FloatArray, tolerance: float
+) -> tuple[NDArray[np.bool_], float, str]:
+    """(n,) boxes outside the container, the cost of the origin, and where that is."""
+    n = len(low)
+    if np.isnan(container[:2]).any():
+        around = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
+        # of a corner of the deck coordinates are rarely negative
+        begin = low[:, :2].min(axis=0)
+        cost = _NEGATIVE if (begin < -tolerance).any() else 0.0
+        return np.zeros(n, bool), cost, "middle" if around else "given"
+    # a pallet may be overhung: a tenth of its side is no evidence against a reading
+    slack = np.maximum(tolerance, 0.02 * container[:2])
+    at_corner = ((low[:, :2] < -slack) | (high[:, :2] > container[:2] + slack)).any(axis=1)
+    half = container[:2] / 2
+    at_middle = ((low[:, :2] < -half - slack) | (high[:, :2] > half + slack)).any(axis=1)
+    highest = np.inf if np.isnan(container[2]) else container[2] + 2 * tolerance
+    too_high = high[:, 2] > highest
+    corner, middle = np.asarray(at_corner | too_high), np.asarray(at_middle | too_high)
+    if _odd_cost(middle, _OUTSIDE) + 0.5 < _odd_cost(corner, _OUTSIDE):
+        return middle, 0.5, "middle"
+    return corner, 0.0, "given"
+
+
+def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
+    """Whether readings give the same piles but for a shift, a mirror image, or a turn by 90°, and units."""
+    factors = set()
+    for first, second in zip(one, other, strict=True):
+        a, b = _normal(first), _normal(second)
+        scale = float(np.median(a[1])) / max(float(np.median(b[1])), 1e-300)
+        factors.add(round(scale, 6))
+        low, size = b[0] * scale, b[1] * scale
+        if not any(_near(a, variant) for variant in _images(low, size)):
+            return False
+    return len(factors) <= 1
+
+
+def _normal(layout: Layout) -> tuple[FloatArray, FloatArray]:
+    return layout.low - layout.low.min(axis=0), layout.size
+
+
+def _near(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> bool:
+    tolerance = _TOLERANCE * float(np.median(one[1]))
+    return bool(np.abs(one[0] - other[0]).max() <= tolerance and np.abs(one[1] - other[1]).max() <= tolerance)
+
+
+def _images(low: FloatArray, size: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """A pile and its mirror images and turns about the vertical."""
+    for order in ([0, 1, 2], [1, 0, 2]):
+        placed, extent = low[:, order], size[:, order]
+        end = (placed + extent).max(axis=0)
+        for flip_x in (False, True):
+            for flip_y in (False, True):
+                flipped = placed.copy()
+                if flip_x:
+                    flipped[:, 0] = end[0] - placed[:, 0] - extent[:, 0]
+                if flip_y:
+                    flipped[:, 1] = end[1] - placed[:, 1] - extent[:, 1]
+                yield flipped, extent
+
+
+def side_cost(side_mm: float) -> float:
+    """How unusual the sides of boxes are, by their geometric mean."""
+    return _squared(side_mm, _CARTON_MM, _CARTON_SPREAD)
+
+
+def density_cost(density_kg_m3: float) -> float:
+    """How unusual a density of boxes is."""
+    return _squared(density_kg_m3, _CARTON_KG_M3, _DENSITY_SPREAD)
+
+
+def _squared(value: float, usual: float, spread: float) -> float:
+    """Half the square of the logarithmic distance from a usual value, in spreads."""
+    return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
+
+
+def deck_cost(deck_mm: FloatArray, known: bool) -> float:
+    """How unusual a deck is (known), or a load's footprint (not known): a load may be smaller than its deck."""
+    long, short = float(deck_mm.max()), float(deck_mm.min())
+    usual = any(
+        abs(long / side - 1) < _NEAR and abs(short / other - 1) < (_NEAR if known else 0.12)
+        for side, other in _DECKS_MM
+        if known or side >= _LARGE_MM
+    )
+    if usual:
+        return -2.5 if known else -1.2
+    if known:
+        return min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+    if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
+        return 0.0
+    return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)

@@ -1,0 +1,159 @@
+"""Cells of other tools' tables: numbers with any decimal sign, marks between thousands and units behind them; three
+numbers in one cell; names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from decimal import Decimal
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from petmjx.common.text import printable_name
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text
+from petmjx.plans.file_formats import number_hint
+
+GROUPED: Final = "grouped"
+"""As a decimal sign: there is none, and points and commas stand between thousands."""
+
+
+class CellNumber(NamedTuple):
+    """A number in a cell, and the unit that is written behind it ("": none)."""
+
+    value: float
+    unit: str
+
+
+_DECIMAL_REPR: Final = re.compile(r"""^Decimal\(\s*['"]?([^'"]*)['"]?\s*\)$""")
+_WITH_UNIT: Final = re.compile(r"^([+-]?[\d.,' \u00a0\u202f\u2019]*\d(?:[eE][+-]?\d+)?)\s*([a-zA-Zµ\"″]{1,12})\.?$")
+_PLAIN: Final = re.compile(r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$")
+_GROUPS: Final = re.compile(r"^[+-]?\d{1,3}([.,' \u00a0\u202f\u2019])\d{3}(?:\1\d{3})*(?:([.,])\d+)?$")
+_LONGEST_NUMBER: Final = 60
+
+
+def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
+    """The number in a cell; None: there is none. NaN and infinite numbers are numbers.
+
+    Args:
+        decimal: the decimal sign of numbers that are text; "": not known. With "," a point may only stand between
+            thousands, and only beside a decimal comma: "1.234,5".
+    """
+    if isinstance(cell, bool) or cell is None:
+        return None
+    if isinstance(cell, int | float | Decimal | np.number):
+        try:
+            return CellNumber(float(cell), "")
+        except OverflowError:
+            return CellNumber(float("inf"), "")
+    if not isinstance(cell, str) or len(cell) > _LONGEST_NUMBER:
+        return None
+    text = cell.strip()
+    if (wrapped := _DECIMAL_REPR.match(text)) is not None:
+        text, decimal = wrapped[1].strip(), "."
+    unit = ""
+    if (match := _WITH_UNIT.match(text)) is not None:
+        word = {'"': "in", "″": "in"}.get(match[2], plain_text(match[2]).lower())
+        if word not in LENGTH_UNITS and word not in MASS_UNITS:
+            return None
+        text, unit = match[1].strip(), word
+    if not text.isascii():
+        text = text.replace("\u2212", "-").replace("\u00a0", " ").replace("\u202f", " ").replace("\u2019", "'")
+    if decimal == GROUPED:
+        text, decimal = (text.replace(",", "").replace(".", ""), ".") if _GROUPS.match(text) else (text, "")
+    groups = _GROUPS.match(text)
+    if groups is not None and groups[1] != decimal and (groups[1] not in ".," or groups[2] == decimal):
+        text = text.replace(groups[1], "")
+    if decimal == ",":
+        if "." in text:
+            return None
+        text = text.replace(",", ".")
+    elif not decimal and _MAYBE.match(text):
+        return None
+    if not _PLAIN.match(text):
+        return CellNumber(float(text), unit) if text.lower() in ("nan", "inf", "-inf", "infinity") else None
+    return CellNumber(float(text), unit)
+
+
+def number_fault_of(cell: Any, decimal: str) -> str:
+    """The end of a message about a cell that should be a number: what it is, and how to write it."""
+    if cell is None or cell == "":
+        return "is missing"
+    if not isinstance(cell, str):
+        kind = {dict: "an object", list: "a list", bool: "true or false"}.get(type(cell), type(cell).__name__)
+        return f"must be a number, got {kind}"
+    hint = number_hint(cell)
+    if not hint and not decimal and _MAYBE.match(cell):
+        hint = f": write {cell.replace('.', '')} or {cell.replace('.', ',')}, whichever it is"
+    if not hint and decimal == "," and "." in cell:
+        hint = ": other numbers of this file have decimal commas"
+    return f'must be a number, got "{printable_name(cell)}"{hint}'
+
+
+def cell_text(cell: Any) -> str:
+    """A cell as a name: text without white space around it, whole numbers without a point; "" where it is empty."""
+    if cell is None:
+        return ""
+    if isinstance(cell, float) and cell.is_integer() and abs(cell) < 2**53:
+        return str(int(cell))
+    return str(cell).strip()
+
+
+def cell_triple(cell: Any, decimal: str = ".") -> list[CellNumber] | None:
+    """The three numbers in a cell: "400x300x200", "(0, 0, 200)", "[Decimal('600.0'), 0, 0]"; None: there are none."""
+    if isinstance(cell, list | tuple | np.ndarray):
+        numbers = [cell_number(value) for value in cell]
+        return [number for number in numbers if number is not None] if len(numbers) == 3 and all(numbers) else None
+    if not isinstance(cell, str) or len(cell) > 200:
+        return None
+    text = re.sub(r"Decimal\(\s*['\"]?([^'\")]*)['\"]?\s*\)", r"\1", cell).strip().strip("[](){}<>")
+    unit = ""
+    if (last := re.search(r"\s*([a-zA-Z]{1,6})$", text)) is not None and last[1].lower() in LENGTH_UNITS:
+        text, unit = text[: last.start()], last[1].lower()
+    text = re.sub(r"\b[xyzlwhdbt]\s*[=:]\s*", " ", text, flags=re.IGNORECASE)
+    for separator in (r"[x×X*]", r"[;|/]", r",\s+" if decimal == "," else r",", r"\s+"):
+        parts = [part for part in re.split(rf"\s*{separator}\s*", text.strip()) if part]
+        if len(parts) == 3:
+            numbers = [cell_number(part, decimal) for part in parts]
+            if all(number is not None for number in numbers):
+                return [CellNumber(number.value, number.unit or unit) for number in numbers if number is not None]
+    return None
+
+
+_COMMA_SURE: Final = re.compile(
+    r"^[+-]?(\d{1,3}(\.\d{3})+,\d+|0,\d+|,\d+|\d+,(\d{1,2}|\d{4,})|\d{4,},\d+)(\s*[a-zA-Z]+)?$"
+)
+_POINT_SURE: Final = re.compile(
+    r"^[+-]?(\d{1,3}(,\d{3})+\.\d+|0\.\d+|\.\d+|\d+\.(\d{1,2}|\d{4,})|\d{4,}\.\d+)(\s*[a-zA-Z]+)?$"
+)
+_MAYBE: Final = re.compile(r"^[+-]?\d{1,3}([.,])\d{3}$")
+
+
+def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
+    """The decimal sign of the numbers in cells that are text; "": it cannot be told, and "1,200" may be 1200 or 1.2.
+
+    "1,200" has a decimal comma if other numbers have no mark between their thousands. "1.200" may be 1200 if numbers of
+    its column have no decimals.
+    """
+    commas = points = 0
+    maybe = {",": False, ".": False}
+    long_whole = beside_whole = False
+    for column in zip(*rows, strict=False):
+        whole = grouped = False
+        for cell in column:
+            if not isinstance(cell, str) or len(cell) >= 40:
+                continue
+            commas += _COMMA_SURE.match(cell) is not None
+            points += _POINT_SURE.match(cell) is not None
+            if (match := _MAYBE.match(cell)) is not None:
+                maybe[match[1]] = True
+                grouped |= match[1] == "."
+            elif cell.isdigit():
+                long_whole |= len(cell) > 3
+                whole |= len(cell) > 2
+        beside_whole |= whole and grouped
+    if commas or points:
+        return "," if commas > points else "."
+    if maybe[","]:
+        return "," if long_whole and not maybe["."] else ""
+    return "" if beside_whole and not long_whole else "."

@@ -1,0 +1,484 @@
+"""Raw tables (``RawTable``): rows of text and sheets with the names of their columns, before anything is understood.
+
+Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250, with any usual separator and decimal sign, Excel's ``sep=;``,
+titles above the header, a line of units below it, and totals at the end.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.plans.column_names import column_meanings, is_unit, plain_text
+from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
+
+MOST_ROWS: Final = 1_000_000
+"""Largest number of rows of a table, those of a sheet. A table of a million boxes takes a gigabyte as Python values."""
+MOST_COLUMNS: Final = 1_000
+_SEARCHED_ROWS: Final = 60
+"""Rows at the beginning of a table among which the header is searched."""
+_LEAST_KNOWN: Final = 2
+"""Least number of known names in a header."""
+_DELIMITERS: Final = (",", ";", "\t", "|")
+_SPACES: Final = " "
+"""Stands for any white space between fields, as in printed tables."""
+
+
+@dataclass(frozen=True, eq=False)
+class RawTable:
+    """A table as it is in a file.
+
+    Attributes:
+        header: names of the columns; of a table without a header "column 1", "column 2" …
+        rows: rows of cells, each as long as the header. A cell is text, a number or None (empty).
+        places: where each row is, for messages: "row 5", "boxes[4]".
+        decimal: decimal sign of numbers that are text; "": not known.
+        title: name of the sheet, or the path of the list in JSON.
+        above: lines above the header.
+        lost: place and fault of rows that cannot be read, and are not in ``rows``.
+        notes: how the table was read, where that is not obvious ("Windows-1252", "the header is row 4").
+        has_header: whether the names come from the file.
+        part: name of the plan, where tables of one file are plans of their own; "": the table may hold several.
+    """
+
+    header: tuple[str, ...]
+    rows: list[tuple[Any, ...]]
+    places: list[str]
+    decimal: str = "."
+    title: str = ""
+    above: tuple[str, ...] = ()
+    lost: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+    has_header: bool = True
+    part: str = ""
+
+    def column(self, name: str) -> list[Any]:
+        """The cells of a column.
+
+        Raises:
+            KeyError: the table has no such column.
+        """
+        if name not in self.header:
+            raise KeyError(name)
+        index = self.header.index(name)
+        return [row[index] for row in self.rows]
+
+
+# Text.
+
+
+def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
+    """The text of bytes, and a note about its encoding ("": UTF-8).
+
+    UTF-8 and UTF-16 are certain. Bytes that are neither are Windows-1252, or Windows-1250 if more words of headers are
+    known then.
+    """
+    raw = bytes(data)
+    if raw.startswith(b"\xef\xbb\xbf"):
+        return raw[3:].decode("utf-8", "replace"), ""
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return raw.decode("utf-16", "replace"), "UTF-16"
+    head = raw[:2000]
+    if head.count(b"\0") > len(head) // 4:
+        order = "utf-16-le" if head[1:2] == b"\0" else "utf-16-be"
+        return raw.decode(order, "replace"), "UTF-16"
+    try:
+        return raw.decode("utf-8"), ""
+    except UnicodeDecodeError:
+        pass
+    texts = {
+        name: raw.decode(code, "replace") for name, code in (("Windows-1252", "cp1252"), ("Windows-1250", "cp1250"))
+    }
+    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # the first of equals
+    return texts[best], best
+
+
+def _known_in_lines(text: str) -> int:
+    """The most known names in one of the first lines."""
+    lines = text[:20_000].splitlines()[:_SEARCHED_ROWS]
+    return max((_n_known(re.split(r"[,;\t|]", line)) for line in lines), default=0)
+
+
+def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
+    """The tables of a text with separators: CSV of any locale, or columns between white space.
+
+    A table begins with its header; titles between tables become names of their parts.
+
+    Raises:
+        InputError: the text holds no table. The error does not name the file.
+    """
+    text, encoding = decoded_text(data)
+    notes = [encoding] if encoding else []
+    first, _, rest = text.partition("\n")
+    mark = re.fullmatch(r'\s*"?sep=(.|\\t)"?[\s;,]*', first, re.IGNORECASE)
+    begin = 1
+    delimiter: str | None = None
+    if mark is not None:
+        delimiter, text, begin = "\t" if mark[1] == "\\t" else mark[1], rest, 2
+    if not text.strip():
+        raise NoBoxes("the file is empty")
+    if text.count("\0"):
+        raise NoBoxes("is no text")
+    lost: list[tuple[str, str]] = []
+    if text.count('"') % 2:
+        text = _without_unclosed(text, lost, begin)
+    if delimiter is None:
+        delimiter = _delimiter_of(text)
+    if delimiter not in (",", "\t"):
+        notes.append("fields between white space" if delimiter == _SPACES else f"fields between {delimiter}")
+    rows = list(_fields(text, delimiter))
+    if len(rows) > MOST_ROWS:
+        raise InputError(f"has more than {MOST_ROWS:,} rows")
+    tables = tables_of_rows(rows, begin, lost=lost)
+    comma = any(table.decimal == "," for table in tables)
+    if comma:
+        notes.append("decimal commas")
+    return [replace(table, notes=(*notes, *table.notes)) for table in tables]
+
+
+def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:
+    """The text with empty lines for those that have an unclosed quotation mark, which are added to ``lost``."""
+    lines = text.split("\n")
+    for index, line in enumerate(lines):
+        if line.count('"') % 2:
+            lost.append((f"row {index + begin}", "has an unclosed quotation mark"))
+            lines[index] = ""
+    return "\n".join(lines)
+
+
+def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
+    if delimiter == _SPACES:
+        yield from _spaced_fields(text.splitlines())
+        return
+    try:
+        yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
+    except csv.Error as error:
+        raise NoBoxes(f"is no table: {error}") from error
+
+
+_RULE: Final = re.compile(r"^[\s|+]*[-=]{2,}(?:[\s|+]+[-=]{2,})+[\s|+]*$")
+"""A line of dashes below a header, as printed tables have it."""
+
+
+def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
+    """Fields between white space. Under a line of dashes the dashes say where columns are, so that a cell may be empty;
+    else fields stand between two or more spaces, if that makes more rows alike, or between any.
+    """
+    rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
+    if rule is not None:
+        spans = [match.span() for match in re.finditer(r"[-=]{2,}", lines[rule])]
+        for index, line in enumerate(lines):
+            if index == rule:
+                yield []
+            elif index < rule - 1:
+                yield line.split()
+            else:
+                ends = [*(begin for begin, _ in spans[1:]), None]
+                starts = [0, *(begin for begin, _ in spans[1:])]
+                cells = [line[start:end].strip() for start, end in zip(starts, ends, strict=True)]
+                moved = any(re.search(r"\d\s+\d", cell) for cell in cells)
+                yield line.split() if moved else cells if line.strip() else []
+        return
+    ways = [[re.split(r"\s{2,}|\t", line.strip()) for line in lines], [line.split() for line in lines]]
+
+    def alike(rows: list[list[str]]) -> int:
+        counts = Counter(len(row) for row in rows if len(row) > 1)
+        return max(counts.values(), default=0)
+
+    yield from max(ways, key=alike)  # the first of equals
+
+
+def _delimiter_of(text: str) -> str:
+    """The separator of a text: the one with which most names of a header are known, then with the most even rows."""
+    sample = text[:200_000]
+    if len(text) > len(sample):
+        sample = sample[: sample.rfind("\n") + 1] or sample
+
+    def merit(delimiter: str) -> tuple[int, float]:
+        try:
+            rows = [row for row in _fields(sample, delimiter) if any(cell.strip() for cell in row)]
+        except InputError:
+            return 0, 0.0
+        counts = Counter(len(row) for row in rows)
+        width, most = max(counts.items(), key=lambda entry: (entry[1], entry[0]), default=(0, 0))
+        even = most / max(len(rows), 1) if width > 1 else 0.0
+        known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
+        return (known if known >= _LEAST_KNOWN else 0), even
+
+    lines = [line for line in sample.splitlines()[:_SEARCHED_ROWS] if line.strip()]
+    marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
+    return max(_DELIMITERS if marked else (*_DELIMITERS, _SPACES), key=merit)
+
+
+_NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")
+
+
+def _n_known(cells: Sequence[Any]) -> int:
+    """How many cells of a row are names of columns that are known."""
+    names = [cell if isinstance(cell, str) and len(cell) < 100 and not _NUMERIC.match(cell) else "" for cell in cells]
+    if sum(map(bool, names)) < _LEAST_KNOWN or len(names) > MOST_COLUMNS:
+        return 0
+    meanings = column_meanings(names)
+    return len({(meaning.kind, meaning.axis) for meaning in meanings if meaning is not None})
+
+
+# Rows of any source.
+
+
+def tables_of_rows(
+    rows: Sequence[Sequence[Any]], begin: int = 1, title: str = "", lost: Sequence[tuple[str, str]] = ()
+) -> list[RawTable]:
+    """The tables in rows of cells. The header of each is searched; rows of numbers alone have none.
+
+    Args:
+        begin: number of the first row.
+        title: name of the sheet.
+        lost: rows that were lost before.
+
+    Raises:
+        InputError: there is no table.
+    """
+    cleaned = [tuple(_cleaned(cell) for cell in row) for row in rows]
+    heads = _header_rows(cleaned)
+    if not heads:
+        return [_without_header(cleaned, begin, title, tuple(lost))]
+    tables: list[RawTable] = []
+    above: list[str] = []
+    for number, head in enumerate(heads):
+        end = heads[number + 1] if number + 1 < len(heads) else len(cleaned)
+        start = 0 if number == 0 else heads[number - 1] + 1
+        if number == 0:
+            above = [text for row in cleaned[start:head] if (text := _line(row))]
+        below, trailing = _table_below(cleaned, head, end, begin, title, tuple(above), number < len(heads) - 1)
+        tables += below
+        above = trailing
+    tables[0] = replace(tables[0], lost=(*lost, *tables[0].lost))
+    if len(heads) > 1:
+        tables = [
+            replace(table, part=table.part or (table.above[-1] if table.above else f"{number}"))
+            for number, table in enumerate(tables, start=1)
+        ]
+    return [table for table in tables if table.rows or table.lost] or tables[:1]
+
+
+def _cleaned(cell: Any) -> Any:
+    if isinstance(cell, str):
+        cell = cell.strip().strip("\ufeff")
+        return cell or None
+    if isinstance(cell, float) and np.isnan(cell):
+        return None
+    return cell
+
+
+def _line(row: Sequence[Any]) -> str:
+    return " ".join(cell_text(cell) for cell in row if cell is not None)
+
+
+def _header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
+    """Indices of the rows that are headers: the first row with the most known names, and its repetitions."""
+    known = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
+    most = max(known, default=0)
+    if most < _LEAST_KNOWN:
+        return []
+    head = known.index(most)
+    header = rows[head]
+    return [index for index in range(head, len(rows)) if index == head or rows[index] == header]
+
+
+def _table_below(
+    rows: Sequence[tuple[Any, ...]], head: int, end: int, begin: int, title: str, above: tuple[str, ...], more: bool
+) -> tuple[list[RawTable], list[str]]:
+    """The tables below a header, one for each named section, and the lines after them, of the next header."""
+    names = [cell_text(cell) for cell in rows[head]]
+    while names and not names[-1]:
+        names.pop()
+    notes = [f"the header is row {head + begin}"] if head else []
+    group = rows[head - 1] if head else ()
+    filled = sum(cell is not None for cell in group)
+    if (filled >= 1 and _n_known(rows[head]) < len(names)) or (filled > 1 and not _has_places(names)):
+        names = _with_groups(names, group)
+    first = head + 1
+    if first < end and any(rows[first]) and all(cell is None or _is_unit_cell(cell) for cell in rows[first]):
+        names = [
+            f"{name} [{cell_text(cell).strip('[]() ')}]" if cell is not None and not _names_unit(name) else name
+            for name, cell in zip(names, (*rows[first], *([None] * len(names))), strict=False)
+        ]
+        first += 1
+    header = tuple(_distinct(names))
+    sections, lost, trailing = _sections(rows, first, end, begin, header, notes)
+    if trailing and not more:
+        notes.append(f"left out at the end: {printable_name(trailing[0])}")
+    names_of = dict.fromkeys(name for name, _ in sections)
+    tables = []
+    for number, part in enumerate(names_of, start=1):
+        body = [row for name, section in sections if name == part for row, _ in section]
+        places = [place for name, section in sections if name == part for _, place in section]
+        label = (part or (above[-1] if above else "1")) if len(names_of) > 1 else ""
+        tables.append(
+            RawTable(
+                header,
+                body,
+                places,
+                decimal_of(body),
+                title,
+                above,
+                lost if number == 1 else (),
+                tuple(notes),
+                part=label,
+            )
+        )
+    return tables or [RawTable(header, [], [], ".", title, above, lost, tuple(notes))], trailing if more else []
+
+
+_Section = tuple[str, list[tuple[tuple[Any, ...], str]]]
+"""A line between rows that names what follows ("": none), and the rows with their places."""
+
+
+def _sections(
+    rows: Sequence[tuple[Any, ...]], first: int, end: int, begin: int, header: Sequence[str], notes: list[str]
+) -> tuple[list[_Section], tuple[tuple[str, str], ...], list[str]]:
+    """The rows of a table by sections, the rows that are lost, and the lines after the last row."""
+    width, geometric = len(header), _geometric(header)
+    sections: list[_Section] = [("", [])]
+    lost: list[tuple[str, str]] = []
+    trailing: list[str] = []
+    for index in range(first, end):
+        row, place = rows[index], f"row {index + begin}"
+        filled = [cell for cell in row if cell is not None]
+        if not filled:
+            continue
+        if _is_total(row, geometric):
+            notes.append(f"{place} is a total, and left out")
+            continue
+        if len(filled) == 1 and width > 2 and isinstance(filled[0], str) and not _mostly_numbers(row):
+            trailing.append(filled[0])
+            continue
+        used = len(row)
+        while used > width and row[used - 1] is None:
+            used -= 1
+        if used != width and len(row) != width:
+            lost.append((place, f"has {count_text(len(row), 'field')} instead of {width}"))
+            continue
+        if trailing:
+            sections.append((trailing[-1], []))
+            trailing = []
+        sections[-1][1].append((tuple(row[:width]), place))
+    return [section for section in sections if section[1]], tuple(lost), trailing
+
+
+def _geometric(header: Sequence[str]) -> list[int]:
+    """Indices of the columns with sizes and places."""
+    return [
+        index
+        for index, meaning in enumerate(column_meanings(header))
+        if meaning is not None and meaning.kind in ("size", "sizes", "position", "positions")
+    ]
+
+
+def _is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
+    """Whether a row is a total: its first text says so, and it lacks a size or a place."""
+    text = next((cell for cell in row if isinstance(cell, str) and cell_number(cell) is None), "")
+    if not _TOTAL.match(plain_text(text).strip()):
+        return False
+    return not geometric or any(index >= len(row) or row[index] is None for index in geometric)
+
+
+def _has_places(names: Sequence[str]) -> bool:
+    kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
+    return bool(kinds & {"position", "positions", "low"})
+
+
+def _with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
+    """Names below a line of merged headings: "Position" above X, Y, Z gives "Position X"."""
+    heading, joined = "", []
+    for index, name in enumerate(names):
+        cell = group[index] if index < len(group) else None
+        heading = cell_text(cell) if cell is not None else heading
+        joined.append(f"{heading} {name}".strip() if heading and name else name)
+    known = sum(meaning is not None for meaning in column_meanings(joined))
+    return joined if known >= sum(meaning is not None for meaning in column_meanings(names)) else names
+
+
+def _is_unit_cell(cell: Any) -> bool:
+    return isinstance(cell, str) and (is_unit(cell) or cell.strip() in ("-", "–", "[-]", "°", "deg", "pcs", "Stk"))
+
+
+def _names_unit(name: str) -> bool:
+    meaning = column_meanings([name])[0]
+    return meaning is not None and bool(meaning.unit)
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """Names without repetitions; a name that is empty is "column 3".
+
+    Raises:
+        InputError: a name that is known is there twice.
+    """
+    seen: Counter[str] = Counter()
+    distinct = []
+    for number, name in enumerate(names, start=1):
+        name = name or f"column {number}"
+        seen[name] += 1
+        if seen[name] == 2 and column_meanings([name])[0] is not None:
+            raise InputError(f"column {printable_name(name)} is there twice")
+        distinct.append(name if seen[name] == 1 else f"{name} again")
+    return distinct
+
+
+def _mostly_numbers(row: Sequence[Any]) -> bool:
+    cells = [cell for cell in row if cell is not None]
+    return sum(cell_number(cell, ",") is not None or cell_number(cell) is not None for cell in cells) * 2 > len(cells)
+
+
+_TOTAL: Final = re.compile(
+    r"^(grand |sub)?(total|sum|summe|gesamt|somme|suma|totale|razem|summen?|insgesamt|average|mittelwert)\b",
+    re.IGNORECASE,
+)
+
+
+def _without_header(
+    rows: Sequence[tuple[Any, ...]], begin: int, title: str, lost: tuple[tuple[str, str], ...]
+) -> RawTable:
+    """A table of rows of numbers, without names of columns.
+
+    Raises:
+        InputError: the rows are no such table.
+    """
+    used = [(index, row) for index, row in enumerate(rows) if any(cell is not None for cell in row)]
+    widths = Counter(len(row) for _, row in used)
+    width = widths.most_common(1)[0][0] if widths else 0
+    good = [(index, row) for index, row in used if len(row) == width]
+    numeric = sum(_mostly_numbers(row) for _, row in good)
+    if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
+        raise InputError(
+            "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places: "
+            "pack them first with petmjx samples --orders"
+        )
+    if width < 6 or numeric < 0.8 * max(len(good), 1):
+        raise NoBoxes("has no header with known names of columns")
+    bad = [
+        (f"row {index + begin}", f"has {len(row)} fields instead of {width}")
+        for index, row in used
+        if len(row) != width
+    ]
+    body = [row for _, row in good]
+    return RawTable(
+        tuple(f"column {number}" for number in range(1, width + 1)),
+        body,
+        [f"row {index + begin}" for index, _ in good],
+        decimal_of(body),
+        title,
+        lost=(*lost, *bad),
+        notes=("there is no header",),
+        has_header=False,
+    )

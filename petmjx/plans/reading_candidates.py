@@ -1,0 +1,231 @@
+"""Candidates of readings: all ways in which names of columns, the form and the caller let numbers be read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.plans.box_columns import BoxColumns, Geometry, role_of
+from petmjx.plans.input_conventions import ANCHORS
+from petmjx.plans.plausibility import Layout
+from petmjx.plans.readings import Wishes
+
+_SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
+"""py3dbp's ``rotation_type`` → which of width, height, depth lies along the three axes (its ``get_dimension``)."""
+
+_ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
+_FIRM: Final = 3.0
+"""Cost of going against what is known of a form."""
+_WORDS: Final = ("length", "width", "height", "depth")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One way to read a geometry, before units."""
+
+    geometry: Geometry
+    pair: tuple[int, int, int]
+    up: str
+    anchor: str
+    rule: str
+    prior: float
+    scale: float = 1.0
+    """One unit of sizes in units of coordinates."""
+
+    @property
+    def along(self) -> tuple[str, str, str]:
+        axes = [self.geometry.axes[index] for index in self.pair]
+        order = (0, 1, 2) if self.up == "z" else (0, 2, 1)
+        names = [role_of(axes[index]) for index in order]
+        return names[0], names[1], names[2]
+
+
+def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
+    """(n, 3) sizes along the file's axes, as placed."""
+    geometry = candidate.geometry
+    if geometry.turn is not None:
+        paired = geometry.size[:, candidate.pair]
+        turned: FloatArray = np.einsum("nij,nj->ni", geometry.turn, np.nan_to_num(paired, nan=np.nan))
+        return turned
+    size = geometry.size[:, candidate.pair]
+    turns = columns.turns
+    if candidate.rule == "none" or turns is None:
+        return size
+    if candidate.rule == "letters":
+        assert turns.letters is not None
+        return np.take_along_axis(geometry.size, turns.letters, axis=1)
+    codes = np.maximum(turns.codes, 0)
+    if candidate.rule in ("swap", "degrees"):
+        level = (1, 0, 2) if candidate.up == "z" else (2, 1, 0)
+        odd = codes % 2 == 1
+        return np.where(odd[:, None], size[:, level], size)
+    first = 1 if candidate.rule == "py3dbp from 1" else 0
+    return np.take_along_axis(size, _SIX[np.clip(codes - first, 0, 5)], axis=1)
+
+
+def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str, float] | None = None) -> Layout:
+    """The boxes of a candidate along the plan's axes, in the unit of coordinates."""
+    size = turned_sizes(columns, candidate) * candidate.scale
+    place = candidate.geometry.place
+    order = [0, 1, 2] if candidate.up == "z" else [0, 2, 1]
+    size, place = size[:, order], place[:, order]
+    shares = {str(name): share for name, share in ANCHORS.items()}[candidate.anchor]
+    low = place - np.array(shares, float) * size
+    return Layout(low, size, _container_along(candidate, container or {}, order))
+
+
+def _container_along(candidate: Candidate, container: Mapping[str, float], order: Sequence[int]) -> FloatArray:
+    """Sizes of a container along the plan's axes; NaN where it is not known."""
+    axes = candidate.geometry.axes
+    if all(axis in container for axis in axes):
+        along = np.array([container[axis] for axis in axes], float)[list(candidate.pair)]
+    elif all(axis in container for axis in "xyz"):
+        along = np.array([container[axis] for axis in "xyz"], float)
+    elif all(str(axis) in container for axis in range(3)):
+        along = np.array([container[str(axis)] for axis in range(3)], float)
+    elif "height" in container and "width" in container:
+        first = container.get("length", container.get("depth", math.nan))
+        level = (first, container["width"]) if "length" in container else (container["width"], first)
+        return np.array([*level, container["height"]], float)
+    elif "length" in container and "width" in container:
+        return np.array([container["length"], container["width"], math.nan], float)
+    else:
+        return np.full(3, np.nan)
+    return along[list(order)]
+
+
+def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
+    """All readings that names, the form and the caller allow, with their priors."""
+    form = columns.source.form
+    for geometry in columns.geometries:
+        for up, up_prior in _ups(geometry, columns, wishes):
+            for pair, pair_prior in _pairs(geometry, up, columns, wishes):
+                for rule, rule_prior in _rules(geometry, columns, wishes):
+                    if rule == "letters" and pair != (0, 1, 2):
+                        continue
+                    for anchor, anchor_prior in _anchors(geometry, form.anchor, wishes):
+                        prior = geometry.prior + up_prior + pair_prior + rule_prior + anchor_prior
+                        yield Candidate(geometry, pair, up, anchor, rule, prior)
+
+
+def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:
+    if wishes.up:
+        return [(wishes.up, 0.0)]
+    form = columns.source.form
+    known = form.up or geometry.named_up
+    if known:
+        return [(up, 0.0 if up == known else _FIRM) for up in ("z", "y")]
+    if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
+        return [("z", 0.2), ("y", 0.2)]
+    return [("z", 0.0), ("y", 1.0)]
+
+
+def _pairs(
+    geometry: Geometry, up: str, columns: BoxColumns, wishes: Wishes
+) -> list[tuple[tuple[int, int, int], float]]:
+    """(which size lies along the file's first, second and third axis, prior)."""
+    axes = geometry.axes
+    if len(wishes.along) == 3:
+        names = [role_of(axis) for axis in axes]
+        if sorted(names) == sorted(wishes.along):
+            order = (0, 1, 2) if up == "z" else (0, 2, 1)
+            along = [names.index(wishes.along[order.index(axis)]) for axis in range(3)]
+            return [((along[0], along[1], along[2]), 0.0)]
+    if not set(axes) <= set(_WORDS):
+        if axes == ("x", "y", "z"):
+            return [((0, 1, 2), 0.0), ((1, 0, 2), 4.0), ((0, 2, 1), 4.0)]
+        return [((0, 1, 2), 0.0), ((1, 0, 2), 2.2), ((0, 2, 1), 1.6)]
+    upright = "height" if "height" in axes else "depth"
+    pairs = []
+    vertical = 2 if up == "z" else 1
+    for pair in permutations(range(3)):
+        named = [axes[index] for index in pair]
+        level = [name for name in named if name != upright]
+        if named[vertical] == upright:
+            usual_level = ["length", "width"] if "length" in level and "width" in level else ["width", "depth"]
+            if "length" in level and "depth" in level:
+                usual_level = ["length", "depth"]
+            swapped = level != usual_level
+            prior = 2.0 if swapped else 0.0
+        elif pair == (0, 1, 2):  # sizes in the order of the axes, whatever their names say
+            listed = _order_in_file(columns, axes) == axes
+            prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
+        else:
+            continue
+        if columns.source.form.rule == "py3dbp" and pair != (0, 1, 2):
+            prior += _FIRM
+        pairs.append(((pair[0], pair[1], pair[2]), prior))
+    return pairs
+
+
+def _order_in_file(columns: BoxColumns, axes: Sequence[str]) -> tuple[str, ...]:
+    """The words of the sizes in the order of their columns: width, height, depth is the order of axes in py3dbp."""
+    header = columns.source.boxes.table.header
+    named = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
+    return tuple(sorted(axes, key=lambda axis: header.index(named[axis]) if named[axis] in header else 0))
+
+
+def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:
+    if geometry.turn is not None:
+        return [("pose", 0.0)]
+    if columns.turns is None or wishes.sizes == "placed":
+        return [("none", 0.0)]
+    if wishes.rule and (wishes.rule == "none" or wishes.rule in columns.turns.rules):
+        return [(wishes.rule, 0.0)]
+    form = columns.source.form
+    known = wishes.sizes or form.sizes or ("placed" if geometry.placed else "")
+    rules = []
+    for number, rule in enumerate(columns.turns.rules):
+        if form.rule and rule != form.rule:
+            continue
+        if rule == "py3dbp" and number and not form.rule and "type" not in columns.turns.column.lower():
+            continue
+        rules.append((rule, 0.5 * bool(number)))
+    if wishes.sizes == "item":
+        return rules
+    placed = _FIRM if known == "item" else 0.0
+    turned = _FIRM if known == "placed" else 0.0
+    if not known:
+        hint = _sizes_by_article(columns, geometry)
+        placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
+    return [("none", placed), *((rule, prior + turned) for rule, prior in rules)]
+
+
+def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
+    """Whether sizes are as placed or of the item, by boxes of one article that are turned differently; "": unknown."""
+    turns, names = columns.turns, columns.article
+    if turns is None or names is None:
+        return ""
+    codes = turns.codes if turns.letters is None else turns.letters @ np.array([9, 3, 1])
+    same = other = 0
+    first: dict[str, int] = {}
+    for row, name in enumerate(names):
+        begin = first.setdefault(name, row)
+        if not name or begin == row or codes[begin] == codes[row] or (codes[begin] - codes[row]) % 2 == 0:
+            continue
+        one, two = geometry.size[begin], geometry.size[row]
+        if np.isnan(one).any() or np.isnan(two).any() or np.allclose(one[0], one[1]):
+            continue
+        if np.allclose(one, two):
+            same += 1
+        elif np.allclose(np.sort(one), np.sort(two)):
+            other += 1
+    return "item" if same > 3 * other else "placed" if other > 3 * same else ""
+
+
+def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, float]]:
+    if wishes.anchor:
+        return [(wishes.anchor, 0.0)]
+    if geometry.anchor:
+        return [(geometry.anchor, 0.0)]
+    if geometry.turn is not None and not known:
+        return [("centre", 0.0), ("base-centre", 1.2), ("corner", 1.8)]
+    if known:
+        return [(anchor, 0.0 if anchor == known else _FIRM + prior) for anchor, prior in _ANCHOR_PRIOR.items()]
+    return list(_ANCHOR_PRIOR.items())

@@ -1,0 +1,288 @@
+"""The choice of a reading (``choose_reading``): candidates are judged; the most plausible wins, a tie is refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.errors import InputError
+from petmjx.common.units import FloatArray
+from petmjx.plans.box_columns import BoxColumns
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.plausibility import Layout, deck_cost, density_cost, layout_cost, same_layouts, side_cost
+from petmjx.plans.reading_candidates import Candidate, candidates, layout_of
+from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_text
+
+TIE: Final = 1.5
+"""Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
+_FEW_BOXES, _FEW_MORE = 6, 0.8
+"""In files of fewer boxes a tie is wider by this: a wrong reading of three boxes is often as plausible by chance."""
+WEAK: Final = 5.0
+"""Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
+WEAK_LEAD: Final = 3.0
+"""Least lead of a weak reading over all others. A plan that really has odd boxes is odder in every other reading."""
+_MOST_BOXES: Final = 400
+_MOST_PLANS: Final = 12
+"""Boxes and plans by which readings are judged. All others are read in the same way."""
+
+_LOWEST_UNIT_COST: Final = -2.5
+"""Least cost of units: boxes of usual sizes and densities on a usual carrier."""
+
+_UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}
+_MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A candidate with its costs."""
+
+    candidate: Candidate
+    layout_cost: float
+    origin: str
+    evidence: Evidence
+    layouts: tuple[Layout, ...]
+    rows: NDArray[np.int64]
+    """The rows of the boxes of all layouts."""
+    unit_cost: float = 0.0
+    """Cost of the most plausible units: it differs by which sides lie on the deck."""
+
+    @property
+    def cost(self) -> float:
+        return self.candidate.prior + self.layout_cost + self.unit_cost
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """The plans by which readings are judged: rows of each, and its container."""
+
+    rows: tuple[NDArray[np.int64], ...]
+    containers: tuple[Mapping[str, float], ...]
+
+
+def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
+    """The first plans that are whole; if none is, the rows without faults of the first plans.
+
+    Args:
+        damaged: names of plans that lack rows.
+    """
+    good = np.ones(columns.n_boxes, bool)
+    for row in columns.faults:
+        good[row] = False
+    for geometry in columns.geometries:
+        with np.errstate(invalid="ignore"):
+            good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
+    chosen: list[NDArray[np.int64]] = []
+    containers: list[Mapping[str, float]] = []
+    taken = 0
+    known = columns.source.boxes.containers
+    whole = {name: rows for name, rows in plans.items() if name not in damaged and good[rows].all()}
+    for name, rows in (whole or plans).items():
+        used = rows[good[rows]]
+        if not len(used) or len(chosen) >= _MOST_PLANS or taken >= _MOST_BOXES:
+            continue
+        chosen.append(used)
+        containers.append(container_of(known, name))
+        taken += len(used)
+    return _Sample(tuple(chosen), tuple(containers))
+
+
+def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
+    """The container of a plan: its own, the one of the file, or none."""
+    return (
+        containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
+    )
+
+
+def _judge(columns: BoxColumns, candidate: Candidate, sample: _Sample) -> _Judged:
+    layouts = []
+    costs: list[float] = []
+    sums = np.zeros(5)
+    origins: list[str] = []
+    for rows, container in zip(sample.rows, sample.containers, strict=True):
+        whole = layout_of(columns, candidate, container)
+        layout = Layout(whole.low[rows], whole.size[rows], whole.container)
+        layouts.append(layout)
+        cost, origin, counts = layout_cost(layout)
+        costs.append(cost * len(rows))
+        origins.append(origin)
+        sums += [*counts, len(rows)]
+    n_boxes = max(int(sums[4]), 1)
+    total = sum(costs) / n_boxes
+    origin = max(set(origins), key=origins.count) if origins else "given"
+    evidence = Evidence(int(sums[4]), int(sums[0]), int(sums[1]), int(sums[2]), float(sums[3] / n_boxes))
+    return _Judged(candidate, total, origin, evidence, tuple(layouts), np.concatenate(sample.rows))
+
+
+def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
+    """(cost, unit of lengths, of masses, median density kg/m³, mean side mm) of each pair of units, cheapest first.
+
+    Lengths are those of coordinates.
+    """
+    form, geometry = columns.source.form, judged.candidate.geometry
+    size = np.concatenate([layout.size for layout in judged.layouts])
+    side = float(np.exp(np.log(size).mean(axis=1)).mean())
+    volume = size.prod(axis=1)
+    named = wishes.units or geometry.place_unit or geometry.size_unit or form.units
+    lengths = {named: 0.0} if named else dict(_UNIT_PRIOR)
+    if not named and not columns.source.boxes.table.has_header:
+        lengths["dm"] = 0.3
+    masses: dict[str, float] = {"kg": 0.0}
+    if columns.weight is not None and not columns.weight_is_density:
+        known = wishes.masses or columns.weight_unit or form.masses
+        masses = {known: 0.0} if known else dict(_MASS_PRIOR)
+    costs = []
+    deck = _deck_of(judged, wishes)
+    for length, length_prior in lengths.items():
+        factor = LENGTH_UNITS[length]
+        mean_mm = side * factor
+        cost = length_prior + side_cost(mean_mm)
+        cost += deck_cost(deck[0] * factor, deck[1])
+        largest = float(size.max()) * factor
+        cost += 20.0 * (largest > 6_000.0) + 20.0 * (float(size.min()) * factor < 1.0)
+        for mass, mass_prior in masses.items():
+            density = math.nan
+            total = cost + mass_prior
+            if columns.weight is not None and not columns.weight_is_density:
+                kg = columns.weight[judged.rows] * MASS_UNITS[mass]
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    densities = kg / (volume * (factor / 1000.0) ** 3)
+                densities = densities[np.isfinite(densities) & (densities > 0)]
+                if len(densities):
+                    density = float(np.median(densities))
+                    total += density_cost(density)
+            if (length in ("in", "ft")) != (mass == "lb") and len(masses) > 1:
+                total += 0.7
+            costs.append((total, length, mass, density, mean_mm))
+    return sorted(costs)
+
+
+def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
+    """x–y size of the container if it is known, else of the load, in the file's unit; and whether it is known."""
+    layout = judged.layouts[0]
+    if not np.isnan(layout.container[:2]).any():
+        return layout.container[:2], True
+    extents = [(load.low + load.size).max(axis=0) - load.low.min(axis=0) for load in judged.layouts]
+    extent: FloatArray = np.max(extents, axis=0)[:2]
+    return extent, False
+
+
+def choose_reading(
+    columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes, damaged: Collection[str] = ()
+) -> tuple[Reading, Candidate]:
+    """The most plausible reading, and the candidate for :func:`layout_of`.
+
+    Args:
+        plans: name of a plan → its rows.
+        damaged: names of plans that lack rows.
+
+    Raises:
+        AmbiguousFile: two readings are about as plausible, or none is.
+        InputError: no row can be used.
+    """
+    sample = _sample_of(columns, plans, damaged)
+    if not sample.rows:
+        row, (column, text) = next(iter(sorted(columns.faults.items())), (0, ("", "no row has positive sizes")))
+        raise InputError(f"{columns.source.boxes.table.places[row]}: {column} {text}" if column else text)
+    judged = _judged_candidates(columns, wishes, sample)
+    best = judged[0]
+    tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)
+    lead = max(tie, WEAK_LEAD * (best.layout_cost > WEAK))
+    close = [
+        other for other in judged[1:] if other.cost < best.cost + lead and not same_layouts(best.layouts, other.layouts)
+    ]
+    readings = [_reading(one, columns, wishes) for one in (best, *close)]
+    reading = readings[0]
+    if len(judged) > 1 and close:
+        weak = best.layout_cost > WEAK
+        raise AmbiguousFile(tie_text(readings, weak), readings[:4])
+    units = _units_of(best, columns, wishes)
+    if len(units) > 1:
+        first, second = units[0], units[1]
+        others = [
+            replace(reading, units=_unit_text(best, columns, entry[1]), masses=entry[2]) for entry in (first, second)
+        ]
+        raise AmbiguousFile(tie_text(others, weak=False), others)
+    if (rival := _other_mass(best, columns, wishes)) is not None:
+        reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
+    alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
+    return replace(reading, alternatives=alternatives), best.candidate
+
+
+def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:
+    """Candidates with their costs, cheapest first. Those that cannot win by their priors are left out."""
+    ranked = sorted(candidates(columns, wishes), key=lambda candidate: candidate.prior)
+    judged: list[_Judged] = []
+    lowest = math.inf
+    for candidate in ranked:
+        if judged and candidate.prior + _LOWEST_UNIT_COST > lowest + WEAK_LEAD:
+            break
+        judged.append(_with_units(_judge(columns, candidate, sample), columns, wishes))
+        lowest = min(lowest, judged[-1].cost)
+    unnamed = not wishes.units and not any(geometry.size_unit or geometry.place_unit for geometry in columns.geometries)
+    if unnamed and judged and min(one.layout_cost for one in judged) > 0.8 * WEAK:
+        base = sorted(judged, key=lambda one: one.candidate.prior)[:8]
+        for factor in (10.0, 0.1, 1000.0, 0.001, 25.4, 100.0, 0.01):
+            for one in base:
+                scaled = replace(one.candidate, scale=factor, prior=one.candidate.prior + 2.0)
+                judged.append(_with_units(_judge(columns, scaled, sample), columns, wishes))
+    return sorted(judged, key=lambda one: one.cost)
+
+
+def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged:
+    """A judged candidate with the cost of its most plausible units."""
+    return replace(judged, unit_cost=_unit_costs(judged, columns, wishes)[0][0])
+
+
+def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
+    """The units of a reading; two if they are a tie in lengths. Masses alone change no verdict, and are never a tie."""
+    costs = _unit_costs(best, columns, wishes)
+    first = costs[0]
+    rivals = [entry for entry in costs[1:] if entry[1] != first[1] and entry[0] < first[0] + TIE]
+    return [first, *rivals[:1]]
+
+
+def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
+    """Another unit of masses that is about as plausible; None: there is none.
+
+    It is only said: a verdict hardly depends on it, since all boxes have it.
+    """
+    costs = _unit_costs(best, columns, wishes)
+    first = costs[0]
+    rivals = [entry for entry in costs[1:] if entry[1] == first[1] and entry[0] < first[0] + TIE]
+    return rivals[0][2] if rivals else None
+
+
+def _unit_text(best: _Judged, columns: BoxColumns, places: str) -> str:
+    """Units of sizes and coordinates as ``Reading`` has them."""
+    scale = best.candidate.scale
+    if scale == 1.0:
+        return places
+    mm = LENGTH_UNITS[places] * scale
+    sizes = next((name for name in ("mm", "cm", "dm", "m", "in") if math.isclose(LENGTH_UNITS[name], mm)), places)
+    return f"{sizes}/{places}"
+
+
+def _reading(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> Reading:
+    candidate = judged.candidate
+    _, length, mass, density, side = _units_of(judged, columns, wishes)[0]
+    item = candidate.rule not in ("none", "pose")
+    return Reading(
+        form=columns.source.form.name,
+        columns={**candidate.geometry.columns, **columns.columns},
+        units=_unit_text(judged, columns, length),
+        masses=mass,
+        anchor=candidate.anchor,
+        up=candidate.up,
+        along=candidate.along,
+        sizes="item" if item else "placed",
+        rule=candidate.rule,
+        origin=wishes.origin or judged.origin,
+        cost=judged.cost,
+        layout_cost=judged.layout_cost,
+        evidence=replace(judged.evidence, density_kg_m3=density, side_mm=side),
+    )

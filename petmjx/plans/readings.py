@@ -1,0 +1,233 @@
+"""Readings of other tools' numbers (``Reading``): which units, axes, anchor, turns and origin they have.
+
+Names of columns leave several readings open. All that they allow are tried, and the most plausible wins: boxes do not
+overlap or float, stand on boxes, touch their neighbours, and fit the carrier; they have sizes and densities of cartons.
+Two readings that are about as plausible, and differ in more than a shift or a mirror image, are a tie: it is asked or
+refused, never decided in silence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text
+
+ROTATION_RULES: Final = {
+    "none": "sizes are as placed",
+    "swap": "1 swaps the two level sizes",
+    "degrees": "90 and 270 degrees swap the two level sizes",
+    "letters": "letters say which size lies along x, y and z",
+    "py3dbp": "0 WHD, 1 HWD, 2 HDW, 3 DHW, 4 DWH, 5 WDH",
+    "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",
+    "pose": "the matrix or quaternion turns the box",
+}
+"""Rule of turning → in words."""
+ORIGINS: Final = ("given", "middle", "floor")
+"""Where the origin of the file is: a corner of the deck, the middle of the deck, or below it; see ``Reading``."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What speaks for or against a reading.
+
+    Attributes:
+        n_boxes: boxes that were looked at.
+        n_overlapping, n_floating, n_outside: boxes that overlap another one, have nothing below them, reach beyond the
+            carrier.
+        supported: mean share of the boxes' bases that lies on something.
+        density_kg_m3: median density; NaN: no weights
+        side_mm: geometric mean of the boxes' sides.
+    """
+
+    n_boxes: int = 0
+    n_overlapping: int = 0
+    n_floating: int = 0
+    n_outside: int = 0
+    supported: float = 1.0
+    density_kg_m3: float = math.nan
+    side_mm: float = math.nan
+
+    def __str__(self) -> str:
+        parts = [
+            count_text(self.n_overlapping, "box overlaps", "boxes overlap") if self.n_overlapping else "",
+            count_text(self.n_floating, "box floats", "boxes float") if self.n_floating else "",
+            count_text(self.n_outside, "box is outside", "boxes are outside") if self.n_outside else "",
+        ]
+        odd = ", ".join(filter(None, parts)) or "no box overlaps or floats"
+        return f"{odd} of {self.n_boxes:,}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a file's numbers are read.
+
+    Attributes:
+        form: what the file is, in words.
+        columns: role → name of its column.
+        units: unit of lengths; masses: of masses. If sizes and coordinates have two units, "cm/mm".
+        anchor: point of a box to which coordinates refer.
+        up: the file's vertical axis, "y" or "z".
+        along: names of the sizes that lie along the plan's x, y and z before boxes are turned.
+        sizes: "placed", or "item": before they are turned.
+        rule: how boxes are turned (``ROTATION_RULES``).
+        origin: "given": coordinates are kept; "middle": half the carrier is added to x and y; "floor": heights are
+            counted from the lowest box.
+        order: "sequence": by a column; "rows": of the rows; "height": rows from the ground up.
+        density_kg_m3: density of boxes without a weight; None: all have one.
+        notes: lines about what was filled in or left out.
+        cost: how implausible it is; layout_cost: without names and units.
+        evidence: by what it was judged.
+        alternatives: other readings that were close, most plausible first.
+    """
+
+    form: str = ""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: str = "mm"
+    masses: str = "kg"
+    anchor: str = "corner"
+    up: str = "z"
+    along: tuple[str, str, str] = ("x", "y", "z")
+    sizes: str = "placed"
+    rule: str = "none"
+    origin: str = "given"
+    order: str = "rows"
+    density_kg_m3: float | None = None
+    notes: tuple[str, ...] = ()
+    cost: float = 0.0
+    layout_cost: float = 0.0
+    evidence: Evidence = Evidence()
+    alternatives: tuple[Reading, ...] = ()
+
+    @property
+    def length_units(self) -> tuple[str, str]:
+        """Units of sizes and of coordinates."""
+        sizes, _, places = self.units.partition("/")
+        return sizes, places or sizes
+
+    def line(self) -> str:
+        """The reading in one line."""
+        sizes, places = self.length_units
+        lengths = sizes if sizes == places else f"sizes in {sizes}, coordinates in {places}"
+        turned = {"placed": "sizes as placed", "item": f"sizes before turning ({ROTATION_RULES[self.rule]})"}[
+            self.sizes
+        ]
+        parts = [
+            self.form,
+            f"{lengths}, {self.masses}",
+            f"coordinates of {_ANCHOR_WORDS[self.anchor]}",
+            f"{self.up} upwards",
+            f"{', '.join(self.along)} along x, y, z",
+            turned,
+        ]
+        if self.origin != "given":
+            parts.append(
+                {"middle": "origin in the middle of the carrier", "floor": "heights from below the deck"}[self.origin]
+            )
+        return f"read as {'; '.join([*filter(None, parts), *self.notes])}"
+
+
+_ANCHOR_WORDS: Final = {
+    "corner": "corners",
+    "centre": "centres",
+    "base-centre": "centres of bases",
+    "far-corner": "far corners",
+}
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What a caller says about a file. Empty values are found out.
+
+    Attributes:
+        columns: role → name of the column, for roles that can be chosen.
+        exact: all columns of a written reading; empty: none was written.
+        units: unit of lengths; masses: of masses.
+        anchor, up, sizes, origin: as in ``Reading``.
+        along: names of the sizes along x, y and z; rule: how boxes are turned; both only from a written reading.
+        density_kg_m3: density of boxes without a weight.
+        deck_mm: x–y size of the carrier.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    exact: Mapping[str, str] = field(default_factory=dict)
+    units: str = ""
+    masses: str = ""
+    anchor: str = ""
+    up: str = ""
+    sizes: str = ""
+    origin: str = ""
+    along: tuple[str, ...] = ()
+    rule: str = ""
+    density_kg_m3: float | None = None
+    deck_mm: tuple[float, float] | None = None
+
+
+class AmbiguousFile(InputError):
+    """A file can be read in two ways. The line names both, and the option that decides.
+
+    Attributes:
+        readings: the ways, most plausible first.
+    """
+
+    def __init__(self, message: str, readings: Sequence[Reading]) -> None:
+        super().__init__(message)
+        self.readings = tuple(readings)
+
+
+_UNIT_WORDS: Final = {"mm": "millimetres", "cm": "centimetres", "dm": "decimetres", "m": "metres", "in": "inches"}
+
+
+def _length_words(reading: Reading) -> str:
+    sizes, places = (_UNIT_WORDS.get(unit, unit) for unit in reading.length_units)
+    return f"lengths in {sizes}" if sizes == places else f"sizes in {sizes}, coordinates in {places}"
+
+
+def _size_words(reading: Reading) -> str:
+    return "sizes as placed" if reading.sizes == "placed" else f"sizes before turning ({ROTATION_RULES[reading.rule]})"
+
+
+def _column_words(reading: Reading) -> str:
+    return ", ".join(f"{role}={name}" for role, name in reading.columns.items())
+
+
+_DIFFERENCES: Final = (
+    (("units",), "--units", _length_words),
+    (("up",), "--up", lambda reading: f"{reading.up} upwards"),
+    (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
+    (("sizes", "rule"), "--sizes", _size_words),
+)
+"""Fields of readings, the option that decides between their values, and the values in words."""
+_OF_COLUMNS: Final = (
+    (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
+    (("columns",), "--columns", _column_words),
+)
+"""The same of columns: a difference of these follows from the others, if there are any."""
+
+
+def tie_text(readings: Sequence[Reading], weak: bool) -> str:
+    """The line about a tie: the two readings, where they differ, and the options that decide."""
+    one, two = readings[0], readings[1]
+
+    def parts_of(differences: Sequence[Any]) -> list[tuple[str, str, str]]:
+        return [
+            (option, words(one), words(two))
+            for names, option, words in differences
+            if any(getattr(one, name) != getattr(two, name) for name in names)
+        ]
+
+    parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
+    first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
+    options = " or ".join(dict.fromkeys(part[0] for part in parts))
+    why = "no reading is plausible; the best are" if weak else "can be read in two ways:"
+    ways = f"{first} ({one.evidence}), or {second} ({two.evidence})"
+    return f"{why} {ways}; say which with {options}, or with --as FILE.toml"
+
+
+CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
+"""Asks which reading of a file is right: name of the file, its readings → the right one (None: nobody knows). None:
+nobody is asked, and the file is refused."""

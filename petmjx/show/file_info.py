@@ -1,0 +1,137 @@
+"""What files of packing plans are, how they are read and what is odd: records and lines of ``petmjx info``."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from petmjx.common.errors import InputError, PlanWarning
+from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
+from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.item_columns import TWO_WAYS
+from petmjx.plans.item_orders import OrderReading
+from petmjx.plans.order_reader import read_orders
+from petmjx.plans.plan_reader import load_plans
+from petmjx.plans.plan_set import PlanSet
+
+_MOST_LINES: Final = 5
+"""Most lines of a kind that are shown of a file."""
+_WIDTH: Final = 11
+
+
+def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[dict[str, Any]], PlanSet]:
+    """A record for each file, and the plans with the readings of files of other tools.
+
+    Args:
+        options: options of ``petmjx.load_plans``.
+
+    Raises:
+        InputError: a path does not exist, or an option is invalid.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PlanWarning)  # the lines are shown here
+        plan_set = load_plans(list(paths), **options)
+    sources = dict.fromkeys(
+        [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]
+    )
+    infos = [_info(plan_set, source) for source in sources]
+    for record in infos:
+        are_plans = record["plans"] or any(TWO_WAYS in line for line in record["skipped"])
+        record["orders"] = "" if are_plans else _orders_line(Path(record["file"]), options)
+    return infos, plan_set
+
+
+def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
+    """How a file without plans is read as orders, or in which two ways; "": it holds no orders."""
+    bad: list[InputError] = []
+    try:
+        reading = OrderReading.of(RunOptions(**{name: options[name] for name in OF_ORDERS if name in options}))
+        with warnings.catch_warnings(record=True) as notes:
+            warnings.simplefilter("always", PlanWarning)
+            sizes = [len(order.items) for _, order in read_orders(path, bad.append, reading)]
+    except InputError as error:
+        line = str(error).removeprefix(f"{printable(str(path))}: ")
+        return line if line.startswith(TWO_WAYS) else ""
+    if not sizes and not notes:
+        return ""
+    plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
+    line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain
+    return f"{line}; unusable: {bad[0]}" if bad else line
+
+
+def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
+    plans = [plan for plan in plan_set if plan.source == source]
+    reading = plan_set.readings.get(source)
+    sizes = [float((plan.corner_mm + plan.size_mm).max(axis=0)[axis]) for plan in plans for axis in range(3)]
+    form = "petmjx's own form" if plans else "cannot be read"
+    ready = [line for line in plan_set.conventions if reading is None and source in line]
+    record: dict[str, Any] = {
+        "file": source,
+        "form": form if reading is None else reading.form,
+        "plans": len(plans),
+        "boxes": sum(plan.n_boxes for plan in plans),
+        "plan_ids": [plan.plan_id for plan in plans[:100]],
+        "mass_kg": round(sum(float(plan.mass_kg.sum()) for plan in plans), 6),
+        "largest_mm": [max(sizes[axis::3]) for axis in range(3)] if plans else [],
+        "skipped": [skipped.message for skipped in plan_set.skipped if skipped.source == source],
+        "odd": [*(str(odd) for odd in plan_set.warnings if odd.source == source), *ready],
+        "reading": None,
+    }
+    if reading is not None:
+        record["reading"] = {
+            **{name: getattr(reading, name) for name in ("units", "masses", "anchor", "up", "sizes", "rule", "origin")},
+            "order": reading.order,
+            "along": list(reading.along),
+            "columns": dict(reading.columns),
+            "notes": list(reading.notes),
+            "evidence": str(reading.evidence),
+            "line": reading.line(),
+            "alternatives": [
+                {"line": other.line(), "cost": round(other.cost - reading.cost, 3), "evidence": str(other.evidence)}
+                for other in reading.alternatives
+            ],
+        }
+    return record
+
+
+def info_lines(infos: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Lines about files, for a terminal."""
+    for number, record in enumerate(infos):
+        if number:
+            yield ""
+        yield from _lines(record)
+
+
+def _lines(record: Mapping[str, Any]) -> Iterator[str]:
+    counts = f"{count_text(record['plans'], 'plan')}, {count_text(record['boxes'], 'box', 'boxes')}"
+    if record["orders"]:
+        yield f"{record['file']}: orders, which have no places"
+        yield _line("read", record["orders"].removeprefix("read as "))
+        yield _line("pack them", f"petmjx samples --orders {record['file']} -o plans.json")
+        return
+    yield f"{record['file']}: {record['form']}; {counts}"
+    if record["plans"]:
+        size = " × ".join(three_digits(length) for length in record["largest_mm"])
+        yield _line(
+            "plans", f"{first_names(record['plan_ids'])}; up to {size} mm, {three_digits(record['mass_kg'])} kg in all"
+        )
+    reading = record["reading"]
+    if reading is not None:
+        yield _line("read", reading["line"].removeprefix("read as "))
+        columns = ", ".join(f"{role} = {printable_name(name)}" for role, name in reading["columns"].items())
+        yield _line("columns", columns)
+        yield _line("evidence", reading["evidence"])
+        if reading["alternatives"]:
+            other = reading["alternatives"][0]
+            yield _line("next best", f"{other['line'].removeprefix('read as ')}; {other['evidence']}")
+    for name in ("odd", "skipped"):
+        for line in record[name][:_MOST_LINES]:
+            yield _line(name, line.removeprefix(f"{record['file']}: "))
+        if len(record[name]) > _MOST_LINES:
+            yield _line(name, f"{len(record[name]) - _MOST_LINES:,} more")
+
+
+def _line(name: str, text: str) -> str:
+    return f"  {name:<{_WIDTH}}{text}"

@@ -1,0 +1,520 @@
+"""Orders of anybody's files: tables of items in any locale, test problems of packing research, lists in JSON, plans."""
+
+from __future__ import annotations
+
+import json
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pandas as pd
+import pytest
+from support.command_line import run
+
+import petmjx
+from petmjx.common.errors import InputError, PlanWarning
+from petmjx.loop.order_sources import Orders
+from petmjx.options.run_options import RunOptions
+from petmjx.packers.pack import orders_of, reading_of
+from petmjx.packers.sample_plans import pack_orders
+from petmjx.plans.foreign_plans import USUAL_KG_M3
+from petmjx.plans.item_orders import SET_KG_M3, OrderReading
+from petmjx.plans.order_generator import Order, target_extent_mm, target_named
+from petmjx.plans.order_reader import keep_orders, read_orders
+
+Boxes = list[tuple[float, float, float, float]]
+
+SMALL = (400.0, 300.0, 200.0, 6.5)
+LARGE = (600.0, 400.0, 250.0, 12.0)
+
+
+def read(path: Path, note: str = "read as", **options: object) -> dict[str, Order]:
+    """The orders of a file. A note must say how it was read."""
+    target = options.pop("target", None)
+    assert target is None or isinstance(target, str)
+    with pytest.warns(PlanWarning, match=note):
+        return dict(read_orders(path, reading=OrderReading.of(RunOptions(**options), target)))
+
+
+def boxes_of(order: Order) -> Boxes:
+    return [(item.length_mm, item.width_mm, item.height_mm, item.weight_kg) for item in order.items]
+
+
+def near(order: Order, boxes: Boxes) -> bool:
+    return np.asarray(boxes_of(order)).shape == (len(boxes), 4) and np.allclose(boxes_of(order), boxes, rtol=1e-12)
+
+
+def sheet(path: Path, rows: list[tuple[object, ...]]) -> None:
+    book = openpyxl.Workbook()
+    for row in rows:
+        book.active.append(row)
+    book.save(path)
+
+
+TABLES: dict[str, tuple[str, str]] = {
+    "english": ("utf-8", "Product,Length (cm),Width (cm),Height (cm),Weight (kg),Qty\n"
+                "s,40,30,20,6.5,2\nl,60,40,25,12,1\n"),
+    "german": (
+        "cp1252",
+        "Artikel;Länge [mm];Breite [mm];Höhe [mm];Stückgewicht (kg);Anzahl\ns;400;300;200;6,5;2\nl;600;400;250;12;1\n",
+    ),
+    "french": ("utf-16", "Référence\tLongueur (m)\tLargeur (m)\tHauteur (m)\tPoids (g)\tQuantité\n"
+               "s\t0,40\t0,30\t0,20\t6500\t2\nl\t0,60\t0,40\t0,25\t12000\t1\n"),
+    "spanish": ("utf-8", "sep=;\nSKU;Largo;Ancho;Alto;Peso;Cantidad\ns;40;30;20;6,5;2\nl;60;40;25;12;1\n"),
+    "italian": ("utf-8", "Articolo|Lunghezza (cm)|Larghezza (cm)|Altezza (cm)|Peso (kg)|Quantità\n"
+                "s|40|30|20|6,5|2\nl|60|40|25|12|1\n"),
+    "polish": ("cp1250", "Towar;Długość [cm];Szerokość [cm];Wysokość [cm];Waga [kg];Ilość\n"
+               "s;40;30;20;6,5;2\nl;60;40;25;12;1\n"),
+    "rows' weights": ("utf-8", "name,L,B,H,Gesamtgewicht,Kartons\ns,400,300,200,13,2\nl,600,400,250,12,1\n"),
+    "sizes in a cell": ("utf-8", "sku,dimensions,weight_kg,qty\ns,40x30x20 cm,6.5,2\nl,60x40x25 cm,12,1\n"),
+    "layers": ("utf-8", "name,length,width,height,weight,boxes per layer,layers\n"
+               "s,400,300,200,6.5,1,2\nl,600,400,250,12,1,1\n"),
+    "titles": ("utf-8", "Packliste 17\n\nname,length,width,height,weight,qty\ns,400,300,200,6.5,2\nl,600,400,250,12,1\n"
+               "total,,,,,3\n"),
+    "packingsolver": ("utf-8", "X,Y,Z,COPIES,WEIGHT\n400,300,200,2,6.5\n600,400,250,,12\n"),
+    "no quantities": ("utf-8", "id,length,width,height,weight\n"
+                      "1,400,300,200,6.5\n2,400,300,200,6.5\n3,600,400,250,12\n"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_items_are_orders(name: str, tmp_path: Path) -> None:
+    encoding, text = TABLES[name]
+    path = tmp_path / "items.csv"
+    path.write_bytes(text.encode(encoding))
+    (order,) = read(path).values()
+    assert near(order, [SMALL, SMALL, LARGE])
+    assert order.target == "euro-pallet"
+
+
+HEADERS: list[str] = [
+    "Nr zamówienia;Indeks;Długość (mm);Szerokość (mm);Wysokość (mm);Waga (kg);Sztuk",
+    "N° commande;Réf.;Longueur (mm);Largeur (mm);Hauteur (mm);Poids (kg);Nb colis",
+    "Nº pedido;Código;Largo (mm);Ancho (mm);Alto (mm);Peso bruto (kg);Uds.",
+    "N. ordine;Cod. articolo;Lungh. (mm);Largh. (mm);Alt. (mm);Peso (kg);Q.tà",
+    "Auftragsnr.;Material;Länge in mm;Breite in mm;Höhe in mm;Bruttogewicht (kg);Bestellmenge",
+    "PO Number;SKU;Case L (mm);Case W (mm);Case H (mm);Unit weight (kg);Cases Ordered",
+    "orderId;productId;lengthMm;widthMm;heightMm;weightKg;count",
+    "Pallet ID;Box type;Box length [mm];Box width [mm];Box height [mm];Box mass [kg];No. of boxes",
+]
+
+
+@pytest.mark.parametrize("header", HEADERS)
+def test_names_of_columns_that_only_orders_have(header: str, tmp_path: Path) -> None:
+    rows = "1001;s;400;300;200;6.5;2\n1001;l;600;400;250;12;1\n1002;s;400;300;200;6.5;4\n"
+    (tmp_path / "a.csv").write_text(f"{header}\n{rows}", "utf-8")
+    orders = read(tmp_path / "a.csv")
+    assert list(orders) == ["1001", "1002"]
+    assert near(orders["1001"], [SMALL, SMALL, LARGE])
+    assert near(orders["1002"], [SMALL] * 4)
+    assert [item.article for item in orders["1001"].items] == ["s", "s", "l"]
+
+
+def test_an_unknown_column_that_may_be_a_quantity_is_refused(tmp_path: Path) -> None:
+    """But not where rows repeat their articles, and are one box each."""
+    path = tmp_path / "a.csv"
+    path.write_text("sku,L,B,H,weight,Foo\ns,400,300,200,6.5,2\nl,600,400,250,12,1\n")
+    message = (
+        "each row is one box, or Foo counts its boxes; say which with --columns quantity=- or --columns quantity=Foo"
+    )
+    with pytest.raises(InputError, match=message):
+        list(read_orders(path))
+    (order,) = read(path, "one box a row; not used: Foo", columns={"quantity": "-"}).values()
+    assert near(order, [SMALL, LARGE])
+    (order,) = read(path, columns={"quantity": "Foo"}).values()
+    assert near(order, [SMALL, SMALL, LARGE])
+    path.write_text("sku,L,B,H,weight,Foo\ns,400,300,200,6.5,2\ns,400,300,200,6.5,1\n")
+    (order,) = read(path, "one box a row; not used: Foo").values()
+    assert near(order, [SMALL, SMALL])
+
+
+RIVALS: dict[str, tuple[str, str, dict[str, str], tuple[int, Boxes]]] = {
+    "quantities": (
+        "sku,L,B,H,weight,Units,Cases\ns,400,300,200,6.5,12,2\nl,600,400,250,12,7,1\n",
+        "the quantity is Units, or Cases; say which with --columns quantity=Units or --columns quantity=Cases",
+        {"quantity": "Cases"},
+        (3, [SMALL, SMALL, LARGE]),
+    ),
+    "sizes": (
+        "sku,item length,item width,item height,case length,case width,case height,weight\n"
+        "s,80,60,40,400,300,200,6.5\nl,90,60,40,600,400,250,12\n",
+        "the length is item length, or case length; say which with --columns length=item length",
+        {"length": "case length", "width": "case width", "height": "case height"},
+        (2, [SMALL, LARGE]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RIVALS)
+def test_two_columns_for_one_role_are_refused(name: str, tmp_path: Path) -> None:
+    text, message, columns, (count, boxes) = RIVALS[name]
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        list(read_orders(tmp_path / "a.csv"))
+    (order,) = read(tmp_path / "a.csv", columns=columns).values()
+    assert len(order.items) == count
+    assert near(order, boxes)
+
+
+def test_gross_weights_are_taken(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("sku,L,B,H,Nettogewicht,Bruttogewicht\ns,400,300,200,6,6.5\nl,600,400,250,11,12\n")
+    (order,) = read(tmp_path / "a.csv", "columns L, B, H, Bruttogewicht").values()
+    assert near(order, [SMALL, LARGE])
+
+
+def test_inches_and_pounds(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("name,length (in),width (in),height (in),weight (lbs),qty\na,16,12,10,20,2\n")
+    (order,) = read(tmp_path / "a.csv").values()
+    assert near(order, [(406.4, 304.8, 254.0, 9.0718474)] * 2)
+
+
+def test_sheets_and_several_orders(tmp_path: Path) -> None:
+    header = ("Auftrag", "Artikelnr", "L", "B", "H", "Gewicht (kg)", "Menge")
+    rows = [("A1", "s", 400, 300, 200, 6.5, 2), ("A2", "l", 600, 400, 250, 12, 1), ("A1", "l", 600, 400, 250, 12, 1)]
+    sheet(tmp_path / "a.xlsx", [("Palette 1200 x 1000",), header, *rows])
+    orders = read(tmp_path / "a.xlsx", "2 orders, 4 boxes; mm, kg; .*packed on 1200x1000")
+    assert list(orders) == ["A1", "A2"]
+    assert near(orders["A1"], [SMALL, SMALL, LARGE])
+    assert [item.article for item in orders["A1"].items] == ["s", "s", "l"]
+    assert target_extent_mm(orders["A2"].target) == (1200.0, 1000.0)
+
+
+def test_sizes_of_articles_from_another_sheet_or_file(tmp_path: Path) -> None:
+    """A column "Position" that counts rows is no place."""
+    lines = [("Auftrag", "Position", "Artikel", "Menge"), ("A1", 1, "s", 2), ("A1", 2, "l", 1), ("A2", 1, "l", 3)]
+    articles = [("Artikel", "Länge [mm]", "Breite [mm]", "Höhe [mm]", "Gewicht [kg]"), ("l", 600, 400, 250, 12)]
+    articles.append(("s", 400, 300, 200, 6.5))
+    book = openpyxl.Workbook()
+    for title, rows in (("Aufträge", lines), ("Artikelstamm", articles)):
+        page = book.create_sheet(title)
+        for row in rows:
+            page.append(row)
+    book.save(tmp_path / "both.xlsx")
+    sheet(tmp_path / "lines.xlsx", list(lines))
+    pd.DataFrame(articles[1:], columns=articles[0]).to_csv(tmp_path / "articles.csv", index=False)
+    for orders in (
+        read(tmp_path / "both.xlsx", "sizes and weights from the sheet Artikelstamm"),
+        read(tmp_path / "lines.xlsx", "sizes and weights from .*articles.csv", items=tmp_path / "articles.csv"),
+    ):
+        assert near(orders["A1"], [SMALL, SMALL, LARGE])
+        assert near(orders["A2"], [LARGE] * 3)
+    (tmp_path / "other.csv").write_text("name,length,width,height\nx,1,2,3\ny,1,2,3\n")
+    with pytest.raises(InputError, match=r"other.csv: its items are not those of the orders"):
+        list(read_orders(tmp_path / "lines.xlsx", reading=OrderReading(items=tmp_path / "other.csv")))
+    with pytest.raises(InputError, match=r"lines.xlsx: lacks the sizes of items; .*; --items FILE names a file"):
+        list(read_orders(tmp_path / "lines.xlsx"))
+
+
+def test_a_column_called_order_is_a_sequence_or_names_orders(tmp_path: Path) -> None:
+    body = "sku,length,width,height,weight\n{}s,400,300,200,6.5\n{}l,600,400,250,12\n{}s,400,300,200,6.5\n"
+    (tmp_path / "a.csv").write_text("order," + body.format("2,", "1,", "3,"))
+    (order,) = read(tmp_path / "a.csv").values()
+    assert near(order, [LARGE, SMALL, SMALL])
+    (tmp_path / "b.csv").write_text("order," + body.format("7,", "8,", "7,"))
+    orders = read(tmp_path / "b.csv")
+    assert {name: len(order.items) for name, order in orders.items()} == {"7": 2, "8": 1}
+
+
+def test_lists_in_json(tmp_path: Path) -> None:
+    item = {"sku": "s", "length": 400, "width": 300, "height": 200, "weight": 6.5, "quantity": 2}
+    content = [{"order_id": "o1", "items": [item]}, {"order_id": "o2", "items": [item, {**item, "quantity": 1}]}]
+    (tmp_path / "a.json").write_text(json.dumps(content))
+    orders = read(tmp_path / "a.json")
+    assert {name: boxes_of(order) for name, order in orders.items()} == {"o1": [SMALL] * 2, "o2": [SMALL] * 3}
+
+
+THPACK = """ 2
+ 1 2502505
+ 587 233 220
+ 2
+ 1 108 0 76 0 30 1 2
+ 2 92 1 81 1 55 0 1
+ 2 2502605
+ 587 233 220
+ 1
+ 1 91 0 54 0 45 1 3
+"""
+
+
+def test_container_loading_problems(tmp_path: Path) -> None:
+    """The height is upright where it may be; else the next size that may."""
+    (tmp_path / "thpack1.txt").write_text(THPACK)
+    orders = read(
+        tmp_path / "thpack1.txt", "1 type whose height may not be upright.*container, 5,870 × 2,330 mm, is no"
+    )
+    assert list(orders) == ["thpack1-1", "thpack1-2"]
+    sizes = [box[:3] for box in boxes_of(orders["thpack1-1"])]
+    assert sizes == [(1080, 760, 300), (1080, 760, 300), (920, 550, 810)]
+    assert boxes_of(orders["thpack1-1"])[0][3] == pytest.approx(1.08 * 0.76 * 0.3 * USUAL_KG_M3)
+    assert len(orders["thpack1-2"].items) == 3
+    orders = read(tmp_path / "thpack1.txt", target="5870x2330", density=100)
+    assert boxes_of(orders["thpack1-2"])[0] == pytest.approx((910, 540, 450, 0.91 * 0.54 * 0.45 * 100))
+    assert orders["thpack1-2"].target == "5870x2330"
+
+
+def test_problems_with_weights(tmp_path: Path) -> None:
+    (tmp_path / "wtpack1.txt").write_text(
+        "587 233 220\n1 29.82\n78 1 49 1 47 1 2 179.63 0.195 0.189 0.146\n"
+        "587 233 220\n1 9.1\n98 0 44 1 36 0 1 155.2 1 1 1\n"
+    )
+    orders = read(tmp_path / "wtpack1.txt")
+    assert boxes_of(orders["wtpack1-1"]) == [(780, 490, 470, 179.63)] * 2
+    assert boxes_of(orders["wtpack1-2"]) == [(980, 360, 440, 155.2)]
+
+
+BINS: dict[str, tuple[str, str]] = {
+    "in one line": ("2 100 100 100\n10 20 30\n50 40 25\n", "cm"),
+    "with numbers of boxes": ("2 100 100 100\n1 10 20 30\n2 50 40 25\n", "cm"),
+    "in two lines": ("2\n10 10 10\n1 2 3\n5 4 2.5\n", "dm"),
+    "bin first": ("100 100 100\n2\n10 20 30\n50 40 25\n", "cm"),
+}
+
+
+@pytest.mark.parametrize("name", BINS)
+def test_bin_packing_problems(name: str, tmp_path: Path) -> None:
+    """Width, height, depth; the second is upright. The bin of 100 or 10 units is 1 m wide."""
+    text, unit = BINS[name]
+    (tmp_path / "mpv.txt").write_text(text)
+    (order,) = read(tmp_path / "mpv.txt", f"; {unit}; columns width, depth, height").values()
+    assert [box[:3] for box in boxes_of(order)] == [(100, 300, 200), (500, 250, 400)]
+    assert order.target == "1000x1000"
+
+
+def test_robobpp_sets(tmp_path: Path) -> None:
+    (tmp_path / "opai.txt").write_text("62 35.5 13\n" * 60)
+    orders = read(tmp_path / "opai.txt", "; cm;")
+    assert {name: len(order.items) for name, order in orders.items()} == {"opai-1": 50, "opai-2": 10}
+    assert boxes_of(orders["opai-2"])[0] == pytest.approx((620, 355, 130, 0.62 * 0.355 * 0.13 * SET_KG_M3))
+    header = ("Pallet No", "Length_cm", "Width_cm", "Height_cm", "Gross weight", "Pick_quantity_cs")
+    sheet(tmp_path / "pg.xlsx", [header, ("a", "35", 20.5, 20, 6.25, "2"), ("b", 10, None, 10, 1, 1)])
+    assert {name: boxes_of(order) for name, order in read(tmp_path / "pg.xlsx", "1 row that lacks").items()} == {
+        "a": [(350, 205, 200, 6.25)] * 2
+    }
+
+
+def test_two_readings_are_refused_and_options_decide(tmp_path: Path) -> None:
+    (tmp_path / "units.csv").write_text("sku,length,width,height,qty\na,30,20,15,4\n")
+    (tmp_path / "weights.csv").write_text("sku,L,B,H,Gewicht,Menge\na,400,300,200,48,24\n")
+    (tmp_path / "layers.csv").write_text("sku,L,B,H,weight,qty,layers\na,400,300,200,6.5,8,2\n")
+    for name, message in (
+        ("units.csv", r"lengths in centimetres \(boxes of 300 × 200 × 150 mm\), or lengths in inches .*--units"),
+        ("weights.csv", "Gewicht is of one box, or of all boxes of a row; .*--columns 'total weight=Gewicht'"),
+        ("layers.csv", "qty counts the boxes of one layer, or of all layers; .*--columns 'per layer=qty'"),
+    ):
+        with pytest.raises(InputError, match=f"{name}: can be read in two ways: {message}"):
+            list(read_orders(tmp_path / name))
+    (order,) = read(tmp_path / "units.csv", units="in").values()
+    assert boxes_of(order)[0][:3] == pytest.approx((762, 508, 381))
+    for role, kg in (("weight", 48), ("total weight", 2)):
+        (order,) = read(tmp_path / "weights.csv", columns={role: "Gewicht"}).values()
+        assert (len(order.items), order.items[0].weight_kg) == (24, kg)
+    for role, count in (("quantity", 8), ("per layer", 16)):
+        (order,) = read(tmp_path / "layers.csv", columns={role: "qty"}).values()
+        assert len(order.items) == count
+
+
+def test_no_places_in_a_column_of_places(tmp_path: Path) -> None:
+    for cells in (",,", "0,0,0"):
+        (tmp_path / "a.csv").write_text(
+            f"name,length,width,height,weight,x,y,z\ns,400,300,200,6.5,{cells}\nl,600,400,250,12,{cells}\n"
+        )
+        (order,) = read(tmp_path / "a.csv", "read as a table").values()
+        assert near(order, [SMALL, LARGE])
+
+
+def test_arrays_of_sizes(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", [[[4, 3, 2], [6, 4, 2]], [[5, 5, 5], [0, 0, 0]]])
+    orders = read(tmp_path / "a.npy", "an array of sizes; 2 orders, 3 boxes; dm")
+    assert [[box[:3] for box in boxes_of(order)] for order in orders.values()] == [
+        [(400, 300, 200), (600, 400, 200)],
+        [(500, 500, 500)],
+    ]
+
+
+def test_plans_are_read_as_the_orders_of_their_boxes(tmp_path: Path) -> None:
+    (tmp_path / "plan.csv").write_text(
+        "name,x,y,z,length,width,height,weight\ns,0,0,0,400,300,200,6.5\nl,0,0,200,400,300,200,6.5\n"
+    )
+    (order,) = read(tmp_path / "plan.csv", "holds plans: the boxes of each are an order, their places are not").values()
+    assert near(order, [SMALL, SMALL])
+    (tmp_path / "types.csv").write_text("name,length,width,height,weight,qty\ns,400,300,200,6.5,2\n")
+    (skipped,) = petmjx.load_plans(tmp_path / "types.csv").skipped
+    assert "no places: pack them first: petmjx samples --orders" in skipped.message
+
+
+DAMAGED: dict[str, tuple[str, str]] = {
+    "length": ("a,4oo,300,200,5,1", 'row 3: length must be a number, got "4oo"'),
+    "no width": ("a,400,,200,5,1", "row 3: width is missing"),
+    "flat": ("a,400,300,0,5,1", "row 3: height must be > 0, got 0"),
+    "huge": ("a,400,3000000,200,5,1", "row 3: width must be from"),
+    "weightless": ("a,400,300,200,-5,1", "row 3: weight must be > 0"),
+    "half a box": ("a,400,300,200,5,1.5", 'row 3: qty must be a whole number from 0 to 100,000, got "1.5"'),
+    "minus a box": ("a,400,300,200,5,-1", "row 3: qty must be a whole number"),
+    "many": ("a,400,300,200,5,600", ": must have at most 512 items, got 603"),
+    "cells": ("a,400,300,200,5", "row 3: has 5 fields instead of 6"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_a_damaged_value_is_one_line(name: str, tmp_path: Path) -> None:
+    row, message = DAMAGED[name]
+    path = tmp_path / "items.csv"
+    path.write_text(f"sku,length,width,height,weight,qty\nb,400,300,200,5,1\n{row}\nc,500,300,200,5,2\n")
+    bad: list[InputError] = []
+    with pytest.warns(PlanWarning):
+        assert not list(read_orders(path, bad.append))
+    (line,) = map(str, bad)
+    assert line.startswith(f"{path}: order items")
+    assert message in line
+    assert line.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("row", "message"),
+    [("400,-5,200,5,2", "width must be > 0, got -5"), ("400,300,200,1e99,2", "weight must be from")],
+)
+def test_the_only_row_is_named_when_it_is_damaged(row: str, message: str, tmp_path: Path) -> None:
+    """Its values are no evidence of units."""
+    (tmp_path / "a.csv").write_text(f"sku,length,width,height,weight,qty\ns,{row}\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PlanWarning)
+        with pytest.raises(InputError, match=f"a.csv: .*row 2: {message}"):
+            list(read_orders(tmp_path / "a.csv"))
+
+
+PROBLEMS: dict[str, tuple[str, str, str]] = {
+    "size": (" 1 108 0", " 1 1o8 0", 'order thpack1-1, line 5: length must be a number, got "1o8"'),
+    "mark": (" 1 108 0", " 1 108 2", "line 5: marks of upright sizes must be 0 or 1, got 2"),
+    "types": (" 587 233 220\n 1\n", " 587 233 220\n 2\n", "line 9: has 2 box types, and the end comes after 1 of them"),
+    "more types": (" 587 233 220\n 2\n", " 587 233 220\n 1\n", "line 6: is one more box type than the 1 of line 4"),
+    "container": (
+        "1 2502505\n 587 233 220",
+        "1 2502505\n 587 x 220",
+        "line 3: must be length, width and height of the",
+    ),
+    "truncated": (" 2\n 1 25", " 3\n 1 25", "line 1: has 3 problems, and the file 2"),
+    "no quantity": ("45 1 3\n", "45 1 3.5\n", "line 10: quantity must be a whole number"),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_a_damaged_problem_is_one_line(name: str, tmp_path: Path) -> None:
+    before, after, message = PROBLEMS[name]
+    assert before in THPACK
+    path = tmp_path / "thpack1.txt"
+    path.write_text(THPACK.replace(before, after, 1))
+    lines: list[str] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PlanWarning)  # of problems without faults
+        try:
+            list(read_orders(path, lambda error: lines.append(str(error))))
+        except InputError as error:
+            lines.append(str(error))
+    assert len(lines) == 1
+    assert message in lines[0]
+
+
+def test_orders_go_the_way_of_bed_bpps(tmp_path: Path) -> None:
+    """Packed by a packer, and drawn by an environment, with options."""
+    path = tmp_path / "items.csv"
+    path.write_text("Pallet,name,length,width,height,qty\n" + "a,s,40,30,20,4\nb,s,40,30,20,2\n")
+    reading, left = reading_of(True, "1200x1000", {"units": "cm", "density": 200, "worlds": 0})
+    assert left == {"worlds": 0}
+    with pytest.warns(PlanWarning, match="packed on 1200x1000; no weights: 200 kg/m³"):
+        placed = dict(pack_orders(path, reading=reading))
+    assert {name: len(placements) for name, placements in placed.items()} == {"a": 4, "b": 2}
+    assert placed["a"][0]["item"]["weight/kg"] == pytest.approx(0.4 * 0.3 * 0.2 * 200)
+    with pytest.warns(PlanWarning):
+        assert len(list(orders_of(path, None, 0, None, reading))) == 2
+    with pytest.raises(InputError, match="density is for a file of orders, and these are drawn"):
+        reading_of(False, None, {"density": 200})
+    with pytest.warns(PlanWarning):
+        boxes = Orders(path, reading=reading).some(0)
+    assert [len(order) for order in boxes] == [4, 2]
+    frame = pd.DataFrame({"Länge (cm)": [40], "Breite (cm)": [30], "Höhe (cm)": [20], "Menge": [3]})
+    with pytest.warns(PlanWarning):
+        (order,) = Orders(frame).some(0)
+    assert order.size_mm.tolist() == [[400, 300, 200]] * 3
+    with pytest.warns(PlanWarning, match="^orders: read as a data frame; 1 order, 3 boxes"):
+        ((name, ordered),) = orders_of(frame, None, 0)
+    assert (name, len(ordered.items)) == ("orders", 3)
+
+
+def test_orders_are_written_as_bed_bpps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is written is read again to the last bit, by commands that have no options for it."""
+    monkeypatch.chdir(tmp_path)
+    Path("items.csv").write_text("sku,length,width,height,qty\na,30,20,15.1,4\nb,20,20,20,1\n")
+    hint = "items.csv: can be read in two ways: .*; petmjx convert items.csv --orders -o orders.json takes it"
+    with pytest.raises(InputError, match=hint):
+        list(read_orders(Path("items.csv")))
+    convert = ["convert", "items.csv", "--orders", "-o", "orders.json", "--units", "cm", "--target", "1200x1000"]
+    assert run(*convert) == 0
+    out, err = capsys.readouterr()
+    assert out == "1 order (5 boxes) in orders.json\n"
+    assert err.startswith("note: items.csv: read as a table as text; 1 order, 5 boxes; cm; columns length, width,")
+    assert dict(read_orders(Path("orders.json"))) == read(Path("items.csv"), units="cm", target="1200x1000")
+    record = json.loads(Path("orders.json").read_text())["items"]
+    assert record["properties"] == {"target": "1200x1000"}
+    assert record["item_sequence"]["5"] == {
+        "article": "b", "id": "b", "product_group": "", "length/mm": 200, "width/mm": 200, "height/mm": 200,
+        "weight/kg": 0.008 * USUAL_KG_M3, "sequence": 5,
+    }  # fmt: skip
+
+
+def test_info_says_how_orders_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("thpack1.txt").write_text(THPACK)
+    assert run("info", "thpack1.txt") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "thpack1.txt: orders, which have no places"
+    assert lines[1].split(maxsplit=1)[1].startswith("a container loading problem (thpack); 2 orders, 6 boxes; cm")
+    assert lines[2].endswith("petmjx samples --orders thpack1.txt -o plans.json")
+    Path("units.csv").write_text("sku,length,width,height,qty\na,30,20,15,4\n")
+    assert run("info", "units.csv") == 0
+    assert "can be read in two ways: lengths in centimetres" in capsys.readouterr().out
+    assert run("info", "units.csv", "--units", "in") == 0
+    assert "a table as text; 1 order, 4 boxes; in" in capsys.readouterr().out
+
+
+def test_a_board_keeps_orders_in_bed_bpps_form(tmp_path: Path) -> None:
+    (tmp_path / "items.csv").write_text("Pallet,length,width,height,weight\na,400,300,200,6.5\nb,600,400,250,12\n")
+    with pytest.warns(PlanWarning):
+        keep_orders(tmp_path / "items.csv", tmp_path / "orders.json")
+    assert {name: boxes_of(order) for name, order in read_orders(tmp_path / "orders.json")} == {
+        "a": [SMALL],
+        "b": [LARGE],
+    }
+    keep_orders(tmp_path / "orders.json", tmp_path / "copy.json")
+    assert (tmp_path / "copy.json").read_bytes() == (tmp_path / "orders.json").read_bytes()
+
+
+def test_targets() -> None:
+    assert target_named("1200 × 1000") == "1200x1000"
+    assert target_extent_mm("rollcontainer") == (800, 700)
+    assert target_extent_mm("1219.2x1016") == (1219.2, 1016)
+    for text in ("epal", "1200", "1x1", "1200x", "-5x900"):
+        with pytest.raises(InputError, match="target must be euro-pallet, rollcontainer or its sizes in mm"):
+            target_named(text)
+
+
+CASES: dict[str, Callable[[dict[str, Order]], bool]] = {
+    "types_and_quantities.csv": lambda orders: [len(order.items) for order in orders.values()] == [24],
+    "packingsolver_items.csv": lambda orders: [len(order.items) for order in orders.values()] == [22],
+    "py3dbp.csv": lambda orders: len(orders) == 1,
+    "german_headers.csv": lambda orders: len(orders) >= 1,
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_shared_files(name: str) -> None:
+    path = Path(__file__).parents[3] / "shared" / "cases" / "files" / name
+    if not path.is_file():
+        pytest.skip(f"{os.fspath(path)} is absent")
+    assert CASES[name](read(path, "read as|holds plans"))
