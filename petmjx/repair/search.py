@@ -1,0 +1,320 @@
+"""The search for the smallest change that makes a plan stand.
+
+A beam of changed plans is simulated, until one stands. Each step changes a plan where it fails: statics ranks what may
+help there, and the best ranked changes are simulated at once. Then changes that are not needed are taken back, so that
+without any one of those that are left the plan falls.
+
+``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
+share runs of an engine. What is simulated depends on the plan and the options alone, not on the time that it takes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from petmjx.options.simulation import Simulation
+from petmjx.packers.robot_placement import placement_stability
+from petmjx.plans.plan import Plan
+from petmjx.repair.balance import balances
+from petmjx.repair.changes import Change, Film, Kind, applied, cost_of, with_change
+from petmjx.repair.drafts import Draft, Rules
+from petmjx.repair.proposals import Limits, Proposal, proposals, targets
+from petmjx.repair.repair_options import RepairOptions
+from petmjx.repair.trials import Trial
+
+Asking = Generator[list[Draft], list[Trial], None]
+
+BEAM: Final = 2
+"""Changed plans that are changed further in each step."""
+
+FIRST_TRIALS: Final = 10
+"""Changes of a plan that are simulated at once."""
+
+FURTHER_TRIALS: Final = 20
+"""Changes that are simulated if none of the first ones helps."""
+
+MOST_OF_KIND: Final = 4
+MOST_OF_BOX: Final = 3
+"""Changes of one kind, and of one box by one kind, among those that are simulated at once: what statics ranks first are
+often many ways to do the same."""
+
+MOST_FINALISTS: Final = 3
+"""Repairs with the least number of changes that are compared with errors."""
+
+PER_COST: Final = 0.3
+"""Weight of a change's cost in the ranking, against loads beyond edges."""
+
+UNSOLVED: Final = 3.0
+"""Weight of the first cause if it is still there."""
+
+WITHOUT_PROGRESS: Final = 3
+"""Steps without a further standing box after which a search ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A changed plan that was simulated.
+
+    Attributes:
+        draft: the changed plan.
+        changes: the changes.
+        trial: its simulation.
+    """
+
+    draft: Draft
+    changes: tuple[Change, ...]
+    trial: Trial
+
+    @property
+    def cost(self) -> float:
+        """The cost of the changes."""
+        return cost_of(self.changes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A changed plan before its simulation.
+
+    Attributes:
+        proposal: the changes that make it of another state's plan.
+        key: its rank: smaller is better.
+        culprit: the box that fell first without the changes; None: not known.
+    """
+
+    draft: Draft
+    changes: tuple[Change, ...]
+    proposal: Proposal
+    trouble: float
+    key: float
+    culprit: int | None
+
+    def helped(self, trial: Trial) -> bool:
+        """Whether the box that fell first stands now, or is left out."""
+        if self.culprit is None:
+            return True
+        rank = self.draft.rank[self.culprit]
+        return not math.isfinite(rank) or (rank < trial.n_placed and self.culprit not in trial.fallen)
+
+
+@dataclass(eq=False)
+class Search:
+    """The search for repairs of one plan.
+
+    Attributes:
+        plan: the plan.
+        before: its simulation; None: not known yet.
+        repairs: the repairs with the fewest changes, the best first; empty: there is none. Undoing any one change of a
+            repair gives a plan that falls, or that is not allowed.
+        n_trials: simulated plans.
+    """
+
+    plan: Plan
+    sim: Simulation
+    options: RepairOptions
+    film_turns: float = 0.0
+    before: Trial | None = None
+    repairs: tuple[State, ...] = ()
+    n_trials: int = 0
+
+    def __post_init__(self) -> None:
+        """Prepare the rules of the plan."""
+        options = self.options
+        self.rules = Rules(self.plan, self.sim.carrier, options.max_height_mm, options.built)
+        self._start = Draft.of(self.plan, self.film_turns)
+        self._seen: set[bytes] = set()
+
+    def run(self) -> Asking:
+        """Yields drafts to be simulated, and is sent their trials."""
+        (self.before,) = yield from self._simulated([self._start])
+        start = State(self._start, (), self.before)
+        if start.trial.stands:
+            self.repairs = (start,)
+            return
+        kinds = self.options.kinds
+        standing: list[State] = []
+        if Kind.FILM in kinds:
+            standing = yield from self._wrapped(start)
+        best = start
+        if not standing and kinds - {Kind.FILM, Kind.LEAVE_OUT}:
+            standing, best = yield from self._changed(start, kinds - {Kind.FILM, Kind.LEAVE_OUT}, self.options.trials)
+        if not standing and Kind.LEAVE_OUT in kinds:
+            left = self.options.trials // 2
+            self._seen.clear()
+            standing, _ = yield from self._changed(best, kinds - {Kind.FILM}, left)
+            if not standing and best is not start:
+                self._seen.clear()
+                standing, _ = yield from self._changed(start, frozenset({Kind.LEAVE_OUT}), left)
+        if standing:
+            yield from self._finished(standing)
+
+    def _simulated(self, drafts: list[Draft]) -> Generator[list[Draft], list[Trial], list[Trial]]:
+        self.n_trials += len(drafts)
+        return (yield drafts)
+
+    # ------------------------------------------------------------------ film
+
+    def _wrapped(self, start: State) -> Generator[list[Draft], list[Trial], list[State]]:
+        """The fewest turns of film with which the plan survives the profile; empty: there is no such number."""
+        low, high = math.floor(self.film_turns), self.options.most_turns
+        if high <= low:
+            return []
+        kept: State | None = None
+        tried = [high]
+        while tried:
+            films = [Film(float(turns)) for turns in tried]
+            drafts = [draft for film in films if (draft := film.applied(start.draft)) is not None]
+            trials = yield from self._simulated(drafts)
+            for film, draft, trial in zip(films, drafts, trials, strict=True):
+                if trial.stands and (kept is None or film.turns < high or kept is None):
+                    kept, high = State(draft, (film,), trial), int(film.turns)
+                elif not trial.stands:
+                    low = max(low, int(film.turns))
+            if kept is None or high - low <= 1:
+                break
+            tried = [(low + high) // 2]
+        return [] if kept is None else [kept]
+
+    # ------------------------------------------------------------------ changes
+
+    def _changed(
+        self, start: State, kinds: frozenset[Kind], most_trials: int
+    ) -> Generator[list[Draft], list[Trial], tuple[list[State], State]]:
+        """Plans that stand after changes of these kinds, and the one with the most standing boxes if none does."""
+        options = self.options
+        limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
+        beam, best, last = [start], start, self.n_trials + most_trials
+        idle = 0
+        while beam and self.n_trials < last and idle < WITHOUT_PROGRESS:
+            ranked = [self._ranked(state, limits) for state in beam]
+            tried: list[tuple[State, _Candidate]] = []
+            progress = max(state.trial.n_standing for state in beam)
+            for count in (FIRST_TRIALS, FURTHER_TRIALS):
+                batch = [c for candidates in ranked for c in _diverse(candidates, count)]
+                for candidates in ranked:
+                    candidates[:] = [c for c in candidates if c not in batch]
+                batch = batch[: max(last - self.n_trials, 0)]
+                trials = (yield from self._simulated([c.draft for c in batch])) if batch else []
+                tried += [(State(c.draft, c.changes, trial), c) for c, trial in zip(batch, trials, strict=True)]
+                standing = [state for state, _ in tried if state.trial.stands]
+                if standing:
+                    return standing, best
+                if any(c.helped(state.trial) and state.trial.n_standing > progress for state, c in tried):
+                    break
+            tried.sort(key=lambda p: (not p[1].helped(p[0].trial), -p[0].trial.n_standing, p[1].trouble, p[0].cost))
+            beam = [state for state, _ in tried if self._is_short(state)][:BEAM]
+            if beam and tried[0][1].helped(beam[0].trial) and beam[0].trial.n_standing > best.trial.n_standing:
+                best, idle = beam[0], 0
+            else:
+                idle += 1
+        return [], best
+
+    def _is_short(self, state: State) -> bool:
+        """Whether a state may be changed further."""
+        counted = [change for change in state.changes if change.kind is not Kind.LEAVE_OUT]
+        return len(counted) < self.options.most_changes
+
+    def _ranked(self, state: State, limits: Limits) -> list[_Candidate]:
+        """Allowed changes of a plan, the most promising first."""
+        (balance,) = balances([state.draft], self.sim)
+        trial = state.trial
+        causes = targets(state.draft, self.rules, balance, trial.culprit, trial.fallen, trial.n_placed)
+        first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
+        drafts: list[Draft] = []
+        origins: list[Proposal] = []
+        for cause in causes:
+            for proposal in proposals(state.draft, self.rules, cause, limits):
+                draft = applied(state.draft, proposal)
+                if draft is None:
+                    continue
+                key = _key(draft)
+                if key not in self._seen:
+                    self._seen.add(key)
+                    drafts.append(draft)
+                    origins.append(proposal)
+        allowed = np.flatnonzero(self.rules.allow(drafts)).tolist() if drafts else []
+        ranked = []
+        for number, after in zip(allowed, balances([drafts[k] for k in allowed], self.sim), strict=True):
+            proposal = origins[number]
+            changes = state.changes
+            for change in proposal:
+                changes = with_change(changes, change)
+            draft = drafts[number]
+            if len(changes) < len(state.changes) + len(proposal):  # some became one: the whole list says the same
+                merged = applied(self._start, changes)
+                if merged is None or _key(merged) != _key(draft):
+                    changes = (*state.changes, *proposal)
+            key = after.trouble + UNSOLVED * (first is not None and after.depth_of(first.box) > 0) + PER_COST * cost_of(proposal)
+            ranked.append(_Candidate(draft, changes, proposal, after.trouble, key, trial.culprit))
+        ranked.sort(key=lambda candidate: candidate.key)
+        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[FIRST_TRIALS + FURTHER_TRIALS :])
+        return ranked
+
+    # ------------------------------------------------------------------ the end
+
+    def _finished(self, standing: Sequence[State]) -> Asking:
+        """Take back what is not needed, and keep the repairs with the fewest changes."""
+        finalists = sorted(standing, key=lambda state: (len(state.changes), state.cost))[: 2 * MOST_FINALISTS]
+        finalists = sorted(finalists, key=lambda state: (len(state.changes), -self._chance(state)))[:MOST_FINALISTS]
+        pruned: list[State] = []
+        for state in finalists:
+            pruned.append((yield from self._pruned(state)))
+        fewest = min(len(state.changes) for state in pruned)
+        short = [state for state in pruned if len(state.changes) == fewest]
+        different = {_key(state.draft): state for state in reversed(short)}
+        self.repairs = tuple(sorted(different.values(), key=lambda state: (-self._chance(state), state.cost)))
+
+    def _pruned(self, state: State) -> Generator[list[Draft], list[Trial], State]:
+        """The state without changes that are not needed."""
+        while len(state.changes) > 1:
+            shorter = [
+                (draft, changes)
+                for k in range(len(state.changes))
+                if (draft := applied(self._start, changes := (*state.changes[:k], *state.changes[k + 1 :]))) is not None
+            ]
+            allowed = self.rules.allow([draft for draft, _ in shorter]) if shorter else np.zeros(0, bool)
+            some = [pair for pair, good in zip(shorter, allowed, strict=True) if good]
+            trials = (yield from self._simulated([draft for draft, _ in some])) if some else []
+            standing = [
+                State(draft, changes, trial)
+                for (draft, changes), trial in zip(some, trials, strict=True)
+                if trial.stands
+            ]
+            if not standing:
+                return state
+            state = min(standing, key=lambda shorter_state: shorter_state.cost)
+        return state
+
+    def _chance(self, state: State) -> float:
+        """The estimated chance that the changed plan stands when a robot places the boxes, in tenths."""
+        return round(float(placement_stability(state.draft.as_plan()).prod()), 1)
+
+
+def _diverse(candidates: Sequence[_Candidate], count: int) -> list[_Candidate]:
+    """The first candidates, with few of a kind and of a box; then the others that come first."""
+    kinds: Counter[Kind] = Counter()
+    boxes: Counter[tuple[Kind, tuple[int, ...]]] = Counter()
+    chosen = []
+    for candidate in candidates:
+        if len(chosen) == count:
+            break
+        change = candidate.proposal[-1]
+        key = change.kind, change.boxes[:1]
+        if kinds[change.kind] < MOST_OF_KIND and boxes[key] < MOST_OF_BOX:
+            chosen.append(candidate)
+            kinds[change.kind] += 1
+            boxes[key] += 1
+    rest = [candidate for candidate in candidates if candidate not in chosen]
+    return chosen + rest[: count - len(chosen)]
+
+
+def _key(draft: Draft) -> bytes:
+    """Equal for drafts that are the same."""
+    order = np.array(draft.order)
+    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[order], 3)
+    return order.tobytes() + places.tobytes() + np.float64(draft.film_turns).tobytes()
