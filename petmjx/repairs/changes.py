@@ -14,7 +14,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from petmjx.common.units import MM_PER_M
-from petmjx.repair.drafts import TOLERANCE_MM, Draft
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft
 
 
 class Kind(StrEnum):
@@ -79,11 +79,6 @@ class Change(ABC):
         """The cost of the change."""
         return COST[self.kind]
 
-    @property
-    def settles_place(self) -> bool:
-        """Whether it says where its box lies, whatever was changed about that before."""
-        return False
-
 
 @dataclass(frozen=True)
 class Order(Change):
@@ -108,13 +103,13 @@ class Order(Change):
 
 @dataclass(frozen=True)
 class Move(Change):
-    """A box is moved along x and y, perhaps with boxes that stand on it (``riders``)."""
+    """A box is moved along x and y, perhaps together with others: those that stand on it, or are in its way."""
 
     kind: ClassVar[Kind] = Kind.MOVE
     box: int
     dx_mm: float
     dy_mm: float
-    riders: tuple[int, ...] = ()
+    others: tuple[int, ...] = ()
 
     def applied(self, draft: Draft) -> Draft | None:
         boxes = [box for box in self.boxes if box in draft.order]
@@ -125,14 +120,12 @@ class Move(Change):
     @property
     def words(self) -> str:
         ways = _ways(self.dx_mm, self.dy_mm)
-        if not self.riders:
-            return f"move box {self.box} by {ways}"
-        stand = "stands" if len(self.riders) == 1 else "stand"
-        return f"move box {self.box} with {_boxes(self.riders)}, which {stand} on it, by {ways}"
+        together = f" together with {_boxes(self.others)}" if self.others else ""
+        return f"move box {self.box}{together} by {ways}"
 
     @property
     def boxes(self) -> tuple[int, ...]:
-        return (self.box, *self.riders)
+        return (self.box, *self.others)
 
     @property
     def length_mm(self) -> float:
@@ -141,7 +134,7 @@ class Move(Change):
 
     @property
     def cost(self) -> float:
-        return COST[self.kind] + COST_PER_MM * self.length_mm + COST_PER_BOX * len(self.riders)
+        return COST[self.kind] + COST_PER_MM * self.length_mm + COST_PER_BOX * len(self.others)
 
     def joined(self, other: Move) -> Move | None:
         """Both moves as one; None if other boxes are moved, or nothing is."""
@@ -177,7 +170,8 @@ class Turn(Change):
 
 @dataclass(frozen=True)
 class Place(Change):
-    """A box gets another place, and perhaps another turn. It is placed after a box, or before one."""
+    """A box gets another place, and perhaps another turn, with what stands on it (``others``). They are placed directly
+    after a box, or before one."""
 
     kind: ClassVar[Kind] = Kind.PLACE
     box: int
@@ -186,29 +180,38 @@ class Place(Change):
     neighbour: int | None = None
     after: bool = True
     differs: bool = False
+    others: tuple[int, ...] = ()
 
     def applied(self, draft: Draft) -> Draft | None:
-        if self.box not in draft.order:
+        moved = [box for box in draft.order if box in self.boxes]
+        if self.box not in moved or self.neighbour in moved:
             return None
-        draft = draft.with_turn(self.box, self.turned).with_places([self.box], np.array([self.corner_mm]))
+        way = np.array(self.corner_mm) - draft.corner_mm[self.box]
+        draft = draft.with_turn(self.box, self.turned).with_places(moved, draft.corner_mm[moved] + way)
         if self.neighbour is None:
             return draft
-        return draft.with_order(self.box, self.neighbour, after=self.after)
+        if self.neighbour not in draft.order:
+            return None
+        rest = [box for box in draft.order if box not in moved]
+        at = rest.index(self.neighbour) + int(self.after)
+        return replace(draft, order=(*rest[:at], *moved, *rest[at:]))
 
     @property
     def words(self) -> str:
         x, y, z = map(_mm, self.corner_mm)
         turn = ", turned by 90°" if self.differs else ""
+        stand = "stands" if len(self.others) == 1 else "stand"
+        on_it = f", with {_boxes(self.others)}, which {stand} on it," if self.others else ""
         when = "" if self.neighbour is None else f", {'after' if self.after else 'before'} box {self.neighbour}"
-        return f"put box {self.box} at x {x}, y {y}, z {z} mm{turn}{when}"
+        return f"put box {self.box}{on_it} at x {x}, y {y}, z {z} mm{turn}{when}"
 
     @property
     def boxes(self) -> tuple[int, ...]:
-        return (self.box,)
+        return (self.box, *self.others)
 
     @property
-    def settles_place(self) -> bool:
-        return True
+    def cost(self) -> float:
+        return COST[self.kind] + COST_PER_BOX * len(self.others)
 
 
 @dataclass(frozen=True)
@@ -245,10 +248,6 @@ class Exchange(Change):
     @property
     def boxes(self) -> tuple[int, ...]:
         return (self.first, self.second)
-
-    @property
-    def settles_place(self) -> bool:
-        return True
 
 
 @dataclass(frozen=True)

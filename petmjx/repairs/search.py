@@ -10,9 +10,10 @@ share runs of an engine. What is simulated depends on the plan and the options a
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -21,12 +22,12 @@ import numpy as np
 from petmjx.options.simulation import Simulation
 from petmjx.packers.robot_placement import placement_stability
 from petmjx.plans.plan import Plan
-from petmjx.repair.balance import balances
-from petmjx.repair.changes import Change, Film, Kind, applied, cost_of, with_change
-from petmjx.repair.drafts import Draft, Rules
-from petmjx.repair.proposals import Limits, Proposal, proposals, targets
-from petmjx.repair.repair_options import RepairOptions
-from petmjx.repair.trials import Trial
+from petmjx.repairs.balance import balances
+from petmjx.repairs.changes import Change, Film, Kind, applied, cost_of, with_change
+from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.proposals import Limits, Proposal, Target, proposals, relocation, targets
+from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.trials import Trial
 
 Asking = Generator[list[Draft], list[Trial], None]
 
@@ -49,6 +50,10 @@ MOST_FINALISTS: Final = 3
 
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
+
+SAME_COST: Final = 0.1
+"""Repairs whose costs differ by less count as equally cheap: 50 mm of a way. The one that is likelier to stand with
+errors is taken."""
 
 UNSOLVED: Final = 3.0
 """Weight of the first cause if it is still there."""
@@ -228,7 +233,9 @@ class Search:
         drafts: list[Draft] = []
         origins: list[Proposal] = []
         for cause in causes:
-            for proposal in proposals(state.draft, self.rules, cause, limits):
+            for proposal in itertools.chain(
+                proposals(state.draft, self.rules, cause, limits), self._relocations(state.draft, cause, limits)
+            ):
                 draft = applied(state.draft, proposal)
                 if draft is None:
                     continue
@@ -249,25 +256,37 @@ class Search:
                 merged = applied(self._start, changes)
                 if merged is None or _key(merged) != _key(draft):
                     changes = (*state.changes, *proposal)
-            key = after.trouble + UNSOLVED * (first is not None and after.depth_of(first.box) > 0) + PER_COST * cost_of(proposal)
+            unsolved = first is not None and after.depth_of(first.box) > 0
+            key = after.trouble + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
             ranked.append(_Candidate(draft, changes, proposal, after.trouble, key, trial.culprit))
         ranked.sort(key=lambda candidate: candidate.key)
         self._seen.difference_update(_key(candidate.draft) for candidate in ranked[FIRST_TRIALS + FURTHER_TRIALS :])
         return ranked
 
+    def _relocations(self, draft: Draft, cause: Target, limits: Limits) -> Iterator[Proposal]:
+        """Piles put elsewhere box by box: that of the box that does not hold, and that of the box that is too much."""
+        if Kind.PLACE in limits.kinds:
+            for box in dict.fromkeys((cause.box, cause.cause)):
+                if box in draft.order and draft.on_top[box].any():
+                    relocated = relocation(draft, self.rules, self.sim, box)
+                    if relocated is not None:
+                        yield relocated
+
     # ------------------------------------------------------------------ the end
 
     def _finished(self, standing: Sequence[State]) -> Asking:
         """Take back what is not needed, and keep the repairs with the fewest changes."""
-        finalists = sorted(standing, key=lambda state: (len(state.changes), state.cost))[: 2 * MOST_FINALISTS]
-        finalists = sorted(finalists, key=lambda state: (len(state.changes), -self._chance(state)))[:MOST_FINALISTS]
+        ways: dict[tuple[tuple[Kind, tuple[int, ...]], ...], list[State]] = {}
+        for state in sorted(standing, key=_size):
+            ways.setdefault(tuple((change.kind, change.boxes) for change in state.changes), []).append(state)
         pruned: list[State] = []
-        for state in finalists:
-            pruned.append((yield from self._pruned(state)))
+        for states in [*ways.values()][:MOST_FINALISTS]:
+            chosen = max(states, key=lambda state: (self._chance(state), -state.cost))
+            pruned.append((yield from self._pruned(chosen)))
         fewest = min(len(state.changes) for state in pruned)
         short = [state for state in pruned if len(state.changes) == fewest]
         different = {_key(state.draft): state for state in reversed(short)}
-        self.repairs = tuple(sorted(different.values(), key=lambda state: (-self._chance(state), state.cost)))
+        self.repairs = tuple(sorted(different.values(), key=lambda state: (_size(state), -self._chance(state))))
 
     def _pruned(self, state: State) -> Generator[list[Draft], list[Trial], State]:
         """The state without changes that are not needed."""
@@ -295,19 +314,24 @@ class Search:
         return round(float(placement_stability(state.draft.as_plan()).prod()), 1)
 
 
+def _size(state: State) -> tuple[int, float]:
+    """The number of changes, and their cost in steps of ``SAME_COST``."""
+    return len(state.changes), math.floor(state.cost / SAME_COST)
+
+
 def _diverse(candidates: Sequence[_Candidate], count: int) -> list[_Candidate]:
     """The first candidates, with few of a kind and of a box; then the others that come first."""
-    kinds: Counter[Kind] = Counter()
-    boxes: Counter[tuple[Kind, tuple[int, ...]]] = Counter()
+    kinds: Counter[tuple[Kind, bool]] = Counter()
+    boxes: Counter[tuple[tuple[Kind, bool], tuple[int, ...]]] = Counter()
     chosen = []
     for candidate in candidates:
         if len(chosen) == count:
             break
-        change = candidate.proposal[-1]
-        key = change.kind, change.boxes[:1]
-        if kinds[change.kind] < MOST_OF_KIND and boxes[key] < MOST_OF_BOX:
+        kind = candidate.proposal[-1].kind, len(candidate.proposal) > 1
+        key = kind, candidate.proposal[-1].boxes[:1]
+        if kinds[kind] < MOST_OF_KIND and boxes[key] < MOST_OF_BOX:
             chosen.append(candidate)
-            kinds[change.kind] += 1
+            kinds[kind] += 1
             boxes[key] += 1
     rest = [candidate for candidate in candidates if candidate not in chosen]
     return chosen + rest[: count - len(chosen)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
-from petmjx.repair.drafts import Draft, IntArray
+from petmjx.repairs.drafts import Draft, IntArray
 from petmjx.world.edge_distances import bearing_in_order, building_loads_of, depends_on_sharing
 from petmjx.world.scene import build_scene
 from petmjx.world.supports import find_bearings, joined_bearing

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-import numpy as np
+import pandas as pd
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
@@ -15,8 +15,8 @@ from petmjx.engines.verdict import Verdict
 from petmjx.options.run_options import Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.repair.drafts import Draft
-from petmjx.repair.repair_options import RepairOptions
+from petmjx.repairs.drafts import Draft
+from petmjx.repairs.repair_options import RepairOptions
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.simulate import simulate
@@ -122,16 +122,19 @@ class Question:
         self.n_simulated += len(drafts)
         return [results[number] for number in range(len(drafts))]
 
-    def share(self, plan: Plan) -> Share:
-        """The share of worlds with errors in which a plan stands at rest, as ``petmjx.score`` with ``confidence``
+    def shares(self, plans: Sequence[Plan]) -> list[Share]:
+        """The share of worlds with errors in which each plan stands at rest, as ``petmjx.score`` with ``confidence``
         reports it."""
         sweep = confidence_sweep(self._options.worlds, self._errors, self._of_simulation)
         study = partial(SweepStudy, sweep, confidence=self._options.worlds)
-        run = simulate(study, sweep.simulation, [plan], self._run)
-        self.n_simulated += 1 + self._options.worlds
+        run = simulate(study, sweep.simulation, list(plans), self._run)
+        self.n_simulated += len(plans) * (1 + self._options.worlds)
         assert run.summary is not None
-        row = run.summary.iloc[0]
-        return Share(int(row["n_worlds"] - row["n_invalid"]), int(row["n_standing"]))
+        rows = run.summary.set_index("plan_id")
+        return [
+            Share(int(row["n_worlds"] - row["n_invalid"]), int(row["n_standing"]))
+            for row in (rows.loc[plan.plan_id] for plan in plans)
+        ]
 
     def _simulate(self, plans: list[Plan], film_turns: float) -> RunResults:
         sweep = self._drive_sweep(film_turns)
@@ -158,7 +161,7 @@ class Question:
 def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
     """A trial from a row of ``worlds``. Rows of boxes become numbers of the plan."""
     culprit = world["culprit"]
-    known = culprit == culprit and culprit is not None and int(culprit) >= 0 if _is_number(culprit) else False
+    known = not pd.isna(culprit)
     return Trial(
         str(world["verdict"]),
         str(world["reason"] or ""),
@@ -167,10 +170,6 @@ def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
         int(world["n_placed"]),
         float(world["margin"]),
     )
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float | np.integer | np.floating)
 
 
 def _fallen(run: RunResults, sim: Simulation) -> dict[str, list[int]]:

@@ -10,15 +10,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from petmjx.common.units import FloatArray
-from petmjx.repair.balance import Balance
-from petmjx.repair.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
-from petmjx.repair.drafts import TOLERANCE_MM, Draft, Rules
+from petmjx.options.simulation import Simulation
+from petmjx.repairs.balance import Balance, balances
+from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
 
 Proposal = tuple[Change, ...]
 
@@ -39,6 +40,9 @@ MOST_PLACES: Final = 12
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base at another place."""
+
+MOST_TOGETHER: Final = 12
+"""Boxes that are moved at once, or lifted off and put elsewhere."""
 
 
 class Target(NamedTuple):
@@ -115,6 +119,7 @@ def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Ite
     makers = (
         (Kind.ORDER, lambda: _orders(draft, target)),
         (Kind.MOVE, lambda: _moves(draft, near, target, limits.most_move_mm)),
+        (Kind.MOVE, lambda: _pushes(draft, rules, target, limits.most_move_mm)),
         (Kind.TURN, lambda: _turns(draft, near)),
         (Kind.EXCHANGE, lambda: _exchanges(draft, rules, near)),
         (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, near), _props(draft, rules, target))),
@@ -186,6 +191,42 @@ def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) ->
                 some = [length for length in (*needed[:2], 20.0, 45.0, 80.0) if length <= most_mm]
                 for length, dx, dy in itertools.product(some, (-1, 1), (-1, 1)):
                     yield (Move(box, dx * length, dy * length, with_them),)
+
+
+def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
+    """Boxes with what stands on them and with all that is in their way."""
+    depth = target.depth_mm
+    lengths = [length for length in (*(math.ceil(depth + spare) for spare in SPARE_MM[:3]), 45.0) if length <= most_mm]
+    supports = np.flatnonzero(draft.on_top[:, target.box]).tolist()
+    for box in dict.fromkeys((target.box, target.cause, *supports)):
+        for length, (along_x, along_y) in itertools.product(lengths, ((-1, 0), (1, 0), (0, -1), (0, 1))):
+            dx, dy = float(along_x * length), float(along_y * length)
+            together = _pushed(draft, box, dx, dy, alone=False)
+            if len(together) <= MOST_TOGETHER and min(together) >= rules.built:
+                yield (Move(box, dx, dy, tuple(sorted(together - {box}))),)
+            if box in supports:
+                together = _pushed(draft, box, dx, dy, alone=True)
+                if 1 < len(together) <= MOST_TOGETHER and min(together) >= rules.built:
+                    yield (Move(box, dx, dy, tuple(sorted(together - {box}))),)
+
+
+def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
+    """Numbers of the boxes that move if a box does: what stands on it (unless it is moved ``alone``), and what is in
+    the way, with what stands on that."""
+    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    way = np.array([dx_mm, dy_mm, 0.0])
+    present = np.isfinite(draft.rank)
+    moved = {box} if alone else {box, *draft.above(box)}
+    front = sorted(moved)
+    while front and len(moved) <= MOST_TOGETHER:
+        deep = np.minimum(high[front, None] + way, high) - np.maximum(low[front, None] + way, low)
+        hit = (deep > TOLERANCE_MM).all(axis=2).any(axis=0) & present
+        more = {int(number) for number in np.flatnonzero(hit)} - moved
+        if not alone:
+            more |= {rider for number in more for rider in draft.above(number)} - moved
+        moved |= more
+        front = sorted(more)
+    return moved
 
 
 def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float, float, float, float]:
@@ -273,6 +314,7 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
     free = ~draft.on_top.any(axis=1)
     for box in near:
         if not free[box]:
+            yield from _pile_places(draft, rules, box)
             continue
         last = next(number for number in reversed(draft.order) if number != box) if len(draft.order) > 1 else None
         for turn, corner in _resting_corners(draft, rules, box):
@@ -280,6 +322,19 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
             yield (Place(box, corner, turned, differs=turn),)
             if last is not None:
                 yield (Place(box, corner, turned, last, differs=turn),)
+
+
+def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
+    """A box with all that stands on it alone at other places."""
+    pile = lifted_with(draft, box)
+    rest = [number for number in draft.order if number not in pile]
+    if len(pile) > MOST_TOGETHER or not rest or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
+        return
+    others = tuple(sorted(pile[1:]))
+    for turn, corner in _resting_corners(replace(draft, order=tuple(rest)), rules, box):
+        if not turn:
+            for last in (None, rest[-1]):
+                yield (Place(box, corner, bool(draft.turned[box]), last, others=others),)
 
 
 def _resting_corners(
@@ -381,21 +436,57 @@ def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
         yield (Sheet((float(begin[0]), float(begin[1]), height), size, kg_m2, first),)
 
 
+def lifted_with(draft: Draft, box: int) -> list[int]:
+    """A box and all that would have nothing under it without it, the supports first."""
+    lifted = [box]
+    kept = [number for number in draft.order if number != box]
+    while True:
+        bare = [
+            number
+            for number in kept
+            if draft.corner_mm[number, 2] > TOLERANCE_MM
+            and draft.on_top[:, number].any()
+            and not draft.on_top[kept, number].any()
+        ]
+        if not bare:
+            return lifted
+        lifted += bare
+        kept = [number for number in kept if number not in bare]
+
+
 def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
     """Boxes left out, with all that would then have nothing under it."""
     for box in near:
-        left: list[int] = [box]
-        kept = [number for number in draft.order if number != box]
-        while True:
-            bare = [
-                number
-                for number in kept
-                if draft.on_top[:, number].any() and not draft.on_top[kept, number].any()
-                and draft.corner_mm[number, 2] > TOLERANCE_MM
-            ]
-            if not bare:
-                break
-            left += bare
-            kept = [number for number in kept if number not in bare]
-        if kept and min(left) >= rules.built:
+        left = lifted_with(draft, box)
+        if len(left) < len(draft.order) and min(left) >= rules.built:
             yield tuple(LeaveOut(number) for number in left)
+
+
+def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposal | None:
+    """A box and all that stands on it alone, lifted off and put elsewhere one after the other, each at the lowest place
+    at which by statics nothing goes beyond an edge; None: there is no such place for one of them."""
+    lifted = lifted_with(draft, box)
+    if len(lifted) > MOST_TOGETHER or min(lifted) < rules.built or max(lifted) >= draft.plan.n_boxes:
+        return None
+    pile = replace(draft, order=tuple(number for number in draft.order if number not in lifted))
+    if not pile.order:
+        return None
+    (balance,) = balances([pile], sim)
+    changes: list[Change] = []
+    for number in lifted:
+        last = pile.order[-1]
+        places = [
+            Place(number, corner, bool(draft.turned[number]) != turn, last, differs=turn)
+            for turn, corner in _resting_corners(pile, rules, number)
+        ]
+        waiting = replace(pile, order=(*pile.order, number))
+        drafts = [after for place in places if (after := place.applied(waiting)) is not None]
+        allowed = np.flatnonzero(rules.allow(drafts)).tolist() if drafts else []
+        after = balances([drafts[k] for k in allowed], sim)
+        good = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]
+        if not good or min(good)[0] > balance.trouble:
+            return None
+        chosen = min(good)[2]
+        balance, pile = after[allowed.index(chosen)], drafts[chosen]
+        changes.append(places[chosen])
+    return tuple(changes)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Self
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from petmjx.common.checked_records import CheckedRecord, CliFlag, complaint, shown_value, within
-from petmjx.repair.changes import Kind
+from petmjx.repairs.changes import Kind
 
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
@@ -55,7 +55,7 @@ class RepairOptions(CheckedRecord):
         2000.0, description="highest top of a box that is placed elsewhere, mm; the plan's own height if that is more"
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
-        16, description="changes at most, boxes left out not counted"
+        24, description="changes at most, boxes left out not counted"
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         320, description="changed plans that are simulated at most; half as many more if boxes must be left out"
