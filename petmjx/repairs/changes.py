@@ -31,7 +31,7 @@ class Kind(StrEnum):
 
 
 COST: Final = {
-    Kind.ORDER: 1.0,
+    Kind.ORDER: 0.8,
     Kind.MOVE: 1.0,
     Kind.TURN: 1.5,
     Kind.EXCHANGE: 2.0,
@@ -40,7 +40,7 @@ COST: Final = {
     Kind.FILM: 1.0,
     Kind.LEAVE_OUT: 20.0,
 }
-"""Cost of a change of each kind: an assumption about the work that it makes. Another order costs a robot nothing; a box
+"""Cost of a change of each kind: an assumption about the work that it makes. Another order is the least of them; a box
 that is left out has to be shipped on another pallet."""
 
 COST_PER_MM: Final = 0.002

@@ -22,7 +22,7 @@ from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Asking, Search, State
-from petmjx.repairs.trials import OF_RUN, Question, Share, Trial
+from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval
@@ -189,11 +189,13 @@ class Repairs:
         good = [repaired for repaired in fell if repaired.stands]
         if not fell:
             return f"{count_text(len(self.each), 'plan')}: all stand as they are"
-        whole = sum(not repaired.left_out for repaired in good)
+        left = sum(bool(repaired.left_out) for repaired in good)
         changes = sorted(len(repaired.changes) for repaired in good)
-        middle = f"; median {changes[len(changes) // 2]} of changes" if changes else ""
-        left = f", {len(good) - whole} of them with boxes left out" if whole < len(good) else ""
-        return f"{len(good):,} of {count_text(len(fell), 'plan')} that did not stand are repaired{left}{middle}"
+        verb = "does" if len(fell) == 1 else "do"
+        text = f"{count_text(len(fell), 'plan')} of {len(self.each):,} {verb} not stand; {len(good):,} can be repaired"
+        if left:
+            text += f", {left:,} of them only without some boxes"
+        return text + (f"; changes: {changes[len(changes) // 2]} in the median" if len(changes) > 1 else "")
 
     def __repr__(self) -> str:
         return f"Repairs({self.summary})"
@@ -250,10 +252,13 @@ def repair(
                 f"{count_text(plan.n_boxes, 'box', 'boxes')}, got {repair_options.built}"
             )
     results: list[Repaired] = []
-    for repaired in _repaired(plan_set.plans, question, repair_options):
-        results.append(repaired)
-        if watch is not None:
-            watch(len(results), len(plan_set.plans))
+    try:
+        for repaired in _repaired(plan_set.plans, question, repair_options):
+            results.append(repaired)
+            if watch is not None:
+                watch(len(results), len(plan_set.plans))
+    finally:
+        question.close()
     shown = {name: value for name, value in how.items() if name in Simulation.model_fields or name in OF_RUN}
     return Repairs(tuple(results), tuple(str(line) for line in plan_set.skipped), shown)
 
@@ -269,12 +274,12 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
 
 def _run_searches(searches: Sequence[Search], question: Question) -> None:
     """Run searches to their ends, side by side."""
-    running: list[tuple[Asking, list[Draft]]] = []
+    running: list[tuple[Asking, list[Asked]]] = []
     for search in searches:
         steps = search.run()
         running.append((steps, next(steps)))
     while running:
-        trials = question.trials([draft for _, drafts in running for draft in drafts])
+        trials = question.trials([asked for _, drafts in running for asked in drafts])
         left, begin = [], 0
         for steps, drafts in running:
             with suppress(StopIteration):

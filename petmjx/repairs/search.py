@@ -14,7 +14,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -27,23 +27,23 @@ from petmjx.repairs.changes import Change, Film, Kind, applied, cost_of, with_ch
 from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.proposals import Limits, Proposal, Target, proposals, relocation, targets
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.trials import Trial
+from petmjx.repairs.trials import Asked, Trial
 
-Asking = Generator[list[Draft], list[Trial], None]
+Asking = Generator[list[Asked], list[Trial], None]
 
 BEAM: Final = 2
 """Changed plans that are changed further in each step."""
 
-FIRST_TRIALS: Final = 10
-"""Changes of a plan that are simulated at once."""
-
-FURTHER_TRIALS: Final = 20
-"""Changes that are simulated if none of the first ones helps."""
+TRIALS: Final = (6, 10, 20)
+"""Changes of a plan that are simulated at once: the first ones, then more as long as none helps."""
 
 MOST_OF_KIND: Final = 4
 MOST_OF_BOX: Final = 3
 """Changes of one kind, and of one box by one kind, among those that are simulated at once: what statics ranks first are
 often many ways to do the same."""
+
+CONFIRMED_AT_ONCE: Final = 6
+"""Plans that stand on forks and are scored at once."""
 
 MOST_FINALISTS: Final = 3
 """Repairs with the least number of changes that are compared with errors."""
@@ -158,13 +158,15 @@ class Search:
         if standing:
             yield from self._finished(standing)
 
-    def _simulated(self, drafts: list[Draft]) -> Generator[list[Draft], list[Trial], list[Trial]]:
+    def _simulated(
+        self, drafts: Sequence[Draft], parents: Sequence[Draft] | None = None
+    ) -> Generator[list[Asked], list[Trial], list[Trial]]:
         self.n_trials += len(drafts)
-        return (yield drafts)
+        return (yield [(draft, None if parents is None else parents[k]) for k, draft in enumerate(drafts)])
 
     # ------------------------------------------------------------------ film
 
-    def _wrapped(self, start: State) -> Generator[list[Draft], list[Trial], list[State]]:
+    def _wrapped(self, start: State) -> Generator[list[Asked], list[Trial], list[State]]:
         """The fewest turns of film with which the plan survives the profile; empty: there is no such number."""
         low, high = math.floor(self.film_turns), self.options.most_turns
         if high <= low:
@@ -189,7 +191,7 @@ class Search:
 
     def _changed(
         self, start: State, kinds: frozenset[Kind], most_trials: int
-    ) -> Generator[list[Draft], list[Trial], tuple[list[State], State]]:
+    ) -> Generator[list[Asked], list[Trial], tuple[list[State], State]]:
         """Plans that stand after changes of these kinds, and the one with the most standing boxes if none does."""
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
@@ -199,16 +201,21 @@ class Search:
             ranked = [self._ranked(state, limits) for state in beam]
             tried: list[tuple[State, _Candidate]] = []
             progress = max(state.trial.n_standing for state in beam)
-            for count in (FIRST_TRIALS, FURTHER_TRIALS):
-                batch = [c for candidates in ranked for c in _diverse(candidates, count)]
+            for count in TRIALS:
+                batch = [
+                    (c, state.draft) for state, some in zip(beam, ranked, strict=True) for c in _diverse(some, count)
+                ]
                 for candidates in ranked:
-                    candidates[:] = [c for c in candidates if c not in batch]
+                    candidates[:] = [c for c in candidates if all(c is not other for other, _ in batch)]
                 batch = batch[: max(last - self.n_trials, 0)]
-                trials = (yield from self._simulated([c.draft for c in batch])) if batch else []
-                tried += [(State(c.draft, c.changes, trial), c) for c, trial in zip(batch, trials, strict=True)]
-                standing = [state for state, _ in tried if state.trial.stands]
+                if not batch:
+                    break
+                trials = yield from self._simulated([c.draft for c, _ in batch], [parent for _, parent in batch])
+                states = [State(c.draft, c.changes, trial) for (c, _), trial in zip(batch, trials, strict=True)]
+                standing = yield from self._confirmed(states)
                 if standing:
                     return standing, best
+                tried += [(state, c) for state, (c, _) in zip(states, batch, strict=True)]
                 if any(c.helped(state.trial) and state.trial.n_standing > progress for state, c in tried):
                     break
             tried.sort(key=lambda p: (not p[1].helped(p[0].trial), -p[0].trial.n_standing, p[1].trouble, p[0].cost))
@@ -218,6 +225,26 @@ class Search:
             else:
                 idle += 1
         return [], best
+
+    def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
+        """Score states that stand on forks, the cheapest first, until some are confirmed. Returns those; the others
+        that were scored get the trial of the score."""
+        ways: Counter[tuple[object, ...]] = Counter()
+        queue = []
+        for k in sorted((k for k, state in enumerate(states) if state.trial.stands), key=lambda k: _size(states[k])):
+            queue.append((ways[_way(states[k])], k))
+            ways[_way(states[k])] += 1
+        queue.sort(key=lambda pair: pair[0])  # stable: one of each way first
+        numbers = [k for _, k in queue]
+        for begin in range(0, len(numbers), CONFIRMED_AT_ONCE):
+            chosen = numbers[begin : begin + CONFIRMED_AT_ONCE]
+            trials = yield from self._simulated([states[k].draft for k in chosen])
+            for k, trial in zip(chosen, trials, strict=True):
+                states[k] = replace(states[k], trial=trial)
+            confirmed = [states[k] for k in chosen if states[k].trial.stands]
+            if confirmed:
+                return confirmed
+        return []
 
     def _is_short(self, state: State) -> bool:
         """Whether a state may be changed further."""
@@ -260,7 +287,7 @@ class Search:
             key = after.trouble + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
             ranked.append(_Candidate(draft, changes, proposal, after.trouble, key, trial.culprit))
         ranked.sort(key=lambda candidate: candidate.key)
-        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[FIRST_TRIALS + FURTHER_TRIALS :])
+        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(TRIALS) :])
         return ranked
 
     def _relocations(self, draft: Draft, cause: Target, limits: Limits) -> Iterator[Proposal]:
@@ -276,9 +303,9 @@ class Search:
 
     def _finished(self, standing: Sequence[State]) -> Asking:
         """Take back what is not needed, and keep the repairs with the fewest changes."""
-        ways: dict[tuple[tuple[Kind, tuple[int, ...]], ...], list[State]] = {}
+        ways: dict[tuple[object, ...], list[State]] = {}
         for state in sorted(standing, key=_size):
-            ways.setdefault(tuple((change.kind, change.boxes) for change in state.changes), []).append(state)
+            ways.setdefault(_way(state), []).append(state)
         pruned: list[State] = []
         for states in [*ways.values()][:MOST_FINALISTS]:
             chosen = max(states, key=lambda state: (self._chance(state), -state.cost))
@@ -288,7 +315,7 @@ class Search:
         different = {_key(state.draft): state for state in reversed(short)}
         self.repairs = tuple(sorted(different.values(), key=lambda state: (_size(state), -self._chance(state))))
 
-    def _pruned(self, state: State) -> Generator[list[Draft], list[Trial], State]:
+    def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without changes that are not needed."""
         while len(state.changes) > 1:
             shorter = [
@@ -317,6 +344,11 @@ class Search:
 def _size(state: State) -> tuple[int, float]:
     """The number of changes, and their cost in steps of ``SAME_COST``."""
     return len(state.changes), math.floor(state.cost / SAME_COST)
+
+
+def _way(state: State) -> tuple[object, ...]:
+    """Equal for repairs that change the same boxes in the same ways, by other amounts."""
+    return tuple((change.kind, change.boxes) for change in state.changes)
 
 
 def _diverse(candidates: Sequence[_Candidate], count: int) -> list[_Candidate]:
