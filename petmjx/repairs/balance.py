@@ -13,7 +13,7 @@ import numpy as np
 
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.simulation import Simulation
-from petmjx.repairs.drafts import Draft, IntArray
+from petmjx.repairs.drafts import BoolArray, Draft, IntArray
 from petmjx.world.edge_distances import bearing_in_order, building_loads_of, depends_on_sharing
 from petmjx.world.scene import build_scene
 from petmjx.world.supports import find_bearings, joined_bearing
@@ -77,7 +77,7 @@ def _balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
     return results
 
 
-def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: np.ndarray) -> Balance:  # type: ignore[type-arg]  # of booleans
+def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> Balance:
     """The balance of a draft from the edges of its loads, sorted by box and step."""
     order = np.array(draft.order)
     boxes, begins = np.unique(box, return_index=True)

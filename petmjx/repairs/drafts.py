@@ -81,7 +81,13 @@ class Draft:
         shared = (shared_length(low[0], high[0]) > TOLERANCE_MM) & (shared_length(low[1], high[1]) > TOLERANCE_MM)
         lies = shared & meets(low[2], high[2], TOLERANCE_MM) & np.less.outer(low[2], low[2])
         present = np.isfinite(self.rank)
-        return lies & present & present[:, None]
+        on_top: BoolArray = lies & present & present[:, None]
+        return on_top
+
+    @cached_property
+    def is_bare(self) -> BoolArray:
+        """(m,) whether nothing lies on a box."""
+        return np.asarray(~self.on_top.any(axis=1))
 
     def above(self, box: int) -> list[int]:
         """Numbers of the boxes that lie on a box, or on boxes that do."""
@@ -280,7 +286,8 @@ class Rules:
         blocked = now.blocked.copy()
         blocked[:, :n, :n] &= ~self._before.blocked
         worse |= blocked.any(axis=(1, 2))
-        return ~worse & np.array([self._keeps_built(draft) for draft in drafts])
+        allowed: BoolArray = ~worse & np.array([self._keeps_built(draft) for draft in drafts])
+        return allowed
 
     def _keeps_built(self, draft: Draft) -> bool:
         """Whether the boxes that stand already stand as in the plan."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -116,7 +116,7 @@ def targets(
 def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Iterator[Proposal]:
     """Changes that may help with a cause. Some cannot be made; ``Rules.allow`` finds out."""
     near = _near(draft, rules, target)
-    makers = (
+    makers: tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...] = (
         (Kind.ORDER, lambda: _orders(draft, target)),
         (Kind.MOVE, lambda: _moves(draft, near, target, limits.most_move_mm)),
         (Kind.MOVE, lambda: _pushes(draft, rules, target, limits.most_move_mm)),
@@ -300,7 +300,8 @@ def _alike(draft: Draft, box: int, other: int) -> bool:
 def _size(draft: Draft, box: int, turn: bool) -> FloatArray:
     """(3,) extents of a box, turned by 90° or not, mm."""
     size = draft.size_mm[box]
-    return size[[1, 0, 2]] if turn else size
+    extents: FloatArray = size[[1, 0, 2]] if turn else size
+    return extents
 
 
 def _triple(values: FloatArray) -> tuple[float, float, float]:
@@ -311,7 +312,7 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
     """Boxes on which nothing stands, at other places, placed when they were or as the last ones; and boxes that hang in
     the air, where they would come to lie."""
-    free = ~draft.on_top.any(axis=1)
+    free = draft.is_bare
     for box in near:
         if not free[box]:
             yield from _pile_places(draft, rules, box)
@@ -399,12 +400,13 @@ def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArr
     """(p,) area that a box at corners shares with another one, seen from above, mm²."""
     shared_x = np.minimum(x + size[0], corner[0] + other[0]) - np.maximum(x, corner[0])
     shared_y = np.minimum(y + size[1], corner[1] + other[1]) - np.maximum(y, corner[1])
-    return np.maximum(shared_x, 0.0) * np.maximum(shared_y, 0.0)
+    area: FloatArray = np.maximum(shared_x, 0.0) * np.maximum(shared_y, 0.0)
+    return area
 
 
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
     """Boxes on which nothing stands, put under a box that hangs over, before it is placed."""
-    free = ~draft.on_top.any(axis=1)
+    free = draft.is_bare
     sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
     for size in sizes:
         alike = [
@@ -480,7 +482,7 @@ def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposa
             for turn, corner in _resting_corners(pile, rules, number)
         ]
         waiting = replace(pile, order=(*pile.order, number))
-        drafts = [after for place in places if (after := place.applied(waiting)) is not None]
+        drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
         allowed = np.flatnonzero(rules.allow(drafts)).tolist() if drafts else []
         after = balances([drafts[k] for k in allowed], sim)
         good = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]

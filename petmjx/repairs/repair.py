@@ -301,8 +301,8 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
         rows = [row for row, search in enumerate(searches) if search.repairs and search.repairs[0].changes]
         while rows:
             drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
-            for row, share in zip(rows, question.shares([draft.as_plan() for draft in drafts]), strict=True):
-                shares[row].append(share)
+            for row, result in zip(rows, question.shares([draft.as_plan() for draft in drafts]), strict=True):
+                shares[row].append(result)
             rows = [
                 row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])
             ]

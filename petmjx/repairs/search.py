@@ -284,8 +284,8 @@ class Search:
                 if merged is None or _key(merged) != _key(draft):
                     changes = (*state.changes, *proposal)
             unsolved = first is not None and after.depth_of(first.box) > 0
-            key = after.trouble + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
-            ranked.append(_Candidate(draft, changes, proposal, after.trouble, key, trial.culprit))
+            rank = after.trouble + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
+            ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank, trial.culprit))
         ranked.sort(key=lambda candidate: candidate.key)
         self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(TRIALS) :])
         return ranked
@@ -355,7 +355,7 @@ def _diverse(candidates: Sequence[_Candidate], count: int) -> list[_Candidate]:
     """The first candidates, with few of a kind and of a box; then the others that come first."""
     kinds: Counter[tuple[Kind, bool]] = Counter()
     boxes: Counter[tuple[tuple[Kind, bool], tuple[int, ...]]] = Counter()
-    chosen = []
+    chosen: list[_Candidate] = []
     for candidate in candidates:
         if len(chosen) == count:
             break
@@ -373,4 +373,5 @@ def _key(draft: Draft) -> bytes:
     """Equal for drafts that are the same."""
     order = np.array(draft.order)
     places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[order], 3)
-    return order.tobytes() + places.tobytes() + np.float64(draft.film_turns).tobytes()
+    key: bytes = order.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
+    return key
