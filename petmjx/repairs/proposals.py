@@ -319,6 +319,8 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
             continue
         last = next(number for number in reversed(draft.order) if number != box) if len(draft.order) > 1 else None
         for turn, corner in _resting_corners(draft, rules, box):
+            if not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
+                continue  # another time at the same place is another order
             turned = bool(draft.turned[box]) != turn
             yield (Place(box, corner, turned, differs=turn),)
             if last is not None:

@@ -12,6 +12,7 @@ import pytest
 from support.plans import Box, make_plan, stack
 
 import petmjx
+from petmjx.cli.main import main
 from petmjx.common.errors import InputError
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
@@ -22,7 +23,7 @@ from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 
-FAST = {"engine": "mujoco", "threads": 1, "worlds": 0}
+FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Repairs without worlds with errors, which take most of the time."""
 
 COUNTERWEIGHT: Sequence[Box] = (
@@ -135,7 +136,7 @@ def test_what_is_built_stays() -> None:
 
 
 def test_nothing_helps_where_all_is_forbidden_that_would() -> None:
-    result = repaired(COUNTERWEIGHT, forbid=[kind for kind in Kind if kind is not Kind.SHEET])
+    result = repaired(COUNTERWEIGHT, forbid=[kind for kind in Kind if kind is not Kind.SHEET], trials=4)
     assert not result.stands
     assert result.plan is result.before
     assert "no repair is known" in result.headline
@@ -159,7 +160,7 @@ def test_plans_are_repaired_the_same_alone_and_together() -> None:
 
 def test_shares_with_errors_are_those_of_a_score() -> None:
     plan = make_plan(boxes=LATE_SUPPORT)
-    (result,) = petmjx.repair(plan, engine="mujoco", threads=1, worlds=4).each
+    (result,) = petmjx.repair(plan, **{**FAST, "worlds": 4}, forbid=[k for k in Kind if k is not Kind.ORDER]).each
     summary = petmjx.score(result.plan, engine="mujoco", threads=1, confidence=4).summary
     assert summary is not None
     assert result.share_before == (4, 0)
@@ -313,3 +314,23 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
 def test_unusable_options_are_refused(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         petmjx.repair(make_plan(boxes=stack(2, 300.0)), **{"engine": "mujoco", "threads": 1, **options})
+
+
+# ---------------------------------------------------------------------- the command and its page
+
+
+def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, out, html = tmp_path / "plans.json", tmp_path / "repaired.csv", tmp_path / "repairs.html"
+    petmjx.save_plans([make_plan("late", LATE_SUPPORT)], source)
+    options = ["--engine", "mujoco", "--threads", "1", "--worlds", "0", "--without", "move,place,turn,exchange"]
+    assert main(["repair", str(source), "-o", str(out), "--html", str(html), *options]) == 0
+    printed = capsys.readouterr().out
+    assert "late: unstable (drop, first box 1); stands after 1 change\n  1. place box 2 before box 1" in printed
+    assert verdict(petmjx.load_plans(out).plans[0]) == "stable"
+    page = html.read_text(encoding="utf-8")
+    assert page.count("<svg") == 2
+    assert "place box 2 before box 1" in page
+    assert main(["repair", str(source), "-o", str(out), *options]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main(["repair", str(source), "--without", "moves"]) == 2
+    assert capsys.readouterr().err.startswith("petmjx: --without must be of order, move")
