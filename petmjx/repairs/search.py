@@ -23,9 +23,9 @@ from petmjx.options.simulation import Simulation
 from petmjx.packers.robot_placement import placement_stability
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import balances
-from petmjx.repairs.changes import Change, Film, Kind, applied, cost_of, with_change
+from petmjx.repairs.changes import Change, Film, Kind, LeaveOut, applied, cost_of, with_change
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.repairs.proposals import Limits, Proposal, Target, proposals, relocation, targets
+from petmjx.repairs.proposals import Limits, Proposal, Target, lifted_with, proposals, relocation, targets
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.trials import Asked, Trial
 
@@ -155,6 +155,8 @@ class Search:
             if not standing and best is not start:
                 self._seen.clear()
                 standing, _ = yield from self._changed(start, frozenset({Kind.LEAVE_OUT}), left)
+            if not standing:
+                standing = yield from self._stripped(best)
         if standing:
             yield from self._finished(standing)
 
@@ -225,6 +227,26 @@ class Search:
             else:
                 idle += 1
         return [], best
+
+    def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The state without the boxes that fall, left out one after the other with all that stands on them, until the
+        rest stands; empty: boxes that stand already fall. It always ends, since each step leaves out a box."""
+        while not state.trial.stands:
+            box = state.trial.culprit
+            if box is None:
+                box = state.draft.order[min(state.trial.n_placed, len(state.draft.order)) - 1]
+            lifted = lifted_with(state.draft, box)
+            if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):
+                return []
+            changes = state.changes
+            for number in lifted:
+                changes = (*changes, LeaveOut(number))
+            draft = applied(self._start, changes)
+            if draft is None:
+                return []
+            (trial,) = yield from self._simulated([draft])
+            state = State(draft, changes, trial)
+        return [state]
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
         """Score states that stand on forks, the cheapest first, until some are confirmed. Returns those; the others
