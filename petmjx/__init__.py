@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from petmjx.plans.plan_reader import load_plans
     from petmjx.plans.plan_set import PlanSet
     from petmjx.plans.plan_writer import save_plans
+    from petmjx.repairs.repair import Repaired, Repairs, repair
     from petmjx.results.run_reader import RunResults, load_run
     from petmjx.runs.merge import merge_runs
     from petmjx.show.figures.figure_files import figure
@@ -88,6 +89,9 @@ _HOME = {
     "Packed": "petmjx.packers.pack",
     "pack": "petmjx.packers.pack",
     "merge_runs": "petmjx.runs.merge",
+    "repair": "petmjx.repairs.repair",
+    "Repaired": "petmjx.repairs.repair",
+    "Repairs": "petmjx.repairs.repair",
     "RunResults": "petmjx.results.run_reader",
     "load_run": "petmjx.results.run_reader",
 }
@@ -114,6 +118,8 @@ __all__ = [
     "PlanSet",
     "PlanWarning",
     "Quiet",
+    "Repaired",
+    "Repairs",
     "RunOptions",
     "RunResults",
     "Schedule",
@@ -139,6 +145,7 @@ __all__ = [
     "pack",
     "placement_stability",
     "release",
+    "repair",
     "report",
     "save_plans",
     "score",

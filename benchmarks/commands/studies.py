@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -10,6 +11,7 @@ import typer
 
 from benchmarks.commands.app import DEFAULT_OUT, Out, app, known, make_folder, usable
 from petmjx.cli import command_options as opt
+from petmjx.results.to_json import to_json
 
 DATA: Final = Path(__file__).resolve().parents[3] / "shared" / "data" / "reality"
 """Where measurements are by default: beside the checkout."""
@@ -253,3 +255,40 @@ def reality(
         print(table(results))
     else:
         write_between_markers(write, table(results), BEGIN, END)
+
+
+@app.command()
+@opt.takes("engine", "threads")
+def repair(
+    plans: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[PLANS...]", help="Plans of others: one box of each is moved so that it falls."),
+    ] = None,
+    n: Annotated[int, typer.Option(metavar="N", help="Generated plans that fall, if no plans are named.")] = 60,
+    seed: Annotated[int, typer.Option(metavar="SEED", help="Of the generated plans, or of the moves.")] = 0,
+    worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors.")] = 8,
+    most_s: Annotated[float, typer.Option(metavar="S", help="No plan is begun after this time.")] = 1e9,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Appends a line of JSON for each plan.")] = None,
+    **options: Any,
+) -> None:
+    """How many plans that fall can be repaired, with how many changes, and how long it takes."""
+    import time
+
+    from benchmarks.repair_study import describe, disturbed, generated, repaired_rows
+    from petmjx.options.run_options import RunOptions
+
+    begin, rows = time.monotonic(), []
+    if plans:
+        chosen: Any = disturbed(usable(plans, RunOptions()), seed, **options)
+    else:
+        chosen = generated(n, seed, **options)
+    for row, result in repaired_rows(chosen, worlds=worlds, **options):
+        rows.append(row)
+        seconds = f"{row['wall_s']:.0f} s, {row['trials']} trials"
+        print(f"{result.headline} ({seconds}): {'; '.join(result.words)}", flush=True)
+        if out is not None:
+            with out.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(to_json(row)) + "\n")
+        if time.monotonic() - begin > most_s:
+            break
+    print(describe(rows))

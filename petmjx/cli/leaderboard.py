@@ -42,6 +42,15 @@ def leaderboard(
     baselines: Annotated[
         bool, typer.Option("--baselines", help="Also rate petmjx's own packers on these orders; needs --orders.")
     ] = False,
+    repairs: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--repair",
+            metavar="NAME",
+            help="Also repair the plans of this packer, and rate them as the entry NAME-repaired; repeatable.",
+            show_default=False,
+        ),
+    ] = None,
     stories: Annotated[
         int, typer.Option("--stories", metavar="N", min=0, help="Pages to play of N plans of each packer.")
     ] = 3,
@@ -74,6 +83,7 @@ def leaderboard(
             out,
             orders=orders,
             baselines=baselines,
+            repairs=repairs or [],
             stories=stories,
             replays=replays,
             watch=_bar,

@@ -26,6 +26,7 @@ from petmjx.cli import (
     leaderboard,
     loads,
     merge,
+    repair,
     report,
     samples,
     score,
@@ -78,6 +79,7 @@ app = typer.Typer(
 for _command, _short_help in (
     (score.score, "Say which packing plans stand."),
     (sweep.sweep, "Simulate plans in many variants: forces, friction, errors."),
+    (repair.repair, "Say what to change in plans so that they stand."),
     (show.show, "Show what happens to one plan: page, picture, film."),
     (report.report, "Write a page about runs: charts, tables, plans in 3D."),
     (compare.compare, "Compare two runs of the same plans, or packers."),

@@ -47,6 +47,14 @@ def show(
     viewer: Annotated[
         bool, typer.Option("--viewer", help="Play it in MuJoCo's viewer, on a display.", rich_help_panel=DRAWN)
     ] = False,
+    repaired: Annotated[
+        bool,
+        typer.Option(
+            "--repair",
+            help="Also repair the plan, and draw it before and after, side by side, with the changes; needs --html.",
+            rich_help_panel=DRAWN,
+        ),
+    ] = False,
     variant: opt.Variant = None,
     overwrite: opt.Overwrite = False,
     **options: Any,
@@ -68,6 +76,9 @@ def show(
     check_drawing(list(files.values()))
     look = {name: options.pop(name) for name in PictureOptions.model_fields if name in options}
     PictureOptions(**look)
+    if repaired:
+        _show_repair(plan_id, source, files, bool(look) or viewer or variant is not None, options)
+        return
     if viewer:
         from petmjx.show.pictures.mujoco_viewer import check_display
 
@@ -78,6 +89,38 @@ def show(
             _show(story, list(files.values()), look, viewer)
         except KeyboardInterrupt as stop:
             raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
+
+
+def _show_repair(
+    plan_id: str, source: list[Path] | None, files: dict[str, Path], has_more: bool, options: dict[str, Any]
+) -> None:
+    """Repair a plan, and write the page with both sides.
+
+    Args:
+        has_more: whether options were given that such a page does not have.
+    """
+    from petmjx.options.run_options import RunOptions, sorted_options
+    from petmjx.options.simulation import Simulation
+    from petmjx.plans.plan_sources import find_plan, usable_plans
+    from petmjx.repairs.repair import OF_READING, repair
+    from petmjx.results.plan_lookup import plans_in_place
+    from petmjx.show.pages.repair_page import write_repair_page
+    from petmjx.show.repair_tables import repair_tables
+    from petmjx.show.table_layout import print_renderables
+
+    if set(files) != {"html"} or has_more:
+        raise InputError("--repair needs --html alone: it draws no films, pictures or variants")
+    of_simulation, of_run = sorted_options(options)
+    reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
+    plan_set = usable_plans(plans_in_place(source or None, reading.strict), Simulation(**of_simulation), reading)
+    how = {name: value for name, value in options.items() if name not in OF_READING}
+    with stoppable():
+        try:
+            result = repair(find_plan(plan_set, plan_id), **how)
+        except KeyboardInterrupt as stop:
+            raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
+    write_repair_page(result, files["html"])
+    print_renderables([*repair_tables(result), f"page {printable(str(files['html']))}"], results_console())
 
 
 def _cli_story(plan_id: str, source: list[Path], variant: int | None, forces: bool, options: dict[str, Any]) -> Story:

@@ -194,7 +194,7 @@ def building_edges(
     bearing, in_order = joined or joined_bearing(bearings), list(bearings)
     theirs = bearing.upper < bearing.boxes.first[len(bearings)]
     if not (bearing.lower < bearing.upper)[theirs].all():
-        in_order = [_order_bearing(one) for one in bearings]
+        in_order = [bearing_in_order(one) for one in bearings]
         bearing = joined_bearing(in_order)
     others = len(bearing.boxes.first) - 1 - len(bearings)
     built = building_loads_of(bearing, [*placed, *[0] * others])
@@ -215,7 +215,7 @@ def building_edges(
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
     """The placement after which the load of a box is beyond an edge while a plan is built, and the one after which it
     is inside again: numbers of the placed boxes, -1 for none."""
-    built = building_loads_of(_order_bearing(bearing_of(scene)), [scene.n_boxes])
+    built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
     if not len(beyond):
@@ -224,7 +224,7 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
     return int(steps[beyond[0]]), int(steps[inside[0]]) if len(inside) else -1
 
 
-def _order_bearing(bearing: Bearing) -> Bearing:
+def bearing_in_order(bearing: Bearing) -> Bearing:
     """The bearing of a scene, without supports that are placed after the box that they bear: until then that box has
     fallen."""
     before = bearing.lower < bearing.upper

@@ -21,6 +21,7 @@ LAYERS: tuple[frozenset[str], ...] = (
     frozenset({"analysis"}),
     frozenset({"api"}),
     frozenset({"packers"}),
+    frozenset({"repairs"}),
     frozenset({"show"}),
     frozenset({"loop"}),
     frozenset({"gym", "jax"}),

@@ -167,3 +167,21 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path: Path, board:
     with pytest.raises(InputError, match=r"mine\.txt: is a file; name a folder"):
         petmjx.leaderboard(packers, tmp_path / "mine.txt")
     assert (tmp_path / "stories" / "mine.html").read_text() == "mine"
+
+
+def test_repaired_plans_are_an_entry_that_says_so(tmp_path: Path) -> None:
+    petmjx.save_plans([cartons("order 1", 50)], tmp_path / "careful.json")
+    petmjx.save_plans([cartons("order 1", 300)], tmp_path / "eager.json")
+    words = [
+        str(tmp_path / "careful.json"),
+        str(tmp_path / "eager.json"),
+        "--repair",
+        "eager",
+        "-o",
+        str(tmp_path / "b"),
+    ]
+    assert main(["leaderboard", *words, "--engine", "mujoco", "--threads", "1", "--stories", "0"]) == 0
+    data = json.loads((tmp_path / "b" / "leaderboard.json").read_text(encoding="utf-8"))
+    rows = {row["packer"]: row for row in data["rating"]}
+    assert {name: row["rating"] for name, row in rows.items()} == {"careful": 1.0, "eager": 0.0, "eager-repaired": 1.0}
+    assert "eager-repaired" in (tmp_path / "b" / "index.html").read_text(encoding="utf-8")

@@ -6,24 +6,33 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from petmjx.analysis.packer_runs import check_names
 from petmjx.api import score
 from petmjx.common.argument_checks import path_of
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
+from petmjx.options.simulation import Simulation
 from petmjx.packers.packer_registry import PACKERS
 from petmjx.packers.sample_plans import pack_orders
 from petmjx.plans.json_writer import write_plans
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_writer import save_plans
+from petmjx.repairs.repair import OF_READING, repair
+from petmjx.repairs.trials import OF_RUN
 from petmjx.results.plan_lookup import find_plans
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.runs.simulate import Watcher
 from petmjx.show.leaderboard.leaderboard_files import PLANS, RUNS
+
+REPAIRED: Final = "-repaired"
+"""End of the names of entries whose plans were repaired."""
+
+OF_REPAIR: Final = (*OF_RUN, *OF_READING)
+"""Options of runs that repairs have, too."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
 """Name of a packer → the watcher of its run."""
@@ -86,6 +95,46 @@ def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
     for name, file in files.items():
         file.parent.mkdir(parents=True, exist_ok=True)
         write_plans(file, pack_orders(orders, packer=name, on_bad_order=lambda error: None))
+    return files
+
+
+def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str, str]:
+    """Name of each entry of repaired plans → the packer whose plans are repaired.
+
+    Raises:
+        InputError: there is no such packer, or another one has the entry's name.
+    """
+    entries = {}
+    for name in dict.fromkeys(names):
+        if name not in paths:
+            raise InputError(f"repairs: there is no packer {printable_name(name)}; there are {', '.join(paths)}")
+        entry = f"{name}{REPAIRED}"
+        if entry in paths:
+            raise InputError(f"{printable_name(entry)}: a packer has the name of the repaired plans of {name}")
+        entries[entry] = name
+    return entries
+
+
+def repair_entries(
+    names: Mapping[str, str], paths: Mapping[str, Path], folder: Path, options: Mapping[str, Any]
+) -> dict[str, Path]:
+    """Repair the plans of packers. Returns name of the entry → file of its plans.
+
+    Args:
+        names: name of each entry → the packer.
+        options: options of ``petmjx.score``. Those that a repair does not have are left out.
+
+    Raises:
+        InputError: unusable plans, or a file cannot be written.
+    """
+    how = {name: value for name, value in options.items() if name in Simulation.model_fields or name in OF_REPAIR}
+    files = {}
+    for entry, name in names.items():
+        file = folder / PLANS / f"{entry}.json"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        source: Any = load_run(paths[name]).path if (paths[name] / RUN_FILE).is_file() else paths[name]
+        repair(source, worlds=0, **how).save(file)
+        files[entry] = file
     return files
 
 

@@ -28,7 +28,16 @@ from petmjx.plans.convention_checks import warn
 from petmjx.plans.order_reader import keep_orders, read_orders
 from petmjx.results.read_files import source_files
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
-from petmjx.show.leaderboard.entries import Entry, Watch, enter, keep_plans, pack_ours, packer_sources
+from petmjx.show.leaderboard.entries import (
+    Entry,
+    Watch,
+    enter,
+    keep_plans,
+    pack_ours,
+    packer_sources,
+    repair_entries,
+    repaired_names,
+)
 from petmjx.show.leaderboard.entry_replays import Replay, Sample, sample_entry
 from petmjx.show.leaderboard.leaderboard_files import ORDERS, PAGE, PLANS, STORIES, BoardFolder, names_of
 from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_page
@@ -44,6 +53,7 @@ def leaderboard(
     *,
     orders: str | PathLike[str] | None = None,
     baselines: bool = False,
+    repairs: Sequence[str] = (),
     stories: int = 3,
     replays: int = 8,
     watch: Watch | None = None,
@@ -67,6 +77,8 @@ def leaderboard(
             rating is about the orders for which any packer has a plan, so a packer's rating depends on the other
             packers.
         baselines: also pack the orders with each of petmjx's packers.
+        repairs: names of packers whose plans are also repaired (docs/repair.md) and rated, as the entry
+            ``NAME-repaired``.
         stories: how many plans of each packer get a page. Plans that fall while another packer's plan of the order
             stands come first.
         replays: how many plans of each entry are simulated again, unless the board has just scored the entry. They are
@@ -96,7 +108,8 @@ def leaderboard(
             f"{clash}: {option('--baselines')} has a packer of this name; give yours another, as NAME=PATH"
         )
     keeps_orders = source is not None and not _is_same(source, folder / ORDERS)
-    packed = [*(PACKERS if baselines else ()), *paths]
+    repaired = repaired_names(list_of(repairs, "repairs", str, "names of packers"), paths)
+    packed = [*(PACKERS if baselines else ()), *paths, *repaired]
     names = names_of(packed, stories, keeps_orders)
     read = source_files(paths, source if keeps_orders else None)
     files_of_board = BoardFolder(folder, packed, names, read, overwrite)
@@ -104,6 +117,7 @@ def leaderboard(
         raise InputError(f"give at least two packers to rate, or one with {option('--baselines')}")
     with write_errors(folder):
         files_of_board.begin()
+        paths = {**paths, **repair_entries(repaired, paths, folder, options)}
         entries = _entries(paths, folder, source, baselines, watch, options)
         rated = _rated_entries(entries, folder, source, options, stories, replays)
         files_of_board.check()

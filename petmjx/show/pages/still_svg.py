@@ -5,6 +5,7 @@ It is seen from the front left, and far boxes are drawn first.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import Final
 
 import numpy as np
@@ -41,8 +42,14 @@ _TOUCHING_M: Final = 1e-3
 _FACES: Final = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
 
 
-def still_svg(story: Story) -> str:
-    """The last frame of a story as SVG. The first box to fail is outlined."""
+def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequence[int] | None = None) -> str:
+    """The last frame of a story as SVG.
+
+    Args:
+        marked: boxes that are outlined; None: the first one to fail.
+        numbers: numbers by which boxes are called; None: their numbers in the plan.
+    """
+    marked = (story.outcome.culprit,) if marked is None else marked
     history, scene = story.history, story.scene
     shown = np.flatnonzero(np.isfinite(history.pos[-1]).all(axis=1))
     carrier_pos, carrier_quat = history.carrier_pos[-1], history.carrier_quat[-1]
@@ -53,14 +60,15 @@ def still_svg(story: Story) -> str:
     axes = np.concatenate([rotations(history.quat[-1][shown]), boards[1]])
     half = np.concatenate([scene.half_size[shown], boards[2]])
     colours = article_colours(story.plan.articles)
-    names = [*(box_label(int(box), story.plan.articles[box]) for box in shown), *["carrier"] * len(boards[0])]
+    called = range(story.plan.n_boxes) if numbers is None else numbers
+    names = [*(box_label(called[int(box)], story.plan.articles[box]) for box in shown), *["carrier"] * len(boards[0])]
     fills = [*(colours[box] for box in shown), *[hex_of(_LOOK["wood"])] * len(boards[0])]
     points = corners(pos, axes, half)
     low, scale, height = _picture_fit(story, points)
     flat = (_projection(points) - low) * scale + _MARGIN
     parts = []
     for k in drawing_order(pos, axes, half):
-        first = k < len(shown) and shown[k] == story.outcome.culprit
+        first = k < len(shown) and shown[k] in marked
         faces = "".join(_face(flat[k], axes[k], fills[k], number) for number in range(6))
         mark = ' class="first"' if first else ""
         parts.append(f"<g{mark}><title>{escaped_html(names[k])}</title>{faces}</g>")

@@ -1,0 +1,92 @@
+"""How many plans that fall can be repaired, with how many changes, and how long it takes (docs/repair.md).
+
+Three sets: generated plans that fall, plans of others in which one box is moved until they fall, and given files.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+import petmjx
+from petmjx.options.carriers import Carrier
+from petmjx.packers.sample_plans import generate
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_validation import parse_plan
+from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.repair import Repaired
+
+TRIES: Final = 40
+"""Moves of a box that are tried in each plan of others."""
+
+MOVES_MM: Final = (40.0, 200.0)
+"""Range of these moves."""
+
+
+def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:
+    """The plans that do not stand."""
+    verdicts = petmjx.score(list(plans), **how).worlds
+    return [plan for plan, verdict in zip(plans, verdicts.verdict, strict=True) if verdict != "stable"]
+
+
+def generated(n: int, seed: int, **how: Any) -> list[Plan]:
+    """The first ``n`` plans of the mixed set of a seed that fall."""
+    plans: list[Plan] = []
+    count = 2 * n
+    while len(plans) < n:
+        drawn = [parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(count, seed)]
+        plans, count = falling(drawn, **how), 2 * count
+    return plans[:n]
+
+
+def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
+    """Plans that stand, each with one box moved so that it falls: the first of ``TRIES`` random moves that is allowed
+    and makes it fall. Plans without such a move are left out."""
+    verdicts = petmjx.score(list(plans), **how).worlds.verdict
+    for plan in [plan for plan, verdict in zip(plans, verdicts, strict=True) if verdict == "stable"]:
+        rng = np.random.default_rng([seed, len(plan.plan_id), plan.n_boxes])
+        rules, start = Rules(plan, Carrier.FOOTPRINT, 0.0, 0), Draft.of(plan)
+        moved = []
+        for number in range(TRIES):
+            box, axis = int(rng.integers(plan.n_boxes)), int(rng.integers(2))
+            corner = start.corner_mm[[box]].copy()
+            corner[0, axis] += rng.choice((-1, 1)) * round(float(rng.uniform(*MOVES_MM)))
+            draft = start.with_places([box], corner, anew=False)
+            if rules.allow([draft])[0]:
+                moved.append(draft.as_plan(f"{number}"))
+        if moved and (falls := falling(moved, **how)):
+            yield replace(falls[0], plan_id=plan.plan_id)
+
+
+def repaired_rows(plans: Sequence[Plan], **options: Any) -> Iterator[tuple[dict[str, Any], Repaired]]:
+    """A row for each plan, as soon as it is repaired: that of ``Repairs.table``, with seconds of wall clock and CPU."""
+    for plan in plans:
+        wall, cpu = time.perf_counter(), time.process_time()
+        (result,) = petmjx.repair(plan, **options).each
+        times = {"wall_s": round(time.perf_counter() - wall, 2), "cpu_s": round(time.process_time() - cpu, 2)}
+        moved = {box for change in result.changes for box in change.boxes}
+        yield {**result.row(), "stands": result.stands, "boxes_changed": len(moved), **times}, result
+
+
+def describe(rows: Sequence[dict[str, Any]]) -> str:
+    """The rows in a few numbers."""
+    table = pd.DataFrame(rows)
+    good = table[table["stands"]]
+    whole = good[good["left_out"] == 0]
+    text = (
+        f"{len(table)} plans; {len(whole)} repaired with all boxes ({100 * len(whole) / len(table):.0f} %), "
+        f"{len(good)} in all ({100 * len(good) / len(table):.0f} %); changes: median {good['n_changes'].median():g}, "
+        f"mean {good['n_changes'].mean():.1f}; trials: median {table['trials'].median():g}; CPU s: median "
+        f"{table['cpu_s'].median():.1f}, most {table['cpu_s'].max():.1f}; "
+        f"wall s: median {table['wall_s'].median():.1f}, most {table['wall_s'].max():.1f}"
+    )
+    if good["n_worlds_after"].any():
+        before = table["n_standing_before"].sum() / max(table["n_worlds_before"].sum(), 1)
+        after = good["n_standing_after"].sum() / good["n_worlds_after"].sum()
+        text += f"; with errors {100 * before:.1f} % of worlds stand before, {100 * after:.1f} % after"
+    return text

@@ -1,0 +1,101 @@
+"""``petmjx repair``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from petmjx.cli import command_options as opt
+from petmjx.cli.console import results_console
+from petmjx.cli.run_command import RunInterrupted, stoppable
+from petmjx.common.errors import InputError
+from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.text import count_text, printable
+from petmjx.options.run_options import Confidence
+from petmjx.repairs.repair_options import RepairOptions
+
+if TYPE_CHECKING:
+    from petmjx.repairs.repair import Repairs
+
+CHANGED = "What may be changed"
+
+_OF_RUNS = (
+    "workers", "ray", "record", "record_interval_s", "record_details", "orders", "allow_large", "out", "overwrite",
+    "resume", "shard", "force_intervals", "keep", "confidence", "exact_too",
+)  # fmt: skip
+"""Options of runs and of scores that have no meaning for a repair."""
+
+
+@opt.takes(without=_OF_RUNS, more=((RepairOptions, CHANGED), (Confidence, opt.HOW_SURE)))
+def repair(
+    plans: opt.PlanPaths = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="The plans, repaired where a repair is known: *.json, *.csv, *.parquet."
+        ),
+    ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option("--html", metavar="FILE", help="A page with each plan before and after, side by side."),
+    ] = None,
+    overwrite: opt.Overwrite = False,
+    as_json: opt.JsonOption = False,
+    **options: Any,
+) -> None:
+    """Say what to change in plans so that they stand: the smallest change that helps.
+
+    Changes are another order, another place or turn for a box, moves by some millimetres, exchanges of two boxes, tie
+    sheets, turns of film (with --profile) and, as the last resort, boxes that are left out. Boxes have their numbers in
+    the plan, from 0; left is −x, front −y.
+    """
+    from petmjx.repairs.repair import repair as repaired
+    from petmjx.results.plan_lookup import plans_in_place
+    from petmjx.results.read_files import source_files
+    from petmjx.results.to_json import to_json
+    from petmjx.show.progress import progress
+    from petmjx.show.repair_tables import repair_tables
+    from petmjx.show.table_layout import print_renderables
+
+    if html is not None and html.suffix.lower() != ".html":
+        raise InputError(f"--html {printable(str(html))}: the file's name must end in .html")
+    files = [file for file in (out, html) if file is not None]
+    check_outputs(files, overwrite=overwrite, inputs=source_files(plans))
+    done = 0
+    with stoppable():
+        try:
+            with progress(None) as bar:
+
+                def count(number: int, total: int) -> None:
+                    nonlocal done
+                    done = number
+                    bar.update(number)
+
+                result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
+        except KeyboardInterrupt as stop:
+            far = f"{count_text(done, 'plan')} were done; nothing was written"
+            raise RunInterrupted(far, getattr(stop, "number", 2)) from None
+    for line in result.skipped:
+        typer.echo(f"skipped: {printable(line)}", err=True)
+    if out is not None:
+        result.save(out)
+    if html is not None:
+        from petmjx.show.pages.repair_page import write_repair_page
+
+        write_repair_page(result, html)
+    if as_json:
+        print(json.dumps({"plans": to_json(result.table), "changes": to_json(result.changes)}, indent=2))
+        return
+    print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
+
+
+def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:
+    """Lines on the files."""
+    if out is not None:
+        yield f"{count_text(len(result.plans), 'plan')} in {printable(str(out))}"
+    if html is not None:
+        yield f"page {printable(str(html))}"

@@ -1,0 +1,1 @@
+"""Repairs: the smallest change that makes a plan stand."""

@@ -1,0 +1,367 @@
+"""Changes of a plan: what they do to a draft, what they cost, and how they read.
+
+Boxes have the numbers of the plan, counted from 0 in its packing order. Left is −x, right +x, front −y and back +y.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import ClassVar, Final
+
+import numpy as np
+
+from petmjx.common.units import MM_PER_M
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft
+
+
+class Kind(StrEnum):
+    """Kinds of changes. Any of them can be forbidden."""
+
+    ORDER = "order"
+    MOVE = "move"
+    TURN = "turn"
+    PLACE = "place"
+    EXCHANGE = "exchange"
+    SHEET = "sheet"
+    FILM = "film"
+    LEAVE_OUT = "leave-out"
+
+
+COST: Final = {
+    Kind.ORDER: 0.8,
+    Kind.MOVE: 1.0,
+    Kind.TURN: 1.5,
+    Kind.EXCHANGE: 2.0,
+    Kind.PLACE: 2.0,
+    Kind.SHEET: 3.0,
+    Kind.FILM: 1.0,
+    Kind.LEAVE_OUT: 20.0,
+}
+"""Cost of a change of each kind: an assumption about the work that it makes. Another order is the least of them; a box
+that is left out has to be shipped on another pallet."""
+
+COST_PER_MM: Final = 0.002
+"""Cost of a millimetre by which a box is moved, so that shorter ways are preferred: 100 mm count as a fifth of a
+change."""
+
+COST_PER_TURN: Final = 0.25
+"""Cost of a turn of film."""
+
+COST_PER_BOX: Final = 0.1
+"""Cost of each further box that is moved together with one."""
+
+
+@dataclass(frozen=True)
+class Change(ABC):
+    """One change of a plan."""
+
+    kind: ClassVar[Kind]
+
+    @abstractmethod
+    def applied(self, draft: Draft) -> Draft | None:
+        """The draft with this change; None if it cannot be made. Whether the result is allowed is not checked."""
+
+    @property
+    @abstractmethod
+    def words(self) -> str:
+        """The change in plain words, such as "place box 14 before box 12"."""
+
+    @property
+    @abstractmethod
+    def boxes(self) -> tuple[int, ...]:
+        """Numbers of the boxes that it changes."""
+
+    @property
+    def cost(self) -> float:
+        """The cost of the change."""
+        return COST[self.kind]
+
+
+@dataclass(frozen=True)
+class Order(Change):
+    """A box is placed directly before, or after, another one."""
+
+    kind: ClassVar[Kind] = Kind.ORDER
+    box: int
+    neighbour: int
+    after: bool = False
+
+    def applied(self, draft: Draft) -> Draft | None:
+        return draft.with_order(self.box, self.neighbour, after=self.after)
+
+    @property
+    def words(self) -> str:
+        return f"place box {self.box} {'after' if self.after else 'before'} box {self.neighbour}"
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return (self.box,)
+
+
+@dataclass(frozen=True)
+class Move(Change):
+    """A box is moved along x and y, perhaps together with others: those that stand on it, or are in its way."""
+
+    kind: ClassVar[Kind] = Kind.MOVE
+    box: int
+    dx_mm: float
+    dy_mm: float
+    others: tuple[int, ...] = ()
+
+    def applied(self, draft: Draft) -> Draft | None:
+        boxes = [box for box in self.boxes if box in draft.order]
+        if self.box not in boxes:
+            return None
+        return draft.with_places(boxes, draft.corner_mm[boxes] + (self.dx_mm, self.dy_mm, 0.0), anew=False)
+
+    @property
+    def words(self) -> str:
+        ways = _ways(self.dx_mm, self.dy_mm)
+        together = f" together with {_boxes(self.others)}" if self.others else ""
+        return f"move box {self.box}{together} by {ways}"
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return (self.box, *self.others)
+
+    @property
+    def length_mm(self) -> float:
+        """The way, mm."""
+        return float(np.hypot(self.dx_mm, self.dy_mm))
+
+    @property
+    def cost(self) -> float:
+        return COST[self.kind] + COST_PER_MM * self.length_mm + COST_PER_BOX * len(self.others)
+
+    def joined(self, other: Move) -> Move | None:
+        """Both moves as one; None if other boxes are moved, or nothing is."""
+        if self.boxes != other.boxes:
+            return None
+        both = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
+        return both if both.length_mm > 0 else None
+
+
+@dataclass(frozen=True)
+class Turn(Change):
+    """A box is turned by 90° at its place. ``x_mm``, ``y_mm``: its front-left corner afterwards."""
+
+    kind: ClassVar[Kind] = Kind.TURN
+    box: int
+    x_mm: float
+    y_mm: float
+
+    def applied(self, draft: Draft) -> Draft | None:
+        if self.box not in draft.order:
+            return None
+        corner = np.array([[self.x_mm, self.y_mm, draft.corner_mm[self.box, 2]]])
+        return draft.with_turn(self.box, not draft.turned[self.box]).with_places([self.box], corner)
+
+    @property
+    def words(self) -> str:
+        return f"turn box {self.box} by 90°: its front-left corner is then at x {_mm(self.x_mm)}, y {_mm(self.y_mm)} mm"
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return (self.box,)
+
+
+@dataclass(frozen=True)
+class Place(Change):
+    """A box gets another place, and perhaps another turn, with what stands on it (``others``). They are placed directly
+    after a box, or before one."""
+
+    kind: ClassVar[Kind] = Kind.PLACE
+    box: int
+    corner_mm: tuple[float, float, float]
+    turned: bool
+    neighbour: int | None = None
+    after: bool = True
+    differs: bool = False
+    others: tuple[int, ...] = ()
+
+    def applied(self, draft: Draft) -> Draft | None:
+        moved = [box for box in draft.order if box in self.boxes]
+        if self.box not in moved or self.neighbour in moved:
+            return None
+        way = np.array(self.corner_mm) - draft.corner_mm[self.box]
+        draft = draft.with_turn(self.box, self.turned).with_places(moved, draft.corner_mm[moved] + way)
+        if self.neighbour is None:
+            return draft
+        if self.neighbour not in draft.order:
+            return None
+        rest = [box for box in draft.order if box not in moved]
+        at = rest.index(self.neighbour) + int(self.after)
+        return replace(draft, order=(*rest[:at], *moved, *rest[at:]))
+
+    @property
+    def words(self) -> str:
+        x, y, z = map(_mm, self.corner_mm)
+        turn = ", turned by 90°" if self.differs else ""
+        stand = "stands" if len(self.others) == 1 else "stand"
+        on_it = f", with {_boxes(self.others)}, which {stand} on it," if self.others else ""
+        when = "" if self.neighbour is None else f", {'after' if self.after else 'before'} box {self.neighbour}"
+        return f"put box {self.box}{on_it} at x {x}, y {y}, z {z} mm{turn}{when}"
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return (self.box, *self.others)
+
+    @property
+    def cost(self) -> float:
+        return COST[self.kind] + COST_PER_BOX * len(self.others)
+
+
+@dataclass(frozen=True)
+class Exchange(Change):
+    """Two boxes get each other's place, and each other's turn in the order.
+
+    Attributes:
+        corners_mm: the corner of each of the two afterwards.
+        turns: whether each of the two is then turned by 90° against the plan.
+        differ: whether each of the two is turned by the exchange.
+    """
+
+    kind: ClassVar[Kind] = Kind.EXCHANGE
+    first: int
+    second: int
+    corners_mm: tuple[tuple[float, float, float], tuple[float, float, float]]
+    turns: tuple[bool, bool]
+    differ: tuple[bool, bool] = (False, False)
+
+    def applied(self, draft: Draft) -> Draft | None:
+        if self.first not in draft.order or self.second not in draft.order:
+            return None
+        for box, turned in zip(self.boxes, self.turns, strict=True):
+            draft = draft.with_turn(box, turned)
+        swap = {self.first: self.second, self.second: self.first}
+        draft = draft.with_places(self.boxes, np.array(self.corners_mm))
+        return replace(draft, order=tuple(swap.get(box, box) for box in draft.order))
+
+    @property
+    def words(self) -> str:
+        turned = [box for box, differs in zip(self.boxes, self.differ, strict=True) if differs]
+        return f"exchange boxes {self.first} and {self.second}" + (f", with {_boxes(turned)} turned" if turned else "")
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return (self.first, self.second)
+
+
+@dataclass(frozen=True)
+class Sheet(Change):
+    """A tie sheet is laid between two layers. All that is above is raised by its thickness."""
+
+    kind: ClassVar[Kind] = Kind.SHEET
+    corner_mm: tuple[float, float, float]
+    size_mm: tuple[float, float, float]
+    kg_m2: float
+    before: int
+
+    def applied(self, draft: Draft) -> Draft | None:
+        mass_kg = self.kg_m2 * self.size_mm[0] * self.size_mm[1] / MM_PER_M**2
+        return draft.with_sheet(np.array(self.size_mm), np.array(self.corner_mm), mass_kg, self.before)
+
+    @property
+    def words(self) -> str:
+        x, y, thick = map(_mm, self.size_mm)
+        height = _mm(self.corner_mm[2])
+        return f"lay a tie sheet of {x} × {y} × {thick} mm at the height {height} mm, before box {self.before}"
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return ()
+
+
+@dataclass(frozen=True)
+class Film(Change):
+    """The pallet is wrapped with stretch film before it is moved."""
+
+    kind: ClassVar[Kind] = Kind.FILM
+    turns: float
+
+    def applied(self, draft: Draft) -> Draft | None:
+        return replace(draft, film_turns=self.turns)
+
+    @property
+    def words(self) -> str:
+        return f"wrap the pallet with {self.turns:g} turn{'' if self.turns == 1 else 's'} of film"
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return ()
+
+    @property
+    def cost(self) -> float:
+        return COST[self.kind] + COST_PER_TURN * self.turns
+
+
+@dataclass(frozen=True)
+class LeaveOut(Change):
+    """A box is left out."""
+
+    kind: ClassVar[Kind] = Kind.LEAVE_OUT
+    box: int
+
+    def applied(self, draft: Draft) -> Draft | None:
+        return draft.without(self.box)
+
+    @property
+    def words(self) -> str:
+        return f"leave out box {self.box}"
+
+    @property
+    def boxes(self) -> tuple[int, ...]:
+        return (self.box,)
+
+
+def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
+    """The draft with all changes, one after the other; None if one cannot be made."""
+    result: Draft | None = draft
+    for change in changes:
+        if result is None:
+            return None
+        result = change.applied(result)
+    return result
+
+
+def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
+    """A list of changes with one more. Two moves of the same boxes become one, and a box that is put elsewhere, or is
+    left out, needs no earlier changes of its own."""
+    if isinstance(change, Move) and changes and isinstance(changes[-1], Move):
+        joined = changes[-1].joined(change)
+        if joined is not None:
+            return (*changes[:-1], joined)
+    if isinstance(change, Film):
+        return (*(old for old in changes if old.kind is not Kind.FILM), change)
+    if isinstance(change, Place | LeaveOut):
+        changes = [old for old in changes if old.boxes != change.boxes]
+    return (*changes, change)
+
+
+def cost_of(changes: Sequence[Change]) -> float:
+    """The cost of several changes."""
+    return sum(change.cost for change in changes)
+
+
+def _ways(dx_mm: float, dy_mm: float) -> str:
+    """A way in words: "22 mm to the left and 5 mm to the back"."""
+    ways = []
+    for length, less, more in ((dx_mm, "left", "right"), (dy_mm, "front", "back")):
+        if abs(length) > 0:
+            ways.append(f"{_mm(abs(length))} mm to the {less if length < 0 else more}")
+    return " and ".join(ways)
+
+
+def _boxes(numbers: Sequence[int]) -> str:
+    """ "box 3", or "boxes 3, 5 and 7"."""
+    *most, last = map(str, numbers)
+    return f"boxes {', '.join(most)} and {last}" if most else f"box {last}"
+
+
+def _mm(length: float) -> str:
+    """A length with at most a tenth of a millimetre, as plans have them."""
+    rounded = round(length, 1) + 0.0
+    return f"{rounded:.0f}" if abs(rounded - round(rounded)) < TOLERANCE_MM / 10 else f"{rounded:.1f}"

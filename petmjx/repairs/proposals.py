@@ -1,0 +1,496 @@
+"""Changes that may help where a plan fails (``proposals``): the cause says which boxes are changed, and how.
+
+A load that goes beyond an edge has a box that bears it, the box with whose placement it goes beyond, the supports, and
+the boxes on top. These are moved, turned, exchanged, placed elsewhere or at another time; other boxes are put under an
+overhang. Statics and simulation judge the proposals, so a proposal need only be possible, not good.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from petmjx.common.units import FloatArray
+from petmjx.options.simulation import Simulation
+from petmjx.repairs.balance import Balance, balances
+from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
+
+Proposal = tuple[Change, ...]
+
+MOST_TARGETS: Final = 4
+"""Causes of a failure for which changes are proposed."""
+
+MOST_NEAR: Final = 8
+"""Boxes around a cause that are moved, turned and exchanged."""
+
+SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
+"""How far inside the edge a load is moved. A robot's places have an error of 2 mm (docs/confidence.md)."""
+
+STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
+"""Further ways by which boxes are moved."""
+
+MOST_PLACES: Final = 12
+"""Other places for one box: the lowest ones, and among these those with the largest support."""
+
+LEAST_SUPPORT: Final = 0.5
+"""Smallest supported share of a base at another place."""
+
+MOST_TOGETHER: Final = 12
+"""Boxes that are moved at once, or lifted off and put elsewhere."""
+
+
+class Target(NamedTuple):
+    """A cause of a failure.
+
+    Attributes:
+        box: number of the box that does not hold.
+        cause: number of the box with whose placement it no longer does; the same box if its own weight is enough.
+        depth_mm: how far its load is beyond the edge; 0: statics knows of none.
+    """
+
+    box: int
+    cause: int
+    depth_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What proposals may use.
+
+    Attributes:
+        kinds: kinds of changes that are allowed.
+        most_move_mm: the longest way along x or y by which a box is moved.
+        sheet_mm, sheet_kg_m2: thickness and mass of a tie sheet.
+    """
+
+    kinds: frozenset[Kind]
+    most_move_mm: float
+    sheet_mm: float
+    sheet_kg_m2: float
+
+
+def targets(
+    draft: Draft, rules: Rules, balance: Balance, culprit: int | None, fallen: Collection[int], n_placed: int
+) -> list[Target]:
+    """The causes of a failure, the likeliest first.
+
+    Loads that went beyond an edge before the world ended count if the culprit or another box that fell lies on their
+    box, or is it. Boxes that float or overlap in the plan count, too. If there is nothing of the kind, the culprit and
+    its supports count.
+
+    Args:
+        culprit: number of the first box over a limit; None: not known.
+        fallen: numbers of all boxes over a limit.
+        n_placed: boxes that were placed in the simulation.
+    """
+    losers = [*([] if culprit is None else [culprit]), *(box for box in fallen if box != culprit)]
+    first = losers[:1]
+    near = set(itertools.chain(first, *(draft.below(box) for box in first if box in draft.order)))
+    wide = set(itertools.chain(losers, *(draft.below(box) for box in losers if box in draft.order)))
+    rows = [
+        (box not in near, box not in wide, int(step), Target(int(box), int(cause), float(depth)))
+        for box, step, cause, depth in zip(balance.box, balance.step, balance.cause, balance.depth_mm, strict=True)
+        if step < n_placed
+    ]
+    rows.sort()
+    chosen = [row[3] for row in rows if not row[0]] or [row[3] for row in rows if not row[1]]
+    odd = [box for box in (*rules.floating, *rules.overlapping) if draft.rank[box] < n_placed]
+    chosen += [Target(box, box) for box in odd if box in wide or not chosen]
+    if culprit is not None and culprit in draft.order:
+        chosen.append(Target(culprit, culprit, balance.depth_of(culprit)))
+        supports = np.flatnonzero(draft.on_top[:, culprit]).tolist()
+        chosen += [Target(box, culprit, balance.depth_of(box)) for box in supports]
+    chosen += [row[3] for row in rows if not row[1]]
+    different: dict[int, Target] = {}
+    for target in chosen:
+        different.setdefault(target.box, target)
+    return list(different.values())[:MOST_TARGETS]
+
+
+def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Iterator[Proposal]:
+    """Changes that may help with a cause. Some cannot be made; ``Rules.allow`` finds out."""
+    near = _near(draft, rules, target)
+    makers: tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...] = (
+        (Kind.ORDER, lambda: _orders(draft, target)),
+        (Kind.MOVE, lambda: _moves(draft, near, target, limits.most_move_mm)),
+        (Kind.MOVE, lambda: _pushes(draft, rules, target, limits.most_move_mm)),
+        (Kind.TURN, lambda: _turns(draft, near)),
+        (Kind.EXCHANGE, lambda: _exchanges(draft, rules, near)),
+        (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, near), _props(draft, rules, target))),
+        (Kind.SHEET, lambda: _sheets(draft, limits.sheet_mm, limits.sheet_kg_m2)),
+        (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, near)),
+    )
+    for kind, make in makers:
+        if kind in limits.kinds:
+            yield from make()
+
+
+def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
+    """Boxes to change for a cause: its box, the box that comes too much, its supports, and the boxes on it."""
+    box = target.box
+    supports = np.flatnonzero(draft.on_top[:, box]).tolist()
+    riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
+    boxes = dict.fromkeys((box, target.cause, *supports, *riders, *draft.below(box)))
+    return [number for number in boxes if number >= rules.built and number < draft.plan.n_boxes][:MOST_NEAR]
+
+
+def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
+    """Counterweights before the box that is too much, and that box after them; a box after its late supports."""
+    box, cause = target.box, target.cause
+    at = draft.rank[cause]
+    pile = [number for number in (*draft.above(box), *_neighbours(draft, box)) if draft.rank[number] > at]
+    for number in pile:
+        needed = [low for low in reversed(draft.below(number)) if at < draft.rank[low] < draft.rank[number]]
+        if len(needed) <= 2:
+            yield (*(Order(low, cause) for low in needed), Order(number, cause))
+        yield (Order(cause, number, after=True),)
+        late = [high for high in draft.above(cause) if draft.rank[high] < draft.rank[number]]
+        if 0 < len(late) <= 2:
+            after = [number, cause, *late]
+            yield tuple(Order(moved, last, after=True) for last, moved in itertools.pairwise(after))
+    for support in np.flatnonzero(draft.on_top[:, box]).tolist():
+        if draft.rank[support] > draft.rank[box]:
+            yield (Order(support, box),)
+            yield (Order(box, support, after=True),)
+
+
+def _neighbours(draft: Draft, box: int) -> list[int]:
+    """Boxes that stand beside a box, on supports of it or on the carrier."""
+    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    gap = np.maximum(low[box] - high, low - high[box])
+    beside = (gap.max(axis=1) <= 5 * TOLERANCE_MM) & np.isfinite(draft.rank)
+    beside[box] = False
+    return np.flatnonzero(beside & (gap[:, 2] < -TOLERANCE_MM)).tolist()
+
+
+def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) -> Iterator[Proposal]:
+    """Boxes alone, and with what stands on them, along x and y, and along both at once."""
+    needed = [math.ceil(target.depth_mm + spare) for spare in SPARE_MM] if target.depth_mm > 0 else []
+    for box in near:
+        riders = tuple(sorted(rider for rider in draft.above(box) if rider < draft.plan.n_boxes))
+        for with_them in ((), riders) if riders else ((),):
+            free = _free_ways_mm(draft, box, with_them)
+            lengths = []
+            for way in free:
+                flush = [math.floor(way)] if 1 <= way <= most_mm else []
+                lengths.append(sorted({length for length in (*needed, *STEPS_MM, *flush) if 0 < length <= most_mm}))
+            left, right, front, back = lengths
+            along_x = [-length for length in left] + [*right]
+            along_y = [-length for length in front] + [*back]
+            for dx in along_x:
+                yield (Move(box, float(dx), 0.0, with_them),)
+            for dy in along_y:
+                yield (Move(box, 0.0, float(dy), with_them),)
+            if box == target.box:
+                some = [length for length in (*needed[:2], 20.0, 45.0, 80.0) if length <= most_mm]
+                for length, dx, dy in itertools.product(some, (-1, 1), (-1, 1)):
+                    yield (Move(box, dx * length, dy * length, with_them),)
+
+
+def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
+    """Boxes with what stands on them and with all that is in their way."""
+    depth = target.depth_mm
+    lengths = [length for length in (*(math.ceil(depth + spare) for spare in SPARE_MM[:3]), 45.0) if length <= most_mm]
+    supports = np.flatnonzero(draft.on_top[:, target.box]).tolist()
+    for box in dict.fromkeys((target.box, target.cause, *supports)):
+        for length, (along_x, along_y) in itertools.product(lengths, ((-1, 0), (1, 0), (0, -1), (0, 1))):
+            dx, dy = float(along_x * length), float(along_y * length)
+            together = _pushed(draft, box, dx, dy, alone=False)
+            if len(together) <= MOST_TOGETHER and min(together) >= rules.built:
+                yield (Move(box, dx, dy, tuple(sorted(together - {box}))),)
+            if box in supports:
+                together = _pushed(draft, box, dx, dy, alone=True)
+                if 1 < len(together) <= MOST_TOGETHER and min(together) >= rules.built:
+                    yield (Move(box, dx, dy, tuple(sorted(together - {box}))),)
+
+
+def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
+    """Numbers of the boxes that move if a box does: what stands on it (unless it is moved ``alone``), and what is in
+    the way, with what stands on that."""
+    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    way = np.array([dx_mm, dy_mm, 0.0])
+    present = np.isfinite(draft.rank)
+    moved = {box} if alone else {box, *draft.above(box)}
+    front = sorted(moved)
+    while front and len(moved) <= MOST_TOGETHER:
+        deep = np.minimum(high[front, None] + way, high) - np.maximum(low[front, None] + way, low)
+        hit = (deep > TOLERANCE_MM).all(axis=2).any(axis=0) & present
+        more = {int(number) for number in np.flatnonzero(hit)} - moved
+        if not alone:
+            more |= {rider for number in more for rider in draft.above(number)} - moved
+        moved |= more
+        front = sorted(more)
+    return moved
+
+
+def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float, float, float, float]:
+    """How far a box can be moved to the left, right, front and back until it meets another one; infinite: nothing is in
+    the way."""
+    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    others = np.isfinite(draft.rank)
+    others[[box, *riders]] = False
+    ways = []
+    for axis in (0, 1):
+        across = [2, 1 - axis]
+        beside = others & (
+            (low[:, across] < high[box, across] - TOLERANCE_MM) & (high[:, across] > low[box, across] + TOLERANCE_MM)
+        ).all(axis=1)
+        before = (low[box, axis] - high[:, axis])[beside]
+        behind = (low[:, axis] - high[box, axis])[beside]
+        for gaps in (before, behind):
+            ahead = gaps[gaps > -TOLERANCE_MM]
+            ways.append(float(ahead.min()) if len(ahead) else math.inf)
+    return ways[0], ways[1], ways[2], ways[3]
+
+
+def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
+    """Boxes turned about their middles, and with one of their corners kept."""
+    for box in near:
+        x, y = draft.corner_mm[box, :2].tolist()
+        length, width = draft.size_mm[box, :2].tolist()
+        if abs(length - width) <= TOLERANCE_MM:
+            continue
+        more_x, more_y = x + length - width, y + width - length
+        middle = round((x + more_x) / 2, 1), round((y + more_y) / 2, 1)
+        for corner in dict.fromkeys((middle, (x, y), (more_x, y), (x, more_y), (more_x, more_y))):
+            yield (Turn(box, *corner),)
+
+
+def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
+    """Boxes exchanged with any other one, each as it lies or turned, at the left or the right of the other's place."""
+    for box, other in itertools.product(near, draft.order):
+        if other == box or other < rules.built or other >= draft.plan.n_boxes or (other in near and other < box):
+            continue
+        if _alike(draft, box, other):
+            continue
+        for turn, other_turn in itertools.product((False, True), repeat=2):
+            size, other_size = _size(draft, box, turn), _size(draft, other, other_turn)
+            if (turn and size[0] == size[1]) or (other_turn and other_size[0] == other_size[1]):
+                continue
+            low, other_low = draft.corner_mm[box], draft.corner_mm[other]
+            spare, other_spare = draft.size_mm[other] - size, draft.size_mm[box] - other_size
+            if max(-spare[:2].min(), -other_spare[:2].min()) > max(size[:2].max(), other_size[:2].max()) / 2:
+                continue
+            for share in (0.0, 1.0):
+                corner = other_low + np.array([share, share, 0.0]) * spare
+                other_corner = low + np.array([share, share, 0.0]) * other_spare
+                yield (
+                    Exchange(
+                        box,
+                        other,
+                        (_triple(corner), _triple(other_corner)),
+                        (bool(draft.turned[box]) != turn, bool(draft.turned[other]) != other_turn),
+                        (turn, other_turn),
+                    ),
+                )
+
+
+def _alike(draft: Draft, box: int, other: int) -> bool:
+    """Whether two boxes are the same but for their names, so that exchanging them changes nothing."""
+    same_size = (np.abs(draft.size_mm[box] - draft.size_mm[other]) <= TOLERANCE_MM).all()
+    return bool(same_size and abs(draft.mass_kg[box] / draft.mass_kg[other] - 1) < 0.01)
+
+
+def _size(draft: Draft, box: int, turn: bool) -> FloatArray:
+    """(3,) extents of a box, turned by 90° or not, mm."""
+    size = draft.size_mm[box]
+    extents: FloatArray = size[[1, 0, 2]] if turn else size
+    return extents
+
+
+def _triple(values: FloatArray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
+    """Boxes on which nothing stands, at other places, placed when they were or as the last ones; and boxes that hang in
+    the air, where they would come to lie."""
+    free = draft.is_bare
+    for box in near:
+        if not free[box]:
+            yield from _pile_places(draft, rules, box)
+            continue
+        last = next(number for number in reversed(draft.order) if number != box) if len(draft.order) > 1 else None
+        for turn, corner in _resting_corners(draft, rules, box):
+            if not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
+                continue  # another time at the same place is another order
+            turned = bool(draft.turned[box]) != turn
+            yield (Place(box, corner, turned, differs=turn),)
+            if last is not None:
+                yield (Place(box, corner, turned, last, differs=turn),)
+
+
+def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
+    """A box with all that stands on it alone at other places."""
+    pile = lifted_with(draft, box)
+    rest = [number for number in draft.order if number not in pile]
+    if len(pile) > MOST_TOGETHER or not rest or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
+        return
+    others = tuple(sorted(pile[1:]))
+    for turn, corner in _resting_corners(replace(draft, order=tuple(rest)), rules, box):
+        if not turn:
+            for last in (None, rest[-1]):
+                yield (Place(box, corner, bool(draft.turned[box]), last, others=others),)
+
+
+def _resting_corners(
+    draft: Draft, rules: Rules, box: int, below: int | None = None
+) -> Iterator[tuple[bool, tuple[float, float, float]]]:
+    """Places where a box would rest on the carrier or on other boxes: whether it is turned there, and its corner.
+
+    Args:
+        below: a box under which it must fit; None: it comes to lie on top.
+    """
+    others = np.array([number for number in draft.order if number not in (box, below)], int)
+    low, high = draft.corner_mm[others], (draft.corner_mm + draft.size_mm)[others]
+    ceiling = math.inf if below is None else float(draft.corner_mm[below, 2])
+    lower = low[:, 2] < ceiling - TOLERANCE_MM
+    low, high = low[lower], high[lower]
+    for turn in (False, True):
+        size = _size(draft, box, turn)
+        if turn and size[0] == size[1]:
+            continue
+        axes = []
+        for axis in (0, 1):
+            ends = [rules.low_mm[axis], rules.high_mm[axis] - size[axis]]
+            values = np.concatenate([ends, high[:, axis], low[:, axis] - size[axis], low[:, axis]])
+            values = np.append(values, draft.corner_mm[box, axis])
+            if below is not None:
+                edge, length = draft.corner_mm[below, axis], draft.size_mm[below, axis]
+                values = np.append(values, [edge, edge + length - size[axis], edge + (length - size[axis]) / 2])
+            inside = (values >= rules.low_mm[axis] - TOLERANCE_MM) & (
+                values + size[axis] <= rules.high_mm[axis] + TOLERANCE_MM
+            )
+            axes.append(np.unique(np.round(values[inside], 1)))
+        if not len(axes[0]) or not len(axes[1]):
+            continue
+        x, y = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
+        z, share = _rest(x, y, size, low, high)
+        if below is None:
+            good = (share >= LEAST_SUPPORT) & (z + size[2] <= rules.high_mm[2] + TOLERANCE_MM)
+        else:
+            good = (share >= LEAST_SUPPORT) & (np.abs(z + size[2] - ceiling) <= TOLERANCE_MM)
+            good &= _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
+        chosen = np.flatnonzero(good)
+        chosen = chosen[np.lexsort((-share[chosen], z[chosen]))][:MOST_PLACES]
+        for k in chosen.tolist():
+            yield turn, (float(x[k]), float(y[k]), float(z[k]))
+
+
+def _rest(
+    x: FloatArray, y: FloatArray, size: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(p,) heights at which a box rests at corners, and (p,) supported shares of its base."""
+    if not len(low):
+        return np.zeros(len(x)), np.ones(len(x))
+    shared_x = np.minimum(x[:, None] + size[0], high[:, 0]) - np.maximum(x[:, None], low[:, 0])
+    shared_y = np.minimum(y[:, None] + size[1], high[:, 1]) - np.maximum(y[:, None], low[:, 1])
+    under = (shared_x > TOLERANCE_MM) & (shared_y > TOLERANCE_MM)
+    z = np.where(under, high[:, 2], 0.0).max(axis=1)
+    area = np.where(under & (np.abs(high[:, 2] - z[:, None]) <= TOLERANCE_MM), shared_x * shared_y, 0.0).sum(axis=1)
+    return z, np.where(z > 0, area / (size[0] * size[1]), 1.0)
+
+
+def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArray, other: FloatArray) -> FloatArray:
+    """(p,) area that a box at corners shares with another one, seen from above, mm²."""
+    shared_x = np.minimum(x + size[0], corner[0] + other[0]) - np.maximum(x, corner[0])
+    shared_y = np.minimum(y + size[1], corner[1] + other[1]) - np.maximum(y, corner[1])
+    area: FloatArray = np.maximum(shared_x, 0.0) * np.maximum(shared_y, 0.0)
+    return area
+
+
+def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
+    """Boxes on which nothing stands, put under a box that hangs over, before it is placed."""
+    free = draft.is_bare
+    sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
+    for size in sizes:
+        alike = [
+            box
+            for box in draft.order
+            if (*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) == size
+            and free[box]
+            and box != target.box
+            and rules.built <= box < draft.plan.n_boxes
+        ]
+        for box in alike[-1:]:  # the last one of boxes that are alike
+            for turn, corner in itertools.islice(_resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
+                turned = bool(draft.turned[box]) != turn
+                yield (Place(box, corner, turned, target.box, after=False, differs=turn),)
+
+
+def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
+    """Sheets at heights that no box crosses."""
+    rows = list(draft.order)
+    low, high = draft.corner_mm[rows], (draft.corner_mm + draft.size_mm)[rows]
+    for height in np.unique(np.round(high[:, 2], 1)).tolist():
+        above = low[:, 2] >= height - TOLERANCE_MM
+        if not above.any() or (~above & (high[:, 2] > height + TOLERANCE_MM)).any():
+            continue
+        under = ~above & (np.abs(high[:, 2] - height) <= TOLERANCE_MM)
+        begin, end = low[under, :2].min(axis=0), high[under, :2].max(axis=0)
+        size = (float(end[0] - begin[0]), float(end[1] - begin[1]), thick_mm)
+        first = rows[int(np.flatnonzero(above)[0])]
+        yield (Sheet((float(begin[0]), float(begin[1]), height), size, kg_m2, first),)
+
+
+def lifted_with(draft: Draft, box: int) -> list[int]:
+    """A box and all that would have nothing under it without it, the supports first."""
+    lifted = [box]
+    kept = [number for number in draft.order if number != box]
+    while True:
+        bare = [
+            number
+            for number in kept
+            if draft.corner_mm[number, 2] > TOLERANCE_MM
+            and draft.on_top[:, number].any()
+            and not draft.on_top[kept, number].any()
+        ]
+        if not bare:
+            return lifted
+        lifted += bare
+        kept = [number for number in kept if number not in bare]
+
+
+def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
+    """Boxes left out, with all that would then have nothing under it."""
+    for box in near:
+        left = lifted_with(draft, box)
+        if len(left) < len(draft.order) and min(left) >= rules.built:
+            yield tuple(LeaveOut(number) for number in left)
+
+
+def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposal | None:
+    """A box and all that stands on it alone, lifted off and put elsewhere one after the other, each at the lowest place
+    at which by statics nothing goes beyond an edge; None: there is no such place for one of them."""
+    lifted = lifted_with(draft, box)
+    if len(lifted) > MOST_TOGETHER or min(lifted) < rules.built or max(lifted) >= draft.plan.n_boxes:
+        return None
+    pile = replace(draft, order=tuple(number for number in draft.order if number not in lifted))
+    if not pile.order:
+        return None
+    (balance,) = balances([pile], sim)
+    changes: list[Change] = []
+    for number in lifted:
+        last = pile.order[-1]
+        places = [
+            Place(number, corner, bool(draft.turned[number]) != turn, last, differs=turn)
+            for turn, corner in _resting_corners(pile, rules, number)
+        ]
+        waiting = replace(pile, order=(*pile.order, number))
+        drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
+        allowed = np.flatnonzero(rules.allow(drafts)).tolist() if drafts else []
+        after = balances([drafts[k] for k in allowed], sim)
+        good = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]
+        if not good or min(good)[0] > balance.trouble:
+            return None
+        chosen = min(good)[2]
+        balance, pile = after[allowed.index(chosen)], drafts[chosen]
+        changes.append(places[chosen])
+    return tuple(changes)

@@ -1,0 +1,330 @@
+"""``petmjx.repair``: what to change in plans so that they stand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, Final
+
+import pandas as pd
+
+from petmjx.common.checked_records import shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.text import count_text, printable_name
+from petmjx.options.run_options import READING, Confidence, RunOptions, sorted_options
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_sources import PathArgument, PlanSource, usable_plans
+from petmjx.plans.plan_writer import save_plans
+from petmjx.repairs.changes import Change, Kind, applied, cost_of
+from petmjx.repairs.drafts import Draft
+from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.search import Asking, Search, State
+from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
+from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
+from petmjx.results.plan_lookup import plans_in_place
+from petmjx.results.share_intervals import wilson_interval
+
+OF_READING: Final = (*READING, "articles", "limit", "strict")
+"""Fields of ``RunOptions`` that say how plans are read."""
+
+AT_ONCE: Final = 64
+"""Plans that are repaired at the same time: their trials share runs of the engine, which fills a GPU."""
+
+GOOD_SHARE: Final = 0.75
+"""A repair that stands in this share of worlds with errors is taken without comparing it with others as short."""
+
+SHOWN: Final = (
+    ShownColumn("plan_id", "plan"),
+    ShownColumn("boxes", "boxes"),
+    ShownColumn("before", "before"),
+    ShownColumn("after", "after"),
+    ShownColumn("n_changes", "changes"),
+    ShownColumn("left_out", "left out"),
+    ShownColumn("cost", "cost", 1),
+    ShownColumn("share_before", "with errors before %", 1, 100.0),
+    ShownColumn("share_after", "after %", 1, 100.0),
+)
+"""Columns of ``Repairs.table`` in a notebook."""
+
+
+@dataclass(frozen=True, eq=False)
+class Repaired:
+    """One plan and its repair.
+
+    Attributes:
+        before: the plan as it was.
+        plan: the repaired plan; the plan as it was if it stands already, or if no repair is known.
+        changes: the changes, in the order in which they are made. Undoing any one of them gives a plan that falls, or
+            that is not allowed (boxes overlap, float, …).
+        trial_before, trial_after: the simulation of both; after: None if no repair is known.
+        share_before, share_after: worlds with errors in which both stand; None: not simulated.
+        n_trials: plans that were simulated.
+    """
+
+    before: Plan
+    plan: Plan
+    changes: tuple[Change, ...]
+    trial_before: Trial
+    trial_after: Trial | None
+    share_before: Share | None
+    share_after: Share | None
+    n_trials: int
+
+    @property
+    def stands(self) -> bool:
+        """Whether the plan stands now."""
+        return self.trial_after is not None
+
+    @property
+    def cost(self) -> float:
+        """The cost of the changes (docs/repair.md)."""
+        return cost_of(self.changes)
+
+    @property
+    def left_out(self) -> tuple[int, ...]:
+        """Boxes that are left out: their numbers in the plan as it was."""
+        return tuple(box for change in self.changes if change.kind is Kind.LEAVE_OUT for box in change.boxes)
+
+    @property
+    def film_turns(self) -> float | None:
+        """Turns of film that the repair asks for; None: it asks for none. A plan does not hold them."""
+        return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
+
+    def undone(self, number: int) -> Plan | None:
+        """The plan with all changes but one; None if the others cannot be made without it.
+
+        Raises:
+            InputError: there is no such change.
+        """
+        if not 0 <= number < len(self.changes):
+            raise InputError(f"number must be from 0 to {len(self.changes) - 1}, {shown_value(number)}")
+        draft = applied(Draft.of(self.before), (*self.changes[:number], *self.changes[number + 1 :]))
+        return None if draft is None else draft.as_plan()
+
+    @property
+    def words(self) -> list[str]:
+        """The changes in plain words."""
+        return [change.words for change in self.changes]
+
+    @property
+    def headline(self) -> str:
+        """The result in one line: "tower: falls (drop, first box 3); stands after 1 change"."""
+        trial = self.trial_before
+        name = printable_name(self.before.plan_id)
+        if trial.stands:
+            return f"{name}: stands as it is"
+        first = "" if trial.culprit is None else f", first box {trial.culprit}"
+        fails = f"{name}: {trial.verdict} ({trial.reason}{first})"
+        if not self.stands:
+            return f"{fails}; no repair is known ({count_text(self.n_trials, 'plan')} simulated)"
+        return f"{fails}; stands after {count_text(len(self.changes), 'change')}"
+
+    def row(self) -> dict[str, Any]:
+        """The row of ``Repairs.table``."""
+        row: dict[str, Any] = {
+            "plan_id": self.before.plan_id,
+            "boxes": self.before.n_boxes,
+            "before": self.trial_before.verdict,
+            "reason": self.trial_before.reason,
+            "culprit": self.trial_before.culprit,
+            "after": self.trial_before.verdict if self.trial_after is None else self.trial_after.verdict,
+            "n_changes": len(self.changes),
+            "left_out": len(self.left_out),
+            "cost": self.cost,
+            "changes": "; ".join(self.words),
+            "margin_before": self.trial_before.margin,
+            "margin_after": None if self.trial_after is None else self.trial_after.margin,
+        }
+        for name, share in (("before", self.share_before), ("after", self.share_after)):
+            worlds, standing = (0, 0) if share is None else share
+            low, high = wilson_interval(standing, worlds)
+            row[f"n_worlds_{name}"], row[f"n_standing_{name}"] = worlds, standing
+            row[f"share_{name}"] = None if share is None else share.value
+            row[f"low_{name}"], row[f"high_{name}"] = float(low), float(high)
+        return row | {"trials": self.n_trials}
+
+
+@dataclass(frozen=True, eq=False)
+class Repairs:
+    """The result of ``petmjx.repair``.
+
+    Attributes:
+        each: the result of each plan, in the order of the input.
+        skipped: a line for each plan that could not be read.
+        how: the options of the simulation, for pages and pictures.
+    """
+
+    each: tuple[Repaired, ...]
+    skipped: tuple[str, ...] = ()
+    how: Mapping[str, Any] | None = None
+
+    @property
+    def plans(self) -> list[Plan]:
+        """All plans, repaired where a repair is known, for ``petmjx.score`` and ``petmjx.save_plans``."""
+        return [repaired.plan for repaired in self.each]
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A table with one row for each plan; docs/repair.md has the columns."""
+        return pd.DataFrame([repaired.row() for repaired in self.each])
+
+    @property
+    def changes(self) -> pd.DataFrame:
+        """A table with one row for each change: ``plan_id``, ``number`` from 0, ``kind``, ``boxes``, ``words``,
+        ``cost``."""
+        rows = [
+            (repaired.before.plan_id, number, str(change.kind), change.boxes, change.words, change.cost)
+            for repaired in self.each
+            for number, change in enumerate(repaired.changes)
+        ]
+        return pd.DataFrame(rows, columns=["plan_id", "number", "kind", "boxes", "words", "cost"])
+
+    @property
+    def summary(self) -> str:
+        """The result in one line."""
+        fell = [repaired for repaired in self.each if not repaired.trial_before.stands]
+        good = [repaired for repaired in fell if repaired.stands]
+        if not fell:
+            return f"{count_text(len(self.each), 'plan')}: all stand as they are"
+        left = sum(bool(repaired.left_out) for repaired in good)
+        changes = sorted(len(repaired.changes) for repaired in good)
+        verb = "does" if len(fell) == 1 else "do"
+        text = f"{count_text(len(fell), 'plan')} of {len(self.each):,} {verb} not stand; {len(good):,} can be repaired"
+        if left:
+            text += f", {left:,} of them only without some boxes"
+        return text + (f"; changes: {changes[len(changes) // 2]} in the median" if len(changes) > 1 else "")
+
+    def __repr__(self) -> str:
+        return f"Repairs({self.summary})"
+
+    def _repr_html_(self) -> str:
+        """The display in a notebook: a row for each plan."""
+        return block_as_html([repr(self)], [table_as_html(self.table, SHOWN, "table")])
+
+    def save(self, path: PathArgument) -> None:
+        """Write the plans to a file, as ``petmjx.save_plans`` does. An existing file is replaced."""
+        save_plans(self.plans, path)
+
+
+def repair(
+    plans: PlanSource | None = None,
+    *,
+    watch: Callable[[int, int], object] | None = None,
+    **options: Any,
+) -> Repairs:
+    """Find for each plan the smallest change that makes it stand.
+
+    ``petmjx.repair("plans.json", forbid=["leave-out"], built=12).save("repaired.json")``
+
+    Changes are another order, place or turn, moves by some millimetres, exchanges, tie sheets, film if the pallet must
+    survive a profile, and as the last resort boxes that are left out. A plan has one repair on an engine: nothing is
+    random but the errors, which depend on the plan's id alone.
+
+    Args:
+        plans: as for ``petmjx.score``.
+        watch: called with the number of plans that are done, and of all plans.
+        options: ``forbid``, ``built``, ``most_move_mm``, ``max_height_mm``, ``most_changes``, ``trials``, ``worlds``,
+            ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``, ``most_turns`` (docs/repair.md);
+            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``,
+            ``world_timeout_s``, ``units``, ``anchor``, ``articles``, ``limit``, ``strict``.
+
+    Raises:
+        InputError: plans or options are unusable.
+        EngineUnavailable: the requested engine cannot run here.
+    """
+    of_simulation, of_run, sure, of_repair = sorted_options(options, Confidence, RepairOptions)
+    if other := next((name for name in of_run if name not in (*OF_RUN, *OF_READING)), None):
+        raise InputError(
+            f"{other}: a repair has no such option; of run options it has {', '.join(OF_RUN + OF_READING)}"
+        )
+    repair_options = RepairOptions(**of_repair)
+    reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
+    how = {**of_simulation, **sure, **{name: value for name, value in of_run.items() if name in OF_RUN}}
+    question = Question(how, repair_options)
+    plan_set = usable_plans(plans_in_place(plans, reading.strict), question.sim, reading)
+    for plan in plan_set:
+        if repair_options.built >= plan.n_boxes:
+            raise InputError(
+                f"{plan.source}: plan {printable_name(plan.plan_id)}: built must be less than its "
+                f"{count_text(plan.n_boxes, 'box', 'boxes')}, got {repair_options.built}"
+            )
+    results: list[Repaired] = []
+    try:
+        for repaired in _repaired(plan_set.plans, question, repair_options):
+            results.append(repaired)
+            if watch is not None:
+                watch(len(results), len(plan_set.plans))
+    finally:
+        question.close()
+    shown = {name: value for name, value in how.items() if name in Simulation.model_fields or name in OF_RUN}
+    return Repairs(tuple(results), tuple(str(line) for line in plan_set.skipped), shown)
+
+
+def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions) -> Iterator[Repaired]:
+    """The repair of each plan. The searches of several plans share runs of the engine."""
+    waiting = iter(plans)
+    while group := list(islice(waiting, AT_ONCE)):
+        searches = [Search(plan, question.sim, options, question.film_turns) for plan in group]
+        _run_searches(searches, question)
+        yield from _with_shares(searches, question, options)
+
+
+def _run_searches(searches: Sequence[Search], question: Question) -> None:
+    """Run searches to their ends, side by side."""
+    running: list[tuple[Asking, list[Asked]]] = []
+    for search in searches:
+        steps = search.run()
+        running.append((steps, next(steps)))
+    while running:
+        trials = question.trials([asked for _, drafts in running for asked in drafts])
+        left, begin = [], 0
+        for steps, drafts in running:
+            with suppress(StopIteration):
+                left.append((steps, steps.send(trials[begin : begin + len(drafts)])))
+            begin += len(drafts)
+        running = left
+
+
+def _with_shares(searches: Sequence[Search], question: Question, options: RepairOptions) -> Iterator[Repaired]:
+    """The results of searches, with the shares of worlds with errors.
+
+    Of repairs with the same number of changes the cheapest one that stands often enough is taken; if none does, the one
+    that stands most often.
+    """
+    shares: list[list[Share]] = [[] for _ in searches]
+    before: list[Share | None] = [None] * len(searches)
+    if options.worlds:
+        before = [*question.shares([search.plan for search in searches])]
+        rows = [row for row, search in enumerate(searches) if search.repairs and search.repairs[0].changes]
+        while rows:
+            drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
+            for row, result in zip(rows, question.shares([draft.as_plan() for draft in drafts]), strict=True):
+                shares[row].append(result)
+            rows = [
+                row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])
+            ]
+    for search, tried, share in zip(searches, shares, before, strict=True):
+        assert search.before is not None
+        state: State | None = search.repairs[0] if search.repairs else None
+        after = share if state is not None and not state.changes else None
+        if tried:
+            best = max(range(len(tried)), key=lambda k: (tried[k].n_standing, -k))  # the last one, if it is good
+            state, after = search.repairs[best], tried[best]
+        yield Repaired(
+            before=search.plan,
+            plan=search.plan if state is None else state.draft.as_plan(),
+            changes=() if state is None else state.changes,
+            trial_before=search.before,
+            trial_after=None if state is None else state.trial,
+            share_before=share,
+            share_after=after,
+            n_trials=search.n_trials,
+        )
+
+
+def _is_good(share: Share) -> bool:
+    """Whether a repair stands often enough with errors, so that no other one is tried."""
+    return share.n_worlds > 0 and share.value >= GOOD_SHARE

@@ -1,0 +1,98 @@
+"""Options of a repair (``RepairOptions``): which changes are allowed, what must hold, and how long is searched.
+
+Defaults, units, checks and descriptions are written only here. docs/repair.md explains them to users.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+
+from petmjx.common.checked_records import CheckedRecord, CliFlag, complaint, shown_value, within
+from petmjx.repairs.changes import Kind
+
+LEAST_WORLDS: Final = 4
+MOST_WORLDS: Final = 100_000
+"""Limits of the number of worlds with errors, the same as of ``petmjx.options.run_options.Confidence``."""
+
+KINDS: Final = ", ".join(Kind)
+
+
+def _split(value: Any) -> Any:
+    """Split a text of names with commas, as the command line passes it."""
+    return tuple(name.strip() for name in value.split(",") if name.strip()) if isinstance(value, str) else value
+
+
+def _kinds(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if name not in tuple(Kind):
+            raise ValueError(f"must be of {KINDS}, {shown_value(name)}")
+    if len(set(names)) == len(Kind):
+        raise ValueError("forbids every change: nothing is left to repair with")
+    return names
+
+
+def _worlds(value: int) -> int:
+    if value != 0 and not LEAST_WORLDS <= value <= MOST_WORLDS:
+        raise ValueError(f"must be 0, or from {LEAST_WORLDS} to {MOST_WORLDS:,}, {shown_value(value)}")
+    return value
+
+
+class RepairOptions(CheckedRecord):
+    """Options of a repair."""
+
+    forbid: Annotated[
+        tuple[str, ...], BeforeValidator(_split), AfterValidator(_kinds), CliFlag("--without", "KIND,…")
+    ] = Field((), description=f"changes that must not be made: {KINDS}")
+    built: Annotated[int, within(0, 100_000), CliFlag("--built", "N")] = Field(
+        0, description="boxes that stand already: the first N of each plan are not changed"
+    )
+    most_move_mm: Annotated[float, within(1, 10_000), CliFlag("--most-move-mm", "MM")] = Field(
+        150.0, description="longest way by which a box is moved along x or y, mm"
+    )
+    max_height_mm: Annotated[float, within(0, 100_000), CliFlag("--max-height-mm", "MM")] = Field(
+        2000.0, description="highest top of a box that is placed elsewhere, mm; the plan's own height if that is more"
+    )
+    most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
+        24, description="changes at most, boxes left out not counted"
+    )
+    trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
+        96, description="changed plans that are simulated at most; half as many more if boxes must be left out"
+    )
+    worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
+        8,
+        description="worlds with errors of placement, size, mass and friction in which the plan and its repair are "
+        "simulated, at least 4; 0: none",
+    )
+    sheet_mm: Annotated[float, within(0.1, 100), CliFlag("--sheet-mm", "MM")] = Field(
+        3.0, description="thickness of a tie sheet, mm"
+    )
+    sheet_kg_m2: Annotated[float, within(0.01, 100)] = Field(
+        0.5, description="mass of a tie sheet by its area, kg/m²: single-wall board has about 0.5"
+    )
+    profile: Annotated[str | None, CliFlag("--profile", "NAME", default="at rest")] = Field(
+        None, description="what the pallet must survive, such as eumos-40509; without one it must stand at rest"
+    )
+    level: Annotated[float, within(0, 1000), CliFlag("--level", "LEVEL")] = Field(
+        1.0, gt=0, description="strength of the profile: a level in g, or a scale"
+    )
+    direction_deg: Annotated[float, within(-360, 360), CliFlag("--direction", "DEG")] = Field(
+        0.0, description="direction of the profile, from +x to +y, degrees"
+    )
+    most_turns: Annotated[int, within(1, 1000), CliFlag("--most-turns", "N")] = Field(
+        12, description="turns of film at most, where the pallet must survive a profile"
+    )
+
+    @model_validator(mode="after")
+    def _strength_of_something(self) -> Self:
+        for name in ("level", "direction_deg", "most_turns"):
+            if self.profile is None and name in self.model_fields_set:
+                raise complaint("needs a profile: at rest nothing shakes the pallet", name)
+        return self
+
+    @property
+    def kinds(self) -> frozenset[Kind]:
+        """The kinds of changes that may be made. Film holds nothing at rest."""
+        kinds = {kind for kind in Kind if kind not in self.forbid}
+        return frozenset(kinds - ({Kind.FILM} if self.profile is None else set()))

@@ -1,0 +1,260 @@
+"""Trials of changed plans by simulation: at rest or after a drive, exactly placed and with errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from petmjx.common.errors import InputError
+from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.common.text import printable_name
+from petmjx.engines.engine_choice import make_engine, options_of
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.repairs.drafts import Draft
+from petmjx.repairs.forks import Forks, can_fork
+from petmjx.repairs.repair_options import RepairOptions
+from petmjx.results.run_reader import RunResults
+from petmjx.runs.confidence import confidence_sweep
+from petmjx.runs.simulate import simulate
+from petmjx.runs.study import Nominal
+from petmjx.runs.sweep_file import Sweep, sweep_of_tables
+from petmjx.runs.sweep_study import SweepStudy
+from petmjx.world.profiles.profile import Strength
+from petmjx.world.profiles.profile_registry import resolve
+
+OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
+"""Fields of ``RunOptions`` that a repair accepts."""
+
+
+FORKING: Final = "mujoco"
+"""The engine whose worlds are forked. A GPU simulates thousands of whole plans at once instead."""
+
+Asked = tuple[Draft, Draft | None]
+"""A draft, and the draft from which it was made, whose settled pallet may be forked; None: it is scored."""
+
+
+class Trial(NamedTuple):
+    """The simulation of one draft.
+
+    Attributes:
+        verdict, reason: as in the table ``worlds``.
+        culprit: number of the box that first crossed a limit; None: none did.
+        fallen: numbers of all boxes that crossed one.
+        n_placed: boxes that were placed before the world ended.
+        margin: as in the table ``worlds``; NaN: there is none.
+    """
+
+    verdict: str
+    reason: str
+    culprit: int | None
+    fallen: tuple[int, ...]
+    n_placed: int
+    margin: float
+
+    @property
+    def stands(self) -> bool:
+        """Whether the plan stands."""
+        return self.verdict == Verdict.STABLE.value
+
+    @property
+    def n_standing(self) -> int:
+        """Placed boxes that crossed no limit."""
+        return self.n_placed - len(self.fallen)
+
+
+class Share(NamedTuple):
+    """Worlds with errors: those that have a verdict, and those in which the plan stands."""
+
+    n_worlds: int
+    n_standing: int
+
+    @property
+    def value(self) -> float:
+        """The share that stands; NaN: no world has a verdict."""
+        return self.n_standing / self.n_worlds if self.n_worlds else float("nan")
+
+
+class Question:
+    """What is asked of plans: whether they stand at rest, or after a drive.
+
+    Attributes:
+        sim: options of the simulation.
+        n_simulated: worlds that were simulated so far.
+
+    Args:
+        how: fields of ``petmjx.Simulation``, ``errors``, and the run's options of ``OF_RUN``.
+        options: the profile, and the number of worlds with errors.
+
+    Raises:
+        InputError: options are unusable.
+    """
+
+    def __init__(self, how: Mapping[str, Any], options: RepairOptions) -> None:
+        of_simulation, of_run, sure = sorted_options(how, Confidence)
+        if other := next((name for name in of_run if name not in OF_RUN), None):
+            raise InputError(f"{other}: a repair has no such option; of run options it has {', '.join(OF_RUN)}")
+        if other := next((name for name in sure if name != "errors"), None):
+            raise InputError(f"{other}: a repair has worlds, the number of worlds with errors")
+        if "errors" in sure and not options.worlds:
+            raise InputError("errors needs worlds > 0")
+        self.sim, self._run = Simulation(**of_simulation), RunOptions(**of_run)
+        self._of_simulation, self._errors, self._options = of_simulation, sure.get("errors"), options
+        self.n_simulated = 0
+        self._engine, self._second = _engines(self._run)
+        self._owns = isinstance(self._run.engine, str)
+        self._run = RunOptions(engine=self._engine)
+        forks = options.profile is None and self._engine.name == FORKING and can_fork(self.sim)
+        self._forks = Forks(self._engine, self.sim) if forks else None
+        self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
+        if options.worlds:
+            confidence_sweep(options.worlds, self._errors, of_simulation)
+
+    @property
+    def film_turns(self) -> float:
+        """Turns of film around plans as they are."""
+        return self.sim.wrap.turns
+
+    def trials(self, asked: Sequence[Asked]) -> list[Trial]:
+        """The trial of each draft. All are simulated at once, but for those with other turns of film."""
+        drafts = [draft for draft, _ in asked]
+        self.n_simulated += len(drafts)
+        results = self._forked(asked)
+        turns = dict.fromkeys(draft.film_turns for draft in drafts)
+        for film_turns in turns:
+            numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns and n not in results]
+            if not numbers:
+                continue
+            results |= self._scored(drafts, numbers, self._run)
+            if self._second is not None:
+                standing = [number for number in numbers if results[number].stands]
+                results |= self._scored(drafts, standing, self._second)
+        return [results[number] for number in range(len(drafts))]
+
+    def _scored(self, drafts: Sequence[Draft], numbers: Sequence[int], run: RunOptions) -> dict[int, Trial]:
+        """Trials by scores, of drafts with the same turns of film."""
+        if not numbers:
+            return {}
+        plans = [drafts[number].as_plan(str(number)) for number in numbers]
+        results = self._simulate(plans, drafts[numbers[0]].film_turns, run)
+        worlds, fallen = results.worlds.set_index("plan_id"), _fallen(results, self.sim)
+        return {
+            number: _trial(worlds.loc[str(number)], fallen.get(str(number), ()), drafts[number].order)
+            for number in numbers
+        }
+
+    def _forked(self, asked: Sequence[Asked]) -> dict[int, Trial]:
+        """Trials on forks, by their numbers: those with parents, if worlds can be forked."""
+        results: dict[int, Trial] = {}
+        parents = {id(parent): parent for _, parent in asked if parent is not None}
+        if not parents or self._forks is None:
+            return results
+        for key, parent in parents.items():
+            numbers = [number for number, (_, other) in enumerate(asked) if other is not None and id(other) == key]
+            outcomes = self._forks.outcomes(parent, [asked[number][0] for number in numbers])
+            for number, outcome in zip(numbers, outcomes, strict=True):
+                if outcome is not None:
+                    results[number] = _trial_of(outcome, asked[number][0].order, self.sim)
+        return results
+
+    def close(self) -> None:
+        """Free what the engine of forks holds."""
+        if self._owns:
+            self._engine.close()
+
+    def shares(self, plans: Sequence[Plan]) -> list[Share]:
+        """The share of worlds with errors in which each plan stands at rest, as ``petmjx.score`` with ``confidence``
+        reports it."""
+        sweep = confidence_sweep(self._options.worlds, self._errors, self._of_simulation)
+        study = partial(SweepStudy, sweep, confidence=self._options.worlds)
+        run = simulate(study, sweep.simulation, list(plans), self._run)
+        self.n_simulated += len(plans) * (1 + self._options.worlds)
+        assert run.summary is not None
+        rows = run.summary.set_index("plan_id")
+        return [
+            Share(int(row["n_worlds"] - row["n_invalid"]), int(row["n_standing"]))
+            for row in (rows.loc[plan.plan_id] for plan in plans)
+        ]
+
+    def _simulate(self, plans: list[Plan], film_turns: float, run: RunOptions) -> RunResults:
+        sweep = self._drive_sweep(film_turns)
+        if sweep is None:
+            return simulate(partial(Nominal, self.sim), self.sim, plans, run)
+        return simulate(partial(SweepStudy, sweep), sweep.simulation, plans, run)
+
+    def _drive_sweep(self, film_turns: float) -> Sweep | None:
+        """The sweep with the one drive that is asked about; None: the question is about pallets at rest."""
+        options = self._options
+        if options.profile is None:
+            return None
+        profiles = resolve(options.profile)
+        if len(profiles) != 1:
+            names = ", ".join(profile.name for profile in profiles)
+            raise InputError(f"profile {printable_name(options.profile)} is a family: name one of {names}")
+        axes: dict[str, Any] = {"profile": options.profile, "direction": options.direction_deg}
+        if profiles[0].strength is not Strength.ANGLE:
+            axes[str(profiles[0].strength)] = options.level
+        simulation = {**self._of_simulation, "wrap": self.sim.wrap.changed(turns=film_turns)}
+        return sweep_of_tables({"name": "repair", "axes": axes}, Path("repair"), True, simulation)
+
+
+def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:
+    """The engine of all trials, and the options of the second opinion on what stands; None: there is none.
+
+    ``auto`` takes the kernels of Warp, on a GPU or on CPU threads, since hundreds of plans are simulated. A score of
+    one plan takes C MuJoCo. So what stands must stand there, too.
+    """
+    if not isinstance(run.engine, str):
+        return run.engine, None
+    name = run.engine
+    if name == AUTO:
+        name = "mjx-warp" if why_no_warp() is None else "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
+    second = RunOptions(engine="mujoco", threads=run.threads) if run.engine == AUTO and name != "mujoco" else None
+    return make_engine(name, **options_of(name, run)), second
+
+
+def _trial_of(outcome: Outcome, order: tuple[int, ...], sim: Simulation) -> Trial:
+    """A trial from the outcome of a fork."""
+    boxes, limits, k = outcome.boxes, sim.thresholds, outcome.n_placed
+    with np.errstate(invalid="ignore"):
+        over = (np.abs(boxes.shift_m).max(axis=1) > limits.shift_m) | (boxes.max_tilt_deg > limits.tilt_deg)
+    over |= boxes.dropped
+    return Trial(
+        outcome.verdict.value,
+        outcome.reason.value,
+        order[outcome.culprit] if outcome.culprit >= 0 else None,
+        tuple(order[row] for row in np.flatnonzero(over[:k])),
+        k,
+        float("nan"),
+    )
+
+
+def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
+    """A trial from a row of ``worlds``. Rows of boxes become numbers of the plan."""
+    culprit = world["culprit"]
+    known = not pd.isna(culprit)
+    return Trial(
+        str(world["verdict"]),
+        str(world["reason"] or ""),
+        order[int(culprit)] if known else None,
+        tuple(order[row] for row in fallen),
+        int(world["n_placed"]),
+        float(world["margin"]),
+    )
+
+
+def _fallen(run: RunResults, sim: Simulation) -> dict[str, list[int]]:
+    """Plan id → rows of the boxes that crossed a limit."""
+    boxes, limits = run.boxes, sim.thresholds
+    shift = boxes[["shift_x_m", "shift_y_m", "shift_z_m"]].abs().max(axis=1)
+    over = (shift > limits.shift_m) | (boxes["max_tilt_deg"] > limits.tilt_deg) | boxes["dropped"]
+    rows = boxes.loc[over, ["plan_id", "box"]]
+    return {str(plan_id): numbers.tolist() for plan_id, numbers in rows.groupby("plan_id", observed=True)["box"]}

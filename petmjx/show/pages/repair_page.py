@@ -1,0 +1,105 @@
+"""The page of repairs: each plan before and after, side by side, and what was changed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+
+from petmjx.analysis.story import Story, first_box_in_words, reason_in_words
+from petmjx.analysis.story import tell as simulated_story
+from petmjx.common.atomic_write import atomic_write
+from petmjx.common.text import count_text, shortened_text
+from petmjx.options.simulation import Simulation
+from petmjx.repairs.repair import Repaired, Repairs
+from petmjx.show.pages.page import escaped_html, page
+from petmjx.show.pages.still_svg import still_svg
+from petmjx.show.repair_tables import share_text
+from petmjx.version import __version__
+
+
+def write_repair_page(repairs: Repairs, path: Path) -> None:
+    """Write the page to a file. An existing file is replaced.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    text = repair_page(repairs)
+    with atomic_write(path) as file:
+        file.write_text(text, encoding="utf-8")
+
+
+def repair_page(repairs: Repairs) -> str:
+    """One offline HTML file: for each plan that did not stand two pictures of how it ends, and the changes.
+
+    Both plans are simulated once more for the pictures.
+    """
+    fell = [repaired for repaired in repairs.each if not repaired.trial_before.stands]
+    standing = len(repairs.each) - len(fell)
+    also = f"<p>{count_text(standing, 'plan')} stand as they are.</p>" if standing and fell else ""
+    body = (
+        f"<header><h1>Repairs</h1><p>{escaped_html(repairs.summary)}.</p>{also}"
+        '<p class="small faint">Boxes have their numbers in the plan as it was, from 0, also in the repaired plan. '
+        "Left is −x, front −y. The first box to fail, and the boxes that are changed, are outlined.</p></header><main>"
+        f"{''.join(_section(repaired, dict(repairs.how or {})) for repaired in fell)}</main>"
+        f'<footer class="small faint">petmjx {escaped_html(__version__)}; units mm, kg</footer>'
+    )
+    title = shortened_text(fell[0].before.plan_id) if len(fell) == 1 else "repairs"
+    return page(f"{title}: before and after", body, script="", styles=("repair.css",))
+
+
+def _section(repaired: Repaired, how: dict[str, Any]) -> str:
+    """One plan: its pictures and its changes."""
+    before = simulated_story(repaired.before, details=False, **how)
+    pictures = _picture("before", before, {before.outcome.culprit})
+    if repaired.stands:
+        changed = {box for change in repaired.changes for box in change.boxes}
+        numbers = _numbers(repaired)
+        if repaired.film_turns is not None:
+            how = {**how, "wrap": Simulation(**how).wrap.changed(turns=repaired.film_turns)}
+        after = simulated_story(repaired.plan, details=False, **how)
+        pictures += _picture("after", after, {row for row, box in enumerate(numbers) if box in changed}, numbers)
+    else:
+        pictures += '<figure><figcaption class="note">No repair is known.</figcaption></figure>'
+    changes = "".join(f"<li>{escaped_html(words)}</li>" for words in repaired.words)
+    title = escaped_html(repaired.before.plan_id)
+    return (
+        f'<section><h2>Plan {title}</h2><div class="sides">{pictures}</div>'
+        f"<h3>{escaped_html(_heading(repaired))}</h3><ol>{changes}</ol>{_facts(repaired)}</section>"
+    )
+
+
+def _heading(repaired: Repaired) -> str:
+    """The heading above the changes."""
+    if not repaired.stands:
+        return f"{count_text(repaired.n_trials, 'changed plan')} were simulated, and none stands"
+    return f"It stands after {count_text(len(repaired.changes), 'change')}"
+
+
+def _numbers(repaired: Repaired) -> list[int]:
+    """The number in the plan as it was of each box of the repaired plan; added sheets have the next ones."""
+    from petmjx.repairs.changes import applied
+    from petmjx.repairs.drafts import Draft
+
+    draft = applied(Draft.of(repaired.before), repaired.changes)
+    assert draft is not None
+    return list(draft.order)
+
+
+def _picture(title: str, story: Story, marked: Collection[int], numbers: list[int] | None = None) -> str:
+    verdict = escaped_html(story.outcome.verdict.value)
+    words = first_box_in_words(story) or f"{reason_in_words(story).capitalize()}."
+    return (
+        f'<figure><figcaption><b>{title}</b> <span class="badge {verdict}">{verdict}</span></figcaption>'
+        f'{still_svg(story, marked, numbers)}<p class="small">{escaped_html(words)}</p></figure>'
+    )
+
+
+def _facts(repaired: Repaired) -> str:
+    """The cost and the shares with errors as a line."""
+    facts = [("cost", f"{repaired.cost:.2f}")] if repaired.stands else []
+    for name, share in (("before", repaired.share_before), ("after", repaired.share_after)):
+        if share is not None:
+            facts.append((f"worlds with errors that stand {name}", share_text(share)))
+    facts.append(("plans simulated", f"{repaired.n_trials:,}"))
+    return f'<p class="small faint">{"; ".join(f"{name} <b>{escaped_html(text)}</b>" for name, text in facts)}</p>'

@@ -1,0 +1,53 @@
+"""Repairs in a terminal: what is changed in each plan, and how often it stands before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from rich.console import RenderableType
+
+from petmjx.common.text import count_text
+from petmjx.repairs.repair import Repaired, Repairs
+from petmjx.repairs.trials import Share
+from petmjx.show.table_layout import line
+
+MOST_STANDING: Final = 20
+"""Most plans that stand as they are and get a line each."""
+
+
+def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
+    """A block of lines for each plan that did not stand, and a line about all."""
+    standing = [repaired for repaired in repairs.each if repaired.trial_before.stands]
+    for repaired in repairs.each:
+        if not repaired.trial_before.stands:
+            yield from _plan_lines(repaired)
+            yield ""
+    for repaired in standing[:MOST_STANDING]:
+        yield line(repaired.headline)
+    if len(standing) > MOST_STANDING:
+        yield line(f"{count_text(len(standing) - MOST_STANDING, 'more plan')} stand as they are")
+    if standing and len(standing) < len(repairs.each):
+        yield ""
+    yield line(repairs.summary, style="bold")
+
+
+def _plan_lines(repaired: Repaired) -> Iterator[RenderableType]:
+    yield line(repaired.headline, style="bold green" if repaired.stands else "bold red")
+    for number, words in enumerate(repaired.words, start=1):
+        yield line(f"  {number}. {words}")
+    if repaired.stands:
+        yield line(f"  cost {repaired.cost:.2f}{_shares(repaired)}", style="dim")
+
+
+def _shares(repaired: Repaired) -> str:
+    """The shares with errors before and after, as text."""
+    if repaired.share_before is None or repaired.share_after is None:
+        return ""
+    before, after = share_text(repaired.share_before), share_text(repaired.share_after)
+    return f"; with errors {before} worlds stand before, {after} after"
+
+
+def share_text(share: Share) -> str:
+    """A share as "7 of 8"."""
+    return f"{share.n_standing} of {share.n_worlds}"

@@ -1,0 +1,336 @@
+"""Repairs: for each cause of a fall the smallest change, which is needed, allowed, and makes the plan stand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.plans import Box, make_plan, stack
+
+import petmjx
+from petmjx.cli.main import main
+from petmjx.common.errors import InputError
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.repairs.balance import balances
+from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, Place, Sheet, Turn, applied, with_change
+from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.repair import Repaired
+from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.search import Search
+
+FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
+"""Repairs without worlds with errors, which take most of the time."""
+
+COUNTERWEIGHT: Sequence[Box] = (
+    ((200, 300, 300), (0, 0, 0), 10),
+    ((360, 300, 100), (0, 0, 300), 2),
+    ((150, 300, 200), (210, 0, 400), 6),
+    ((200, 300, 300), (0, 0, 400), 12),
+)
+"""A beam that the box on its free end tips, before the box comes that holds its other end down."""
+
+LATE_SUPPORT: Sequence[Box] = (
+    ((200, 300, 200), (0, 0, 0), 5),
+    ((600, 300, 100), (0, 0, 200), 5),
+    ((200, 300, 200), (400, 0, 0), 5),
+)
+"""A board on two boxes, the second of which comes after it."""
+
+TOWER: Sequence[Box] = tuple(((200.0, 200.0, 150.0), (70.0 * k, 0.0, 150.0 * k), 4.0) for k in range(4))
+"""A stair: each box alone is in balance on the one below, all together tip over the lowest one's edge."""
+
+
+def repaired(boxes: Sequence[Box], **options: Any) -> Repaired:
+    (result,) = petmjx.repair(make_plan(boxes=boxes), **{**FAST, **options}).each
+    return result
+
+
+def verdict(plan: Plan) -> str:
+    return str(petmjx.score(plan, engine="mujoco", threads=1).worlds.verdict[0])
+
+
+def check(result: Repaired) -> None:
+    """The plan stands, is allowed, and falls without any one of the changes."""
+    assert result.stands
+    assert verdict(result.plan) == "stable"
+    rules = Rules(result.before, Simulation().carrier, 2000.0, 0)
+    for number in range(len(result.changes)):
+        shorter = (*result.changes[:number], *result.changes[number + 1 :])
+        draft = applied(Draft.of(result.before), shorter)
+        undone = result.undone(number)
+        if draft is None or not rules.allow([draft])[0]:
+            continue
+        assert undone is not None
+        assert verdict(undone) == "unstable"
+
+
+def test_a_counterweight_comes_earlier() -> None:
+    result = repaired(COUNTERWEIGHT)
+    assert result.words == ["place box 3 before box 2"]
+    assert (result.trial_before.verdict, result.trial_before.culprit) == ("unstable", 2)
+    assert result.plan.item_ids == ("item-0", "item-1", "item-3", "item-2")
+    assert result.cost == 0.8
+    check(result)
+
+
+def test_a_support_comes_before_the_box_on_it() -> None:
+    result = repaired(LATE_SUPPORT)
+    assert [change.kind for change in result.changes] == [Kind.ORDER]
+    assert result.plan.item_ids == ("item-0", "item-2", "item-1")
+    check(result)
+
+
+def test_an_overhang_is_moved_inside() -> None:
+    """Half of 400 mm may hang over; 230 mm do, and so at least 30 mm are missing."""
+    result = repaired(stack(2, 230.0), forbid=("order", "place"))
+    (change,) = result.changes
+    assert isinstance(change, Move)
+    assert 30 <= change.length_mm <= 60
+    assert result.words == [
+        f"move box {change.box} by {change.length_mm:.0f} mm to the {'right' if change.box == 0 else 'left'}"
+    ]
+    check(result)
+
+
+def test_a_stair_stands_after_one_change() -> None:
+    result = repaired(TOWER)
+    assert len(result.changes) == 1
+    check(result)
+
+
+def test_an_unsupported_corner_gets_a_box_under_it() -> None:
+    """The lid lies on two columns at the left. A third column, as high, stands beside them: it can go under the lid."""
+    boxes: Sequence[Box] = (
+        ((150, 150, 200), (0, 0, 0), 4),
+        ((150, 150, 200), (0, 350, 0), 4),
+        ((150, 150, 200), (0, 175, 0), 4),
+        ((500, 500, 100), (0, 0, 200), 8),
+        ((150, 150, 200), (550, 0, 0), 4),
+    )
+    result = repaired(boxes, forbid=("move",))
+    assert len(result.changes) == 1
+    assert result.changes[0].kind in (Kind.PLACE, Kind.EXCHANGE)
+    check(result)
+
+
+def test_what_is_forbidden_is_not_done() -> None:
+    result = repaired(COUNTERWEIGHT, forbid=("order",))
+    assert result.stands
+    assert Kind.ORDER not in [change.kind for change in result.changes]
+    last = repaired(COUNTERWEIGHT, forbid=[kind for kind in Kind if kind is not Kind.LEAVE_OUT])
+    assert last.words == ["leave out box 2"]
+    assert last.left_out == (2,)
+    assert last.plan.n_boxes == 3
+
+
+def test_what_is_built_stays() -> None:
+    result = repaired(COUNTERWEIGHT, built=2)
+    assert result.stands
+    assert result.plan.item_ids[:2] == ("item-0", "item-1")
+    assert (result.plan.corner_mm[:2] == result.before.corner_mm[:2]).all()
+
+
+def test_nothing_helps_where_all_is_forbidden_that_would() -> None:
+    result = repaired(COUNTERWEIGHT, forbid=[kind for kind in Kind if kind is not Kind.SHEET], trials=4)
+    assert not result.stands
+    assert result.plan is result.before
+    assert "no repair is known" in result.headline
+
+
+def test_plans_that_stand_are_left_as_they_are() -> None:
+    result = repaired(stack(2))
+    assert result.stands
+    assert result.changes == ()
+    assert result.plan == result.before or (result.plan.corner_mm == result.before.corner_mm).all()
+    assert result.headline == "00000001: stands as it is"
+
+
+def test_plans_are_repaired_the_same_alone_and_together() -> None:
+    plans = [make_plan(str(k), boxes) for k, boxes in enumerate((COUNTERWEIGHT, LATE_SUPPORT, stack(2)))]
+    together = petmjx.repair(plans, **FAST)
+    assert [r.words for r in together.each] == [petmjx.repair(plan, **FAST).each[0].words for plan in plans]
+    assert together.table[["before", "after"]].values.tolist() == [["unstable", "stable"]] * 2 + [["stable"] * 2]
+    assert together.summary == "2 plans of 3 do not stand; 2 can be repaired; changes: 1 in the median"
+
+
+def test_shares_with_errors_are_those_of_a_score() -> None:
+    plan = make_plan(boxes=LATE_SUPPORT)
+    (result,) = petmjx.repair(plan, **{**FAST, "worlds": 4}, forbid=[k for k in Kind if k is not Kind.ORDER]).each
+    summary = petmjx.score(result.plan, engine="mujoco", threads=1, confidence=4).summary
+    assert summary is not None
+    assert result.share_before == (4, 0)
+    assert result.share_after == (4, summary.n_standing[0])
+
+
+def test_the_least_film_that_holds_is_used() -> None:
+    """A carton of 300 mm slides on the carrier beyond μ·g = 0.5 g. Film that holds it needs so many turns, and no
+    fewer."""
+    plan = make_plan(boxes=[((300, 300, 100), (0, 0, 0), 20)])
+    options = {**FAST, "profile": "eumos-40509", "level": 0.8, "forbid": [k for k in Kind if k is not Kind.FILM]}
+    (result,) = petmjx.repair(plan, **options).each
+    assert result.words == [f"wrap the pallet with {result.film_turns:g} turns of film"]
+    for turns, stands in ((result.film_turns, True), (result.film_turns - 1, False)):
+        (again,) = petmjx.repair(plan, **options, wrap={"turns": turns}).each
+        assert again.trial_before.stands == stands
+
+
+# ---------------------------------------------------------------------- drafts and rules
+
+
+def test_a_draft_without_changes_is_the_plan() -> None:
+    plan = replace(make_plan(boxes=COUNTERWEIGHT), materials=("cardboard",) * 4, orientation=np.array([0, 1, 0, 1]))
+    same = Draft.of(plan).as_plan()
+    for name in Plan.__dataclass_fields__:
+        assert np.array_equal(getattr(same, name), getattr(plan, name)), name
+
+
+def test_a_turned_box_keeps_its_contents() -> None:
+    """The item's centre of mass stays where it is in the item, whichever way the box lies."""
+    plan = Plan.from_boxes(
+        "p", size_mm=[[400, 200, 100]] * 2, corner_mm=[[0, 0, 0], [0, 300, 0]], mass_kg=[5, 5], orientation=[0, 1],
+        com_length_mm=[50, 30], com_width_mm=[20, -10],
+    )  # fmt: skip
+    for box in (0, 1):
+        turned = Draft.of(plan).with_turn(box, True)
+        after = turned.as_plan()
+        assert after.size_mm[box].tolist() == [200, 400, 100]
+        assert np.allclose(after.item_com_mm, plan.item_com_mm)
+        assert np.allclose(after.item_size_mm, plan.item_size_mm)
+        assert np.array_equal(turned.with_turn(box, False).as_plan().mass_center_mm, plan.mass_center_mm)
+
+
+def test_a_sheet_raises_what_lies_on_it() -> None:
+    draft = Draft.of(make_plan(boxes=stack(2)))
+    change = Sheet((0.0, 0.0, 200.0), (400.0, 300.0, 3.0), 0.5, 1)
+    after = change.applied(draft)
+    assert after is not None
+    plan = after.as_plan()
+    assert plan.sheets.tolist() == [False, True, False]
+    assert plan.corner_mm[:, 2].tolist() == [0, 200, 203]
+    assert plan.mass_kg[1] == pytest.approx(0.5 * 0.4 * 0.3)
+    assert verdict(plan) == "stable"
+
+
+def allowed(boxes: Sequence[Box], *changes: Any, built: int = 0, most_mm: float = 2000.0) -> bool:
+    plan = make_plan(boxes=boxes)
+    draft = applied(Draft.of(plan), changes)
+    assert draft is not None
+    return bool(
+        Rules(plan, "euro-pallet" and Simulation(carrier="euro-pallet").carrier, most_mm, built).allow([draft])[0]
+    )
+
+
+def test_rules_know_what_a_changed_plan_may_not_do() -> None:
+    pair: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5), ((400, 300, 200), (400, 0, 0), 5), *stack(2)[1:])
+    assert allowed(pair)
+    assert not allowed(pair, Move(1, -10.0, 0.0)), "boxes overlap"
+    assert allowed(pair, Move(1, 30.0, 0.0))
+    assert not allowed(pair, Move(1, 401.0, 0.0)), "beyond the carrier of 1200 mm"
+    assert not allowed(pair, Move(1, 0.0, -1.0)), "beyond its front"
+    assert not allowed(pair, LeaveOut(0)), "box 2 floats"
+    assert not allowed(pair, Order(2, 0)), "box 2 floats when it is placed"
+    assert not allowed(pair, Place(1, (0.0, 0.0, 400.0), False), most_mm=500.0), "too high"
+    assert allowed(pair, Place(1, (0.0, 0.0, 400.0), False, 2), most_mm=600.0)
+    assert not allowed(pair, Place(1, (0.0, 0.0, 400.0), False)), "placed before the box below"
+    assert not allowed(pair, Move(0, 0.0, 0.0, ()), Turn(0, 0.0, 0.0), built=1), "box 0 stands already"
+    assert not allowed(pair, Order(1, 0), built=1), "box 0 stands already"
+    bridge: Sequence[Box] = (*LATE_SUPPORT[:1], LATE_SUPPORT[2], LATE_SUPPORT[1])
+    assert allowed(bridge)
+    assert not allowed(bridge, Order(1, 2, after=True)), "a robot cannot get under the board"
+
+
+def test_odd_plans_may_stay_as_odd() -> None:
+    floating: Sequence[Box] = (((400, 300, 200), (0, 0, 0), 5), ((400, 300, 200), (0, 0, 230), 5))
+    assert allowed(floating)
+    assert allowed(floating, Place(1, (0.0, 0.0, 200.0), False))
+    assert not allowed(floating, Place(1, (0.0, 0.0, 240.0), False))
+
+
+def test_changes_of_one_box_become_one() -> None:
+    first, second = Move(1, 20.0, 0.0), Move(1, 0.0, -5.0)
+    assert with_change((first,), second) == (Move(1, 20.0, -5.0),)
+    assert Move(1, 20.0, -5.0).words == "move box 1 by 20 mm to the right and 5 mm to the front"
+    assert with_change((first,), LeaveOut(1)) == (LeaveOut(1),)
+    assert with_change((Film(4.0),), Film(3.0)) == (Film(3.0),)
+    assert with_change((first,), Move(2, 1.0, 0.0)) == (first, Move(2, 1.0, 0.0))
+
+
+def test_exchanged_boxes_have_each_others_place_and_time() -> None:
+    plan = make_plan(boxes=COUNTERWEIGHT)
+    change = Exchange(2, 3, ((0.0, 0.0, 400.0), (210.0, 0.0, 400.0)), (False, False))
+    draft = change.applied(Draft.of(plan))
+    assert draft is not None
+    assert draft.order == (0, 1, 3, 2)
+    assert draft.corner_mm[2].tolist() == [0, 0, 400]
+    assert change.words == "exchange boxes 2 and 3"
+
+
+def test_statics_names_the_box_that_is_too_much() -> None:
+    (balance,) = balances([Draft.of(make_plan(boxes=COUNTERWEIGHT))], Simulation())
+    assert (balance.box.tolist(), balance.step.tolist(), balance.cause.tolist()) == ([1], [2], [2])
+    # 2 kg at 180 mm and 6 kg at 285 mm on a box that ends at 200 mm (boxes are 0.1 mm smaller)
+    assert balance.depth_mm[0] == pytest.approx((2 * 180 + 6 * 285) / 8 - 200, abs=0.2)
+    assert balance.last_mm[0] > 0
+
+
+def test_a_search_asks_for_the_same_worlds_again() -> None:
+    """What is simulated depends on the plan and the options alone."""
+    plan, asked = make_plan(boxes=TOWER), []
+    for _ in range(2):
+        search = Search(plan, Simulation(), RepairOptions(worlds=0))
+        steps = search.run()
+        first = next(steps)
+        trial = petmjx.repair(plan, **FAST).each[0].trial_before
+        asked.append([first, steps.send([trial])])
+    assert [len(part) for part in asked[0]] == [len(part) for part in asked[1]]
+    for (one, _), (other, _) in zip(asked[0][1], asked[1][1], strict=True):
+        assert one.order == other.order
+        assert np.array_equal(one.corner_mm, other.corner_mm)
+
+
+# ---------------------------------------------------------------------- bad input
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"forbid": ["moves"]}, "forbid must be of order, move"),
+        ({"forbid": list(Kind)}, "nothing is left to repair with"),
+        ({"built": 2}, "plan 00000001: built must be less than its 2 boxes, got 2"),
+        ({"worlds": 3}, "worlds must be 0, or from 4"),
+        ({"level": 0.5}, "level needs a profile"),
+        ({"profile": "eumos"}, "eumos"),
+        ({"out": "x"}, "out: a repair has no such option"),
+        ({"confidence": 8}, "confidence: a repair has worlds"),
+        ({"most_move": 8}, "unknown option most_move"),
+        ({"worlds": 0, "errors": Path("x.toml")}, "errors needs worlds"),
+    ],
+)
+def test_unusable_options_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        petmjx.repair(make_plan(boxes=stack(2, 300.0)), **{"engine": "mujoco", "threads": 1, **options})
+
+
+# ---------------------------------------------------------------------- the command and its page
+
+
+def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    source, out, html = tmp_path / "plans.json", tmp_path / "repaired.csv", tmp_path / "repairs.html"
+    petmjx.save_plans([make_plan("late", LATE_SUPPORT)], source)
+    options = ["--engine", "mujoco", "--threads", "1", "--worlds", "0", "--without", "move,place,turn,exchange"]
+    assert main(["repair", str(source), "-o", str(out), "--html", str(html), *options]) == 0
+    printed = capsys.readouterr().out
+    assert "late: unstable (drop, first box 1); stands after 1 change\n  1. place box 2 before box 1" in printed
+    assert verdict(petmjx.load_plans(out).plans[0]) == "stable"
+    page = html.read_text(encoding="utf-8")
+    assert page.count("<svg") == 2
+    assert "place box 2 before box 1" in page
+    assert main(["repair", str(source), "-o", str(out), *options]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main(["repair", str(source), "--without", "moves"]) == 2
+    assert capsys.readouterr().err.startswith("petmjx: --without must be of order, move")
