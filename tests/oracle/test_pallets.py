@@ -311,7 +311,7 @@ def test_after_close_all_methods_say_so() -> None:
         lambda: pallets.try_all(**good, drive="unknown"),
         lambda: pallets.places(size_mm=(400, 300, 200)),
         lambda: pallets.fork(0, 0),
-        *(getattr(pallets, name) for name in ("take_back", "reset", "told", "plan", "score", "verdict")),
+        *(getattr(pallets, name) for name in ("take_back", "reset", "results", "plan", "score", "verdict")),
         *(getattr(pallets, name) for name in ("height_map", "boxes", "show")),
     ):
         with pytest.raises(InputError, match=r"^petmjx\.Pallets: closed; make a new one$"):
