@@ -8,9 +8,13 @@ the solution file of D-Wave's example (github.com/dwave-examples/3d-bin-packing)
 
 from __future__ import annotations
 
+import ast
 import io
+import math
 import re
+import struct
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -374,20 +378,64 @@ def _triple_cells(text: str) -> list[str]:
 # NumPy arrays.
 
 
-def _loaded_array(data: bytes | bytearray) -> Any:
+_MOST_HEADER: Final = 10_000
+"""Longest header of an array, bytes, as in NumPy."""
+
+
+def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
+    """The array of .npy bytes. Its header is compared with the bytes before memory is taken for what it says.
+
+    Args:
+        name: name of the member of an archive, for errors; "": the file itself.
+    """
+    where = f"{printable_name(name)} " if name else ""
+    try:
+        dtype, shape, begin = _array_header(data)
+    except (ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error, MemoryError, RecursionError):
+        raise InputError(f"{where}is no whole NumPy array: its header cannot be read") from None
+    if dtype.hasobject:
+        raise InputError(f"{where}is an array of Python objects, which may hold code, and is not read")
+    n_bytes = len(data) - begin
+    expected = math.prod(shape) * dtype.itemsize
+    if expected != n_bytes:
+        raise InputError(
+            f"{where}is no whole NumPy array: its header says {shape} of {dtype.str}, {expected:,} bytes, "
+            f"but {count_text(n_bytes, 'byte follows', 'bytes follow')}"
+        )
+    if math.prod(max(extent, 1) for extent in shape) > MOST_BYTES:
+        raise InputError(f"{where}is an array {shape} without values")
     try:
         return np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
-        raise InputError(f"is not a whole NumPy array, or one of Python objects: {error}") from error
+        raise InputError(f"{where}is not a whole NumPy array: {error}") from error
+
+
+def _array_header(data: bytes | bytearray) -> tuple[np.dtype[Any], tuple[int, ...], int]:
+    """Type, shape and the position of the first value of .npy bytes (NumPy's format, versions 1 to 3).
+
+    Raises:
+        ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error: the header is damaged.
+    """
+    width = "<H" if data[6] == 1 else "<I"
+    first = 8 + struct.calcsize(width)
+    (length,) = struct.unpack_from(width, data, 8)
+    if length > _MOST_HEADER or first + length > len(data) or not data.startswith(b"\x93NUMPY"):
+        raise ValueError("header")
+    fields = ast.literal_eval(bytes(data[first : first + length]).decode("utf-8" if data[6] > 2 else "latin1"))
+    shape = fields["shape"]
+    if not isinstance(shape, tuple) or any(type(extent) is not int or extent < 0 for extent in shape):
+        raise ValueError("shape")
+    return np.lib.format.descr_to_dtype(fields["descr"]), shape, first + length
 
 
 def _loaded_arrays(data: bytes | bytearray) -> dict[str, Any]:
     check_archive(data)
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = {name: archive.read(name) for name in archive.namelist() if name.endswith(".npy")}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError) as error:
         raise InputError(f"is not a whole archive of NumPy arrays: {error}") from error
+    return {name.removesuffix(".npy"): _loaded_array(member, name) for name, member in members.items()}
 
 
 def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:

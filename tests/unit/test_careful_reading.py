@@ -1,0 +1,86 @@
+"""What could be read wrong in silence in other tools' files: it is refused, asked, or named in a note."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import petmjx
+
+pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
+
+BOXES = np.array([[0, 0, 0, 400, 300, 200], [400, 0, 0, 300, 300, 200], [200, 0, 200, 350, 300, 150.0]])
+"""x, y, z, and sizes, mm: two boxes on the deck, one across both."""
+
+
+def load(tmp_path: Path, name: str, content: str | bytes, **options: object) -> petmjx.PlanSet:
+    file = tmp_path / name
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
+    return petmjx.load_plans(file, **options)
+
+
+def refusal(plan_set: petmjx.PlanSet) -> str:
+    """The one line about the file, of which nothing was read."""
+    assert not plan_set.plans
+    (skipped,) = plan_set.skipped
+    assert "\n" not in skipped.message
+    return skipped.message
+
+
+def array_bytes(shape: str, dtype: str = "<f8", values: bytes = b"", version: int = 1) -> bytes:
+    """An .npy file whose header has this shape, whatever follows it."""
+    header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return (
+        b"\x93NUMPY" + bytes([version, 0]) + struct.pack("<H" if version == 1 else "<I", len(header)) + header + values
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [
+        (array_bytes("(100000000000, 6)", values=BOXES.tobytes()), "4,800,000,000,000 bytes, but 144 bytes follow"),
+        (array_bytes("(4, 6)", values=BOXES.tobytes(), version=2), "192 bytes, but 144 bytes follow"),
+        (array_bytes("(2, 6)", values=BOXES.tobytes()), "96 bytes, but 144 bytes follow"),
+        (array_bytes("(100000000000, 0)"), "without values"),
+        (array_bytes("(100000000000,)", "<U0"), "without values"),
+        (array_bytes("(-1, 6)", values=BOXES.tobytes()), "header cannot be read"),
+        (array_bytes("((((", values=BOXES.tobytes()), "header cannot be read"),
+        (array_bytes("(3, 6)", "|O", BOXES.tobytes()), "Python objects"),
+        (b"\x93NUMPY\x01\x00", "header cannot be read"),
+        (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f", "header cannot be read"),
+    ],
+)
+def test_an_array_whose_header_does_not_fit_its_bytes_is_refused(tmp_path: Path, content: bytes, fault: str) -> None:
+    assert fault in refusal(load(tmp_path, "load.npy", content))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("boxes.npy", content)
+    message = refusal(load(tmp_path, "load.npz", packed.getvalue()))
+    assert fault in message
+    assert "boxes.npy" in message
+
+
+def test_arrays_of_all_versions_are_read(tmp_path: Path) -> None:
+    for version in (1, 2, 3):
+        content = array_bytes("(3, 6)", values=BOXES.tobytes(), version=version)
+        (plan,) = load(tmp_path, "load.npy", content, units="mm").plans
+        np.testing.assert_array_equal(plan.corner_mm, BOXES[:, :3])
+
+
+@pytest.mark.parametrize("digits", [350, 5000])
+@pytest.mark.parametrize("lines", [False, True])
+def test_whole_numbers_of_thousands_of_digits_are_named_with_their_place(
+    tmp_path: Path, digits: int, lines: bool
+) -> None:
+    names = ("x", "y", "z", "length", "width", "height")
+    rows = [dict(zip(names, row, strict=True)) for row in BOXES.tolist()]
+    rows[1]["width"] = "MANY"
+    text = "\n".join(map(json.dumps, rows)) if lines else json.dumps(rows)
+    plan_set = load(tmp_path, "load.jsonl" if lines else "load.json", text.replace('"MANY"', "9" * digits), units="mm")
+    assert f"{'line 2' if lines else '[1]'}: width must be finite" in refusal(plan_set)
