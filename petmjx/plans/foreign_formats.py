@@ -30,7 +30,7 @@ from petmjx.plans.column_names import column_meanings
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.nested_json import BoxList, box_lists, decoded_json
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
-from petmjx.plans.raw_tables import RawTable, decoded_text
+from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text
 from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 
@@ -179,7 +179,8 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
 
 
 def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
-    """A list of boxes with what is known of its form, by the names of its fields."""
+    """A list of boxes with what is known of its form, by the names of its fields. Rows of totals are left out."""
+    boxes = _without_totals(boxes)
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
     around = {str(name).lower() for name in boxes.around}
@@ -208,6 +209,24 @@ def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     if "matrix" in boxes.kinds or any("matrix" in name or "pose" in name or "transform" in name for name in names):
         return BoxSource(boxes, POSES)
     return BoxSource(boxes, KnownForm(kind))
+
+
+def _without_totals(boxes: BoxList) -> BoxList:
+    """Boxes without the last row of each part if that row has the sums or means of the others."""
+    table = boxes.table
+    if not table.has_header:
+        return boxes
+    parts: dict[str, list[int]] = {}
+    for index in range(len(table.rows)):
+        parts.setdefault(boxes.parts[index] if boxes.parts else "", []).append(index)
+    computed = {rows[-1]: what for rows in parts.values() if (what := computed_row(table, rows))}
+    if not computed:
+        return boxes
+    kept = _rows(boxes, [index for index in range(len(table.rows)) if index not in computed])
+    notes = [
+        f"{table.places[index]} has {what} of the rows above it, and is left out" for index, what in computed.items()
+    ]
+    return replace(kept, table=replace(kept.table, notes=(*table.notes, *notes)))
 
 
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:

@@ -84,3 +84,66 @@ def test_whole_numbers_of_thousands_of_digits_are_named_with_their_place(
     text = "\n".join(map(json.dumps, rows)) if lines else json.dumps(rows)
     plan_set = load(tmp_path, "load.jsonl" if lines else "load.json", text.replace('"MANY"', "9" * digits), units="mm")
     assert f"{'line 2' if lines else '[1]'}: width must be finite" in refusal(plan_set)
+
+
+def table(
+    rows: list[list[object]], names: str = "name,x [mm],y [mm],z [mm],length [mm],width [mm],height [mm],weight [kg]"
+) -> str:
+    return "\n".join([names, *(",".join(map(str, row)) for row in rows)])
+
+
+def named(last: str, values: object) -> list[list[object]]:
+    """Four boxes of the unequal sizes, and a last row."""
+    boxes = [
+        ["a", 0, 0, 0, 400, 300, 200, 6.5],
+        ["b", 400, 0, 0, 300, 300, 200, 5],
+        ["c", 0, 300, 0, 300, 250, 100, 2.25],
+        ["d", 200, 0, 200, 350, 300, 150, 4],
+    ]
+    numbers = np.array([box[1:] for box in boxes], float)
+    row = {"sums": numbers.sum(axis=0), "means": numbers.mean(axis=0).round(1)}.get(str(values), values)
+    return [*boxes, [last, *row]]
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("Mittelwert", "means"), ("Ø", "means"), ("", "means"), ("", "sums"), ("all", "sums"), ("Średnia:", "means"),
+        ("Durchschnitt", [0, 0, 200, 300, 300, 200, 5]), ("Summe (4)", [0, 0, 350, 300, 250, 200, 17.75]),
+        ("Moyenne", "means"), ("Total fruit", ["", "", "", "", "", "", 17.75]),
+    ],
+)  # fmt: skip
+def test_a_row_of_totals_or_means_is_no_box(tmp_path: Path, name: str, values: object) -> None:
+    plan_set = load(tmp_path, "load.csv", table(named(name, values)))
+    (plan,) = plan_set.plans
+    assert plan.n_boxes == 4
+    ((_, reading),) = plan_set.readings.items()
+    assert any(note.startswith("row 6 ") and note.endswith("left out") for note in reading.notes)
+
+
+def test_a_total_in_json_is_no_box(tmp_path: Path) -> None:
+    names = ("name", "x", "y", "z", "length", "width", "height", "weight")
+    for last in (named("Total", [0, 0, 350, 300, 250, 200, 17.75]), named("", "sums")):
+        rows = [dict(zip(names, row, strict=True)) for row in last]
+        (plan,) = load(tmp_path, "load.json", json.dumps(rows), units="mm").plans
+        assert plan.n_boxes == 4
+
+
+def test_boxes_that_look_like_sums_or_means_are_boxes(tmp_path: Path) -> None:
+    plans = {
+        "called Total fruit": [*named("Total fruit", [0, 0, 350, 300, 250, 200, 5])],
+        "two halves below": [
+            ["a", 0, 0, 0, 300, 400, 200, 5], ["b", 300, 0, 0, 300, 400, 200, 5], ["c", 0, 0, 200, 600, 400, 200, 10],
+        ],
+        "the corners of a layer": [
+            [name, x, y, 0, 400, 300, 200, 5]
+            for name, x, y in (("a", 0, 0), ("b", 400, 0), ("c", 0, 300), ("d", 400, 300))
+        ],
+        "the middle last": [
+            [name, x, y, 0, 200, 200, 200, 5]
+            for name, x, y in (("a", 0, 0), ("b", 400, 0), ("c", 0, 400), ("d", 400, 400), ("e", 200, 200))
+        ],
+    }  # fmt: skip
+    for rows in plans.values():
+        (plan,) = load(tmp_path, "load.csv", table(rows), anchor="corner").plans
+        assert plan.n_boxes == len(rows)
