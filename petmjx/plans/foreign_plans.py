@@ -291,6 +291,7 @@ class _Builder:
         self.places = self.boxes.table.places
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
+        self.counters: set[str] = set()  # columns that are the packing order of some plan
 
     def plans(self) -> ForeignPlans:
         names = self._plan_names()
@@ -335,6 +336,8 @@ class _Builder:
         order = self._order_note(orders, list(good))
         if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
             self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
+        if set(orders) == {"sequence"} and len(self.counters) == 1:
+            reading = replace(reading, columns={**reading.columns, "sequence": next(iter(self.counters))})
         reading = replace(
             reading,
             order=order,
@@ -503,9 +506,21 @@ class _Builder:
         if self.columns.sequence is not None:
             return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
-        in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
-        at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
-        if (in_order & ~at_all).any():
+        possible = _can_be_placed(order, low, size)
+        for name, values in self.columns.counters.items():
+            counted = values[rows]
+            if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) != 1).any():
+                continue  # no numbers of all boxes, or the order of the rows
+            if not _can_be_placed(counted, low, size):
+                continue
+            if not possible:
+                self.notes.append(f"packing order by {printable_name(name)}: rows are not in one")
+                self.counters.add(name)
+                return counted.astype(np.int64), "sequence"
+            self.notes.append(
+                f"{printable_name(name)} may be the packing order, too (--columns sequence={printable_name(name)})"
+            )
+        if not possible:
             order[np.argsort(low[:, 2], kind="stable")] = np.arange(1, len(rows) + 1)
             return order, "height"
         return order, "rows"
@@ -567,6 +582,20 @@ class _Builder:
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
         numbers = np.array([_number_of(self.places[row], row) for row in rows.tolist()], np.int64)
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+def _counts_all(values: FloatArray) -> bool:
+    """Whether numbers are all whole numbers from 0 or 1 on, in any order."""
+    return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
+
+
+def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
+    """Whether in an order each box that lies on another one comes after one that it lies on."""
+    by_order = np.argsort(order, kind="stable")
+    low, size = low[by_order], size[by_order]
+    in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
+    at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
+    return not (in_order & ~at_all).any()
 
 
 def _number_of(place: str, otherwise: int) -> int:

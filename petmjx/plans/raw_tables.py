@@ -410,8 +410,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
     Args:
         rows: indices of the rows of one plan.
 
-    Sizes, places and weights that the last row has must all be sums, or all means, and two of them must tell. Of a box on
-    two smaller ones the length may be the sum, and of a box in the middle of a layer of equal ones the place the mean.
+    Sizes, places and weights that the last row has must all be sums, or all means, and two of them must tell. Of a box
+    on two smaller ones the length may be the sum, and of a box in the middle of a layer of equal ones the mean place.
     """
     if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
         return "the total"

@@ -15,6 +15,7 @@ import petmjx
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 
+NAMES = "name,x [mm],y [mm],z [mm],length [mm],width [mm],height [mm],weight [kg]"
 BOXES = np.array([[0, 0, 0, 400, 300, 200], [400, 0, 0, 300, 300, 200], [200, 0, 200, 350, 300, 150.0]])
 """x, y, z, and sizes, mm: two boxes on the deck, one across both."""
 
@@ -86,9 +87,7 @@ def test_whole_numbers_of_thousands_of_digits_are_named_with_their_place(
     assert f"{'line 2' if lines else '[1]'}: width must be finite" in refusal(plan_set)
 
 
-def table(
-    rows: list[list[object]], names: str = "name,x [mm],y [mm],z [mm],length [mm],width [mm],height [mm],weight [kg]"
-) -> str:
+def table(rows: list[list[object]], names: str = NAMES) -> str:
     return "\n".join([names, *(",".join(map(str, row)) for row in rows)])
 
 
@@ -147,3 +146,33 @@ def test_boxes_that_look_like_sums_or_means_are_boxes(tmp_path: Path) -> None:
     for rows in plans.values():
         (plan,) = load(tmp_path, "load.csv", table(rows), anchor="corner").plans
         assert plan.n_boxes == len(rows)
+
+
+TOWER = [["b", 0, 0, 200, 400, 300, 200, 5], ["a", 0, 0, 0, 400, 300, 200, 6], ["c", 0, 0, 400, 400, 300, 200, 4]]
+"""The middle, the lowest and the highest box of a pile."""
+
+
+@pytest.mark.parametrize(
+    "name", ["N°", "Nr.", "#", "No", "Lfd. Nr.", "Index", "Pick", "Pos", "Seq", "Ordine", "Placed", "Pořadí"]
+)
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_column_that_counts_is_the_packing_order_where_rows_are_not(tmp_path: Path, name: str, first: int) -> None:
+    rows = [[*row, number + first] for row, number in zip(TOWER, (1, 0, 2), strict=True)]
+    plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},{name}"))
+    assert plan_set.plans[0].corner_mm[:, 2].tolist() == [0, 200, 400]
+    (reading,) = plan_set.readings.values()
+    assert reading.columns["sequence"] == name
+    again = load(tmp_path, "load.csv", table(rows, f"{NAMES},{name}"), reading=reading)
+    assert again.plans[0].corner_mm[:, 2].tolist() == [0, 200, 400]
+    beside = [[*TOWER[1], 1], ["d", 400, 0, 0, 400, 300, 200, 5, 0], ["e", 800, 0, 0, 400, 300, 200, 5, 2]]
+    if name in ("Pick", "#"):  # both orders are possible
+        plan_set = load(tmp_path, "load.csv", table(beside, f"{NAMES},{name}"))
+        (reading,) = plan_set.readings.values()
+        assert any(note.startswith(f"{name} may be the packing order, too") for note in reading.notes)
+
+
+def test_an_order_with_a_box_before_its_support_is_odd(tmp_path: Path) -> None:
+    rows = [[*row, number] for row, number in zip(TOWER, (3, 1, 2), strict=True)]
+    plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},step"))
+    (odd,) = plan_set.warnings
+    assert odd.floating == ("1 by 200 mm",)
