@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, first_names, printable, printable_name
+from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns, box_columns, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, words_of
@@ -46,6 +46,8 @@ all boxes have the same."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this are in those of water."""
+_LIGHTEST, _HEAVIEST = 2.0, 5000.0
+"""Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
 _MATCHED: Final = 0.9
 """Least share of boxes whose item is in a table of items that belongs to them."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
@@ -342,6 +344,7 @@ class _Builder:
             reading,
             order=order,
             notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
+            odd=self._odd(size, mass),
             density_kg_m3=self._density() if self._lacks_masses() else None,
         )
         table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
@@ -500,6 +503,16 @@ class _Builder:
             if fault is not None:
                 self.faults.setdefault(row, fault)
         return np.asarray(mass)
+
+    def _odd(self, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
+        """Lines about densities that no load on a pallet has."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            density = mass / (size.prod(axis=1) / 1e9)
+        density = density[np.isfinite(density)]
+        if self.columns.weight is None or not len(density) or _LIGHTEST <= np.median(density) <= _HEAVIEST:
+            return ()
+        line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
+        return (f"{line}: weights or lengths in another unit? (--units)",)
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
         """(n,) packing order of a plan's rows, from 1, and where it is from."""

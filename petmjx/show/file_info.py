@@ -76,7 +76,11 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "mass_kg": round(sum(float(plan.mass_kg.sum()) for plan in plans), 6),
         "largest_mm": [max(sizes[axis::3]) for axis in range(3)] if plans else [],
         "skipped": [skipped.message for skipped in plan_set.skipped if skipped.source == source],
-        "odd": [*(str(odd) for odd in plan_set.warnings if odd.source == source), *ready],
+        "odd": [
+            *(str(odd) for odd in plan_set.warnings if odd.source == source),
+            *ready,
+            *(() if reading is None else reading.odd),
+        ],
         "reading": None,
     }
     if reading is not None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import petmjx
+from petmjx.show.file_info import file_infos
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 
@@ -176,3 +177,74 @@ def test_an_order_with_a_box_before_its_support_is_odd(tmp_path: Path) -> None:
     plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},step"))
     (odd,) = plan_set.warnings
     assert odd.floating == ("1 by 200 mm",)
+
+
+def grid(nx: int, ny: int, nz: int, size: tuple[float, float, float], weight: float) -> str:
+    """A block of equal boxes without units, as CSV."""
+    a, b, c = size
+    rows = [f"{i * a},{j * b},{k * c},{a},{b},{c},{weight}" for k in range(nz) for j in range(ny) for i in range(nx)]
+    return "\n".join(["x,y,z,length,width,height,weight", *rows])
+
+
+@pytest.mark.parametrize(
+    ("block", "ways"),
+    [
+        ((4, 3, 3, (12, 10, 8), 2), ("inches", "centimetres")),  # 127 or 2,083 kg/m³
+        ((2, 2, 4, (16, 12, 10), 1.2), ("centimetres", "inches")),  # 37 kg/m³ in inches, 606 in cm
+        ((1, 1, 4, (100, 80, 60), 40), ("centimetres", "millimetres")),  # a pile of large boxes, or of small ones
+    ],
+)
+def test_units_that_masses_alone_would_decide_are_asked(
+    tmp_path: Path, block: tuple[int, int, int, tuple[float, float, float], float], ways: tuple[str, str]
+) -> None:
+    message = refusal(load(tmp_path, "load.csv", grid(*block)))
+    assert "can be read in two ways: " in message
+    assert all(f"lengths in {way}" in message for way in ways)
+    assert "say which with --units" in message
+    assert "kg/m³" in message
+
+
+@pytest.mark.parametrize(
+    ("block", "unit"),
+    [
+        ((3, 4, 3, (40, 20, 30), 7), "cm"),  # fills 1200 × 800 mm; 3 m in inches
+        ((2, 2, 3, (50, 35, 30), 7), "cm"),  # larger than pallets in inches
+        ((2, 2, 2, (390, 290, 300), 7), "mm"),
+        ((3, 4, 3, (0.4, 0.2, 0.3), 7), "m"),
+    ],
+)
+def test_units_by_what_fits_a_pallet(
+    tmp_path: Path, block: tuple[int, int, int, tuple[float, float, float], float], unit: str
+) -> None:
+    (reading,) = load(tmp_path, "load.csv", grid(*block)).readings.values()
+    assert (reading.units, reading.masses) == (unit, "kg")
+    assert "weights may be in lb, too (--units)" in reading.notes
+
+
+def test_lengths_in_inches_leave_pounds_and_kilograms_open(tmp_path: Path) -> None:
+    text = grid(3, 4, 3, (16, 10, 12), 7)
+    for options in ({}, {"units": "in"}):  # 48 × 40 inches are a usual pallet
+        message = refusal(load(tmp_path, "load.csv", text, **options))
+        assert "weights in kilograms (boxes with sides of about 316 mm, 222 kg/m³), or weights in pounds" in message
+    (plan,) = load(tmp_path, "load.csv", text.replace("weight", "weight [lb]"), units="in").plans
+    np.testing.assert_allclose(plan.mass_kg, 7 * 0.45359237)
+    (reading,) = load(tmp_path, "load.csv", text, units="in,kg").readings.values()
+    assert not any("weights may be" in note for note in reading.notes)
+
+
+def test_converted_lengths_are_inches(tmp_path: Path) -> None:
+    """600 × 400 × 300 mm, written as inches, on no usual deck."""
+    text = grid(1, 2, 3, (23.622, 15.748, 11.811), 7).replace("weight", "weight [kg]")
+    (reading,) = load(tmp_path, "load.csv", text).readings.values()
+    assert (reading.units, reading.masses) == ("in", "kg")
+
+
+@pytest.mark.parametrize(("weight", "density"), [(7000, "291,667"), (0.02, "0.833")])
+def test_absurd_densities_are_odd(tmp_path: Path, weight: float, density: str) -> None:
+    text = grid(3, 4, 3, (400, 200, 300), weight).replace("weight", "weight [kg]").replace("length", "length [mm]")
+    (reading,) = load(tmp_path, "load.csv", text).readings.values()
+    assert reading.masses == "kg"
+    assert reading.odd == (f"boxes have {density} kg/m³ in the median: weights or lengths in another unit? (--units)",)
+    assert reading.odd[0] in reading.line()
+    infos, _ = file_infos([tmp_path / "load.csv"], {})
+    assert reading.odd[0] in infos[0]["odd"]
