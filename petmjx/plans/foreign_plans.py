@@ -344,6 +344,7 @@ class _Builder:
             reading,
             order=order,
             notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
+            unused=self._unused(reading) if self.boxes.table.has_header else (),
             odd=self._odd(size, mass),
             density_kg_m3=self._density() if self._lacks_masses() else None,
         )
@@ -503,6 +504,13 @@ class _Builder:
             if fault is not None:
                 self.faults.setdefault(row, fault)
         return np.asarray(mass)
+
+    def _unused(self, reading: Reading) -> tuple[str, ...]:
+        """Names of columns that this reading does not use."""
+        used = set(reading.columns.values())
+        return tuple(
+            name for name in self.boxes.table.header if name not in used and name.rpartition("[")[0] not in used
+        )
 
     def _odd(self, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
         """Lines about densities that no load on a pallet has."""

@@ -85,6 +85,7 @@ class Reading:
         order: "sequence": by a column; "rows": of the rows; "height": rows from the ground up.
         density_kg_m3: density of boxes without a weight; None: all have one.
         notes: lines about what was filled in or left out.
+        unused: names of columns that are not used.
         odd: lines about what is hardly right, whatever the reading.
         cost: how implausible it is; layout_cost: without names and units.
         evidence: by what it was judged.
@@ -104,6 +105,7 @@ class Reading:
     order: str = "rows"
     density_kg_m3: float | None = None
     notes: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
     odd: tuple[str, ...] = ()
     cost: float = 0.0
     layout_cost: float = 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import struct
 import zipfile
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pytest
 
 import petmjx
-from petmjx.show.file_info import file_infos
+from petmjx.show.file_info import file_infos, info_lines
 
 pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
 
@@ -248,3 +249,15 @@ def test_absurd_densities_are_odd(tmp_path: Path, weight: float, density: str) -
     assert reading.odd[0] in reading.line()
     infos, _ = file_infos([tmp_path / "load.csv"], {})
     assert reading.odd[0] in infos[0]["odd"]
+
+
+def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) -> None:
+    rows = [[*row, colour, 3] for row, colour in zip(named("e", [800, 0, 0, 300, 300, 100, 3]), "rgbry", strict=True)]
+    load(tmp_path, "load.csv", table(rows, f"{NAMES},colour,shelf"))
+    infos, _ = file_infos([tmp_path / "load.csv"], {})
+    lines = [" ".join(line.split()) for line in info_lines(infos)]
+    assert "not used colour, shelf" in lines
+    (other,) = (line for line in lines if line.startswith("next best"))
+    assert re.search(
+        r"less plausible by (its boxes|names, units and what is usual) \(cost -?[\d.]+ against [\d.]+\)$", other
+    )
