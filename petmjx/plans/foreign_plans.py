@@ -16,8 +16,8 @@ from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import BoxColumns, box_columns, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, words_of
+from petmjx.plans.box_columns import IGNORED, BoxColumns, box_columns, role_of
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import PACKINGSOLVER, BoxSource, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
@@ -48,6 +48,15 @@ _RELATIVE: Final = 1.5
 """Densities up to this are in those of water."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
+_MANY_OVERLAP: Final = 0.3
+"""Least share of boxes that overlap if two pallets are read as one."""
+_LEAST_OF_PALLETS: Final = 4
+"""Least number of boxes of several pallets whose column is found out."""
+_OF_PALLETS: Final = word_set(
+    "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
+    "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
+)
+"""Words for pallets in names of columns that are none of ``column_names``."""
 _MATCHED: Final = 0.9
 """Least share of boxes whose item is in a table of items that belongs to them."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
@@ -293,17 +302,19 @@ class _Builder:
         self.places = self.boxes.table.places
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
+        self.of_one: tuple[Reading, Candidate] | None = None  # the choice if all boxes are one plan
         self.counters: set[str] = set()  # columns that are the packing order of some plan
 
     def plans(self) -> ForeignPlans:
+        unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
+        if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:
+            self._find_pallets()
         names = self._plan_names()
-        rows_of: dict[str, list[int]] = {}
-        for row, name in enumerate(names):
-            rows_of.setdefault(name, []).append(row)
-        plans = {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
+        plans = _rows_by(names)
         try:
             lost = self._plans_with_lost(names)
-            reading, candidate = choose_reading(self.columns, plans, self.wishes, lost)
+            known = self.of_one if len(plans) == 1 and not lost else None
+            reading, candidate = known or choose_reading(self.columns, plans, self.wishes, lost)
         except AmbiguousFile:
             if not self.boxes.table.lost:
                 raise
@@ -350,6 +361,57 @@ class _Builder:
         )
         table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
         return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _find_pallets(self) -> None:
+        """Take a column as that of the plans if it alone separates pallets that are on top of each other else.
+
+        Raises:
+            InputError: a column does so whose name is no word for pallets, or several do.
+        """
+        columns = self.columns
+        rows = np.arange(columns.n_boxes)
+        faultless = not columns.faults
+        again = columns.sequence is not None and len(set(columns.sequence.tolist())) < len(rows)
+        if len(rows) < _LEAST_OF_PALLETS or not faultless or not (again or self._overlaps({"": rows}, _MANY_OVERLAP)):
+            return
+        used = {name for geometry in columns.geometries for name in geometry.columns.values()}
+        used |= {columns.columns.get(role, "") for role in ("weight", "density", "rotation", "sequence")}
+        separating: dict[tuple[int, ...], list[str]] = {}
+        for name in self.boxes.table.header:
+            texts = [cell_text(cell) for cell in self.boxes.table.column(name)]
+            groups = _rows_by(texts)
+            if name in used or "" in groups or not 2 <= len(groups) <= len(rows) / 2:
+                continue
+            if any(self._repeated(group) is not None for group in groups.values()) or self._overlaps(groups, 0.0):
+                continue
+            numbers = {text: number for number, text in enumerate(groups)}
+            separating.setdefault(tuple(numbers[text] for text in texts), []).append(name)
+        if not separating:
+            return
+        named = [[name for name in names if _OF_PALLETS & set(words_of(name))] for names in separating.values()]
+        sure = [names[0] for names in named if names]
+        if len(sure) != 1:
+            names = [names[0] for names in separating.values()]
+            why = "numbers of the packing order are there twice" if again else "boxes overlap"
+            raise InputError(
+                f"{why}, but not if {' or '.join(map(printable_name, names))} separates pallets; say which with "
+                f"{' or '.join(f'--columns plan={printable_name(name)}' for name in (*names, IGNORED))} (one pallet)"
+            )
+        texts = [cell_text(cell) for cell in self.boxes.table.column(sure[0])]
+        self.columns = replace(columns, plan=texts, columns={**columns.columns, "plan": sure[0]})
+        self.notes.append(f"several pallets, by {printable_name(sure[0])}")
+
+    def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
+        """Whether more than a share of the boxes overlap others in the most plausible reading, or some float."""
+        try:
+            choice = choose_reading(self.columns, plans, self.wishes)
+            evidence = choice[0].evidence
+            self.of_one = choice if len(plans) == 1 else self.of_one
+        except AmbiguousFile as error:
+            evidence = error.readings[0].evidence
+        except InputError:
+            return False
+        return evidence.n_overlapping > share * evidence.n_boxes or (not share and evidence.n_floating > 0)
 
     def _place_of(self, row: int) -> str:
         """Where a row is, with the name of its box."""
@@ -603,6 +665,14 @@ class _Builder:
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
         numbers = np.array([_number_of(self.places[row], row) for row in rows.tolist()], np.int64)
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
+    """Name → its rows."""
+    rows_of: dict[str, list[int]] = {}
+    for row, name in enumerate(names):
+        rows_of.setdefault(name, []).append(row)
+    return {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
 
 
 def _counts_all(values: FloatArray) -> bool:

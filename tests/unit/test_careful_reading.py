@@ -261,3 +261,31 @@ def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) ->
     assert re.search(
         r"less plausible by (its boxes|names, units and what is usual) \(cost -?[\d.]+ against [\d.]+\)$", other
     )
+
+
+def two_pallets(first: object, second: object, step: bool) -> list[list[object]]:
+    """The four boxes of ``named`` on two pallets."""
+    boxes = named("", "sums")[:-1]
+    rows = [[*box, pallet] for pallet in (first, second) for box in boxes]
+    return [[*row, number % 4 + 1] for number, row in enumerate(rows)] if step else rows
+
+
+@pytest.mark.parametrize("step", [False, True])
+@pytest.mark.parametrize("name", ["PalNo", "LU", "HU", "SSCC", "Stop", "Palette", "Nośnik", "Unit"])
+def test_a_column_that_separates_pallets_is_used_with_a_note(tmp_path: Path, name: str, step: bool) -> None:
+    plan_set = load(tmp_path, "load.csv", table(two_pallets(7, 8, step), f"{NAMES},{name}{',step' * step}"))
+    assert [plan.n_boxes for plan in plan_set.plans] == [4, 4]
+    (reading,) = plan_set.readings.values()
+    assert reading.columns["plan"] == name
+
+
+@pytest.mark.parametrize("step", [False, True])
+def test_a_column_of_another_name_that_separates_pallets_is_named(tmp_path: Path, step: bool) -> None:
+    text = table(two_pallets("A", "B", step), f"{NAMES},zone{',step' * step}")
+    message = refusal(load(tmp_path, "load.csv", text))
+    assert (
+        "not if zone separates pallets; say which with --columns plan=zone or --columns plan=- (one pallet)" in message
+    )
+    assert len(load(tmp_path, "load.csv", text, columns={"plan": "zone"}).plans) == 2
+    if not step:
+        assert len(load(tmp_path, "load.csv", text, columns={"plan": "-"}, anchor="corner", up="z").plans) == 1
