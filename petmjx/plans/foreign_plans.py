@@ -17,9 +17,9 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import IGNORED, BoxColumns, box_columns, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, word_set, words_of
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.foreign_formats import PACKINGSOLVER, BoxSource, sources_of_bytes
+from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.nested_json import BoxList
@@ -35,7 +35,7 @@ from petmjx.plans.plan_fields import (
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.raw_cells import GROUPED, cell_number, cell_text
-from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.raw_tables import RawTable, are_numbers
 from petmjx.plans.reading_candidates import Candidate, layout_of
 from petmjx.plans.reading_choice import TIE, choose_reading, container_of
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
@@ -48,6 +48,8 @@ _RELATIVE: Final = 1.5
 """Densities up to this are in those of water."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
+_NUMBERS_OF_A_BOX: Final = 6
+"""Least number of numbers in a row of a box: three sizes, three coordinates."""
 _MANY_OVERLAP: Final = 0.3
 """Least share of boxes that overlap if two pallets are read as one."""
 _LEAST_OF_PALLETS: Final = 4
@@ -272,12 +274,17 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
     quantities = bool(kinds & {"quantity", "layers"})
-    sized = boxes.has_sizes or bool(kinds & {"size", "sizes"})
-    places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"})
+    some_sizes = boxes.has_sizes or bool(kinds & {"size", "sizes"})
+    n_sizes = max(
+        sum(meaning is not None and meaning.kind == "size" for meaning in column_meanings(other.boxes.table.header))
+        for other in (columns.source, *sources)
+    )
+    sized = some_sizes and n_sizes != 1  # one of three is no box's size
+    places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
     if not columns.n_boxes:
         return InputError("holds no box")
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
-    if quantities and (items_of_packingsolver or (sized and not places_named)):
+    if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
         what = "quantities and layers" if "layers" in kinds else "quantities"
         return InputError(f"has types of boxes with {what}, and no places: {PACK.format(file=file)}")
     names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
@@ -287,7 +294,13 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         return InputError(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
     if sized:
         return InputError(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
-    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; say which with --columns x=NAME,…")
+    which = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
+    if some_sizes:
+        return InputError(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {which}")
+    table = boxes.table
+    if table.has_header and path is not None and are_numbers(table.rows, _NUMBERS_OF_A_BOX):
+        return InputError(f"no column is known as a size or a place of boxes; {names}; {which}")
+    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {which}")
 
 
 # Rows become plans.

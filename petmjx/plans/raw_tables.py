@@ -289,10 +289,27 @@ def _header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
     known = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
     most = max(known, default=0)
     if most < _LEAST_KNOWN:
-        return []
+        first = next((index for index, row in enumerate(rows) if any(cell is not None for cell in row)), None)
+        return [] if first is None or not _heads_numbers(rows, first) else [first]
     head = known.index(most)
     header = rows[head]
     return [index for index in range(head, len(rows)) if index == head or rows[index] == header]
+
+
+def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
+    """Whether a row has names that are not known: text alone, above rows of numbers enough for boxes."""
+    names = rows[head]
+    texts = [cell for cell in names if isinstance(cell, str) and not _NUMERIC.match(cell)]
+    below = [row for row in rows[head + 1 : head + 20] if any(cell is not None for cell in row)]
+    alike = all(len(row) == len(names) for row in below)
+    return len(set(texts)) == len(names) >= 6 and bool(below) and alike and are_numbers(below, 6)
+
+
+def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
+    """Whether most of the first rows have so many numbers."""
+    first = rows[:20]
+    counts = [sum(cell_number(cell) is not None or cell_number(cell, ",") is not None for cell in row) for row in first]
+    return sum(count >= least for count in counts) * 2 > len(first)
 
 
 def _table_below(

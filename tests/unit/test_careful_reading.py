@@ -289,3 +289,23 @@ def test_a_column_of_another_name_that_separates_pallets_is_named(tmp_path: Path
     assert len(load(tmp_path, "load.csv", text, columns={"plan": "zone"}).plans) == 2
     if not step:
         assert len(load(tmp_path, "load.csv", text, columns={"plan": "-"}, anchor="corner", up="z").plans) == 1
+
+
+def test_unknown_headers_are_said_to_be_unknown_and_can_be_named(tmp_path: Path) -> None:
+    names = "foo,bar,baz,qux,quux,corge,grault"
+    text = table([box[1:] for box in named("", "sums")[:-1]], names)
+    message = refusal(load(tmp_path, "load.csv", text))
+    assert "no column is known as a size or a place of boxes; there are foo, bar, baz" in message
+    assert "--columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME" in message
+    roles = dict(zip(("x", "y", "z", "length", "width", "height", "weight"), names.split(","), strict=True))
+    (plan,) = load(tmp_path, "load.csv", text, columns=roles, units="mm,kg").plans
+    assert plan.size_mm[0].tolist() == [400, 300, 200]
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    rows = "\n".join(f"{400 * number},0,0,400,300,200,5" for number in range(3))
+    message = refusal(load(tmp_path, "load.csv", f"foo,bar,baz,qux,height,corge,weight\n{rows}"))
+    assert "lacks some of the sizes, and places" in message
+    np.savez(tmp_path / "poses.npz", poses=np.tile(np.eye(4), (3, 1, 1)))
+    message = refusal(petmjx.load_plans(tmp_path / "poses.npz"))
+    assert "has places of boxes, but no sizes: name a file that has them with --items FILE" in message
