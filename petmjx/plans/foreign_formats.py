@@ -222,7 +222,7 @@ def _without_totals(boxes: BoxList) -> BoxList:
     computed = {rows[-1]: what for rows in parts.values() if (what := computed_row(table, rows))}
     if not computed:
         return boxes
-    kept = _rows(boxes, [index for index in range(len(table.rows)) if index not in computed])
+    kept = rows_of(boxes, [index for index in range(len(table.rows)) if index not in computed])
     notes = [
         f"{table.places[index]} has {what} of the rows above it, and is left out" for index, what in computed.items()
     ]
@@ -235,10 +235,11 @@ def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
         return boxes, 0
     kinds = boxes.table.column("type")
     kept = [index for index, kind in enumerate(kinds) if kind != "corner"]
-    return (_rows(boxes, kept), len(kinds) - len(kept)) if kept else (boxes, 0)
+    return (rows_of(boxes, kept), len(kinds) - len(kept)) if kept else (boxes, 0)
 
 
-def _rows(boxes: BoxList, kept: Sequence[int]) -> BoxList:
+def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
+    """Some rows of a list of boxes."""
     table = replace(
         boxes.table,
         rows=[boxes.table.rows[index] for index in kept],
@@ -268,7 +269,7 @@ def _certificate(boxes: BoxList) -> BoxSource:
             notes.append(
                 f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} alike, and is read once"
             )
-    kept = _rows(boxes, items)
+    kept = rows_of(boxes, items)
     return BoxSource(replace(kept, containers=containers), PACKINGSOLVER, tuple(notes))
 
 
@@ -280,7 +281,7 @@ def _of_d_wave(boxes: BoxList) -> BoxSource:
         for index, row in enumerate(boxes.table.rows)
         if not all(cell is None or dashes.match(str(cell)) for cell in row)
     ]
-    boxes = _rows(boxes, kept)
+    boxes = rows_of(boxes, kept)
     table = boxes.table
     x = next((index for index, name in enumerate(table.header) if name.strip().lower() == "x"), None)
     bins = next((index for index, name in enumerate(table.header) if name.lower().startswith("bin")), None)

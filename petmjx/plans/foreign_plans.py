@@ -17,9 +17,9 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import IGNORED, BoxColumns, box_columns, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, word_set, words_of
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, sources_of_bytes
+from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, rows_of, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.nested_json import BoxList
@@ -48,6 +48,14 @@ _RELATIVE: Final = 1.5
 """Densities up to this are in those of water."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
+_DECK: Final = re.compile(
+    r"^\W*(?:euro?|epal|chep|gma)?[\W\d_]*(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
+    re.IGNORECASE,
+)
+"""Names of pallets among boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
+_OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
+"""Least and largest short and long side of a pallet."""
+_HIGHEST_DECK_MM: Final = 250.0
 _NUMBERS_OF_A_BOX: Final = 6
 """Least number of numbers in a row of a box: three sizes, three coordinates."""
 _MANY_OVERLAP: Final = 0.3
@@ -133,7 +141,15 @@ def _plans_of(
         raise _no_geometry(columns, sources, path, source)
     written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
     columns = replace(columns, geometries=written or columns.geometries)
-    return _Builder(columns, source, wishes).plans()
+    builder = _Builder(columns, source, wishes)
+    plans = builder.plans()
+    if not builder.decks:
+        return plans
+    rows = [row for row in range(columns.n_boxes) if row not in builder.decks]
+    lines = [f"{chosen.boxes.table.places[row]} is the pallet, and left out" for row in sorted(builder.decks)]
+    shown = lines if len(lines) < 3 else [f"{len(lines):,} rows are pallets, and left out"]
+    rest = replace(chosen, boxes=rows_of(chosen.boxes, rows), notes=(*chosen.notes, *shown))
+    return _plans_of(rest, sources, path, source, wishes)
 
 
 # Items beside the places.
@@ -315,6 +331,7 @@ class _Builder:
         self.places = self.boxes.table.places
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
+        self.decks: set[int] = set()  # rows that are pallets below boxes
         self.of_one: tuple[Reading, Candidate] | None = None  # the choice if all boxes are one plan
         self.counters: set[str] = set()  # columns that are the packing order of some plan
 
@@ -335,6 +352,7 @@ class _Builder:
             raise InputError(f"{place}: {fault}") from None
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         size, low, containers = self._geometry(reading, candidate, plans)
+        self.decks = self._decks(plans, size, low)
         self._check_ranges(reading, candidate, size, low)
         mass = self._masses(reading, size)
         refused: list[RefusedPlan] = []
@@ -468,6 +486,28 @@ class _Builder:
         if len(set(names)) == 1 and names[0].isdigit():
             return [stem] * len(names)  # the number of the only container
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
+
+    def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
+        """Rows that are the pallet of a plan: named so, as large as one, and below all other boxes."""
+        decks = set()
+        for rows in plans.values():
+            if len(rows) < 2 or np.isnan(low[rows]).any():
+                continue
+            row = int(rows[np.argmin(low[rows, 2])])
+            top = low[row, 2] + size[row, 2] - DEFAULT_TOLERANCE_MM
+            above = bool((low[rows[rows != row], 2] >= top).all())
+            names = [cell for cell in self.boxes.table.rows[row] if isinstance(cell, str)]
+            level = np.sort(size[row, :2])
+            narrow, wide = _OF_DECKS_MM
+            as_large = narrow[0] <= level[0] <= wide[0] and narrow[1] <= level[1] <= wide[1]
+            if (
+                above
+                and as_large
+                and size[row, 2] <= _HIGHEST_DECK_MM
+                and any(map(_DECK.search, map(plain_text, names)))
+            ):
+                decks.add(row)
+        return decks
 
     def _geometry(
         self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
@@ -682,10 +722,10 @@ class _Builder:
 
 def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
     """Name → its rows."""
-    rows_of: dict[str, list[int]] = {}
+    rows: dict[str, list[int]] = {}
     for row, name in enumerate(names):
-        rows_of.setdefault(name, []).append(row)
-    return {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
+        rows.setdefault(name, []).append(row)
+    return {name: np.array(some, np.int64) for name, some in rows.items()}
 
 
 def _counts_all(values: FloatArray) -> bool:

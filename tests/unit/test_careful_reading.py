@@ -309,3 +309,13 @@ def test_what_is_missing_is_named(tmp_path: Path) -> None:
     np.savez(tmp_path / "poses.npz", poses=np.tile(np.eye(4), (3, 1, 1)))
     message = refusal(petmjx.load_plans(tmp_path / "poses.npz"))
     assert "has places of boxes, but no sizes: name a file that has them with --items FILE" in message
+
+
+@pytest.mark.parametrize(("name", "n_boxes"), [("EPAL 1", 4), ("Euro-Palette", 4), ("base board", 5)])
+def test_a_pallet_below_the_boxes_is_the_deck(tmp_path: Path, name: str, n_boxes: int) -> None:
+    boxes = [[*box[:3], float(str(box[3])) + 144, *box[4:]] for box in named("", "sums")[:-1]]
+    plan_set = load(tmp_path, "load.csv", table([[name, 0, 0, 0, 1200, 800, 144, 25], *boxes]))
+    assert plan_set.plans[0].n_boxes == n_boxes
+    assert plan_set.plans[0].corner_mm[:, 2].min() == 0
+    (reading,) = plan_set.readings.values()
+    assert ("row 2 is the pallet, and left out" in reading.notes) == (n_boxes == 4)
