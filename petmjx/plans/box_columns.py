@@ -7,7 +7,7 @@ anchors – is decided later (``petmjx.plans.readings``).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, ColumnMeaning, column_meanings
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, ColumnMeaning, column_meanings, may_count
 from petmjx.plans.foreign_formats import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import cell_number, cell_text, cell_triple, number_fault_of
@@ -105,6 +105,8 @@ class BoxColumns:
         weight_is_density: whether ``weight`` is a density, in units of water's or kg/m³.
         plan, article, item_id, group: (n,) names; None: no column.
         sequence: (n,) packing order; None: no column. A running number is none: it may count in any order.
+        counters: name → (n,) whole numbers, of columns whose name may be that of a packing order ("Nr", "Pick"); NaN
+            where a cell is none.
         columns: role → name of its column, for what is not geometry.
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that mean nothing here.
@@ -121,6 +123,7 @@ class BoxColumns:
     item_id: list[str] | None
     group: list[str] | None
     sequence: FloatArray | None
+    counters: Mapping[str, FloatArray]
     columns: Mapping[str, str]
     faults: Mapping[int, tuple[str, str]]
     unread: tuple[str, ...]
@@ -495,6 +498,18 @@ class Extraction:
             None,
         )
 
+    def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
+        """Columns of whole numbers whose names may be those of a packing order, but for those that are used."""
+        columns: dict[str, FloatArray] = {}
+        for index, name in enumerate(self.table.header):
+            if name in used or not may_count(name):
+                continue
+            numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
+            values = np.array([np.nan if number is None or number.unit else number.value for number in numbers])
+            with np.errstate(invalid="ignore"):
+                columns[name] = np.where(values == np.rint(values), values, np.nan)
+        return columns
+
     def turns(self) -> Turns | None:
         """The column of rotations."""
         index = self.first("rotation", "rotation")
@@ -726,6 +741,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
         item_id,
         group,
         sequence,
+        {} if sequence is not None else work.counters(used),
         {role: name for role, name in named.items() if name},
         work.faults,
         tuple(name for name in header if name not in known),

@@ -239,6 +239,18 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     return meanings
 
 
+_COUNTER: Final = re.compile(
+    r"^(?:#|n|nr|no|num|number|numer|numero|nummer|numbering|lfd|laufende|lp|l p|index|idx|i|k|pick|picked|picking|pos|"
+    r"position|posizione|posicion|pozycja|seq|ordine|ordre|orden|order|place|placed|packed|loaded|stacked|poradi|rang|rank|"
+    r"count|counter|cislo|c|row|line|zeile|volgorde|volgnummer|reihe)(?: (?:nr|no|num|nummer|number|deg))?$"
+)
+
+
+def may_count(name: str) -> bool:
+    """Whether a name may be that of a column that counts boxes, in whatever order: "N°", "Lfd. Nr.", "#", "Pick"."""
+    return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
+
+
 def words_of(name: str) -> list[str]:
     """The words of a name, plain and in lower case: "posX [mm]" → pos, x; "stackable.dx" → stackable, dx."""
     text = plain_text(name)

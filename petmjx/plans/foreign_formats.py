@@ -8,9 +8,13 @@ the solution file of D-Wave's example (github.com/dwave-examples/3d-bin-packing)
 
 from __future__ import annotations
 
+import ast
 import io
+import math
 import re
+import struct
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +30,7 @@ from petmjx.plans.column_names import column_meanings
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.nested_json import BoxList, box_lists, decoded_json
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
-from petmjx.plans.raw_tables import RawTable, decoded_text
+from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text
 from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 
@@ -175,7 +179,8 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
 
 
 def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
-    """A list of boxes with what is known of its form, by the names of its fields."""
+    """A list of boxes with what is known of its form, by the names of its fields. Rows of totals are left out."""
+    boxes = _without_totals(boxes)
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
     around = {str(name).lower() for name in boxes.around}
@@ -206,16 +211,35 @@ def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     return BoxSource(boxes, KnownForm(kind))
 
 
+def _without_totals(boxes: BoxList) -> BoxList:
+    """Boxes without the last row of each part if that row has the sums or means of the others."""
+    table = boxes.table
+    if not table.has_header:
+        return boxes
+    parts: dict[str, list[int]] = {}
+    for index in range(len(table.rows)):
+        parts.setdefault(boxes.parts[index] if boxes.parts else "", []).append(index)
+    computed = {rows[-1]: what for rows in parts.values() if (what := computed_row(table, rows))}
+    if not computed:
+        return boxes
+    kept = rows_of(boxes, [index for index in range(len(table.rows)) if index not in computed])
+    notes = [
+        f"{table.places[index]} has {what} of the rows above it, and is left out" for index, what in computed.items()
+    ]
+    return replace(kept, table=replace(kept.table, notes=(*table.notes, *notes)))
+
+
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
     """Boxes without the posts that the fork of py3dbp puts into the corners of its container; and their number."""
     if "type" not in boxes.table.header:
         return boxes, 0
     kinds = boxes.table.column("type")
     kept = [index for index, kind in enumerate(kinds) if kind != "corner"]
-    return (_rows(boxes, kept), len(kinds) - len(kept)) if kept else (boxes, 0)
+    return (rows_of(boxes, kept), len(kinds) - len(kept)) if kept else (boxes, 0)
 
 
-def _rows(boxes: BoxList, kept: Sequence[int]) -> BoxList:
+def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
+    """Some rows of a list of boxes."""
     table = replace(
         boxes.table,
         rows=[boxes.table.rows[index] for index in kept],
@@ -245,7 +269,7 @@ def _certificate(boxes: BoxList) -> BoxSource:
             notes.append(
                 f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} alike, and is read once"
             )
-    kept = _rows(boxes, items)
+    kept = rows_of(boxes, items)
     return BoxSource(replace(kept, containers=containers), PACKINGSOLVER, tuple(notes))
 
 
@@ -257,7 +281,7 @@ def _of_d_wave(boxes: BoxList) -> BoxSource:
         for index, row in enumerate(boxes.table.rows)
         if not all(cell is None or dashes.match(str(cell)) for cell in row)
     ]
-    boxes = _rows(boxes, kept)
+    boxes = rows_of(boxes, kept)
     table = boxes.table
     x = next((index for index, name in enumerate(table.header) if name.strip().lower() == "x"), None)
     bins = next((index for index, name in enumerate(table.header) if name.lower().startswith("bin")), None)
@@ -374,20 +398,64 @@ def _triple_cells(text: str) -> list[str]:
 # NumPy arrays.
 
 
-def _loaded_array(data: bytes | bytearray) -> Any:
+_MOST_HEADER: Final = 10_000
+"""Longest header of an array, bytes, as in NumPy."""
+
+
+def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
+    """The array of .npy bytes. Its header is compared with the bytes before memory is taken for what it says.
+
+    Args:
+        name: name of the member of an archive, for errors; "": the file itself.
+    """
+    where = f"{printable_name(name)} " if name else ""
+    try:
+        dtype, shape, begin = _array_header(data)
+    except (ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error, MemoryError, RecursionError):
+        raise InputError(f"{where}is no whole NumPy array: its header cannot be read") from None
+    if dtype.hasobject:
+        raise InputError(f"{where}is an array of Python objects, which may hold code, and is not read")
+    n_bytes = len(data) - begin
+    expected = math.prod(shape) * dtype.itemsize
+    if expected != n_bytes:
+        raise InputError(
+            f"{where}is no whole NumPy array: its header says {shape} of {dtype.str}, {expected:,} bytes, "
+            f"but {count_text(n_bytes, 'byte follows', 'bytes follow')}"
+        )
+    if math.prod(max(extent, 1) for extent in shape) > MOST_BYTES:
+        raise InputError(f"{where}is an array {shape} without values")
     try:
         return np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
-        raise InputError(f"is not a whole NumPy array, or one of Python objects: {error}") from error
+        raise InputError(f"{where}is not a whole NumPy array: {error}") from error
+
+
+def _array_header(data: bytes | bytearray) -> tuple[np.dtype[Any], tuple[int, ...], int]:
+    """Type, shape and the position of the first value of .npy bytes (NumPy's format, versions 1 to 3).
+
+    Raises:
+        ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error: the header is damaged.
+    """
+    width = "<H" if data[6] == 1 else "<I"
+    first = 8 + struct.calcsize(width)
+    (length,) = struct.unpack_from(width, data, 8)
+    if length > _MOST_HEADER or first + length > len(data) or not data.startswith(b"\x93NUMPY"):
+        raise ValueError("header")
+    fields = ast.literal_eval(bytes(data[first : first + length]).decode("utf-8" if data[6] > 2 else "latin1"))
+    shape = fields["shape"]
+    if not isinstance(shape, tuple) or any(type(extent) is not int or extent < 0 for extent in shape):
+        raise ValueError("shape")
+    return np.lib.format.descr_to_dtype(fields["descr"]), shape, first + length
 
 
 def _loaded_arrays(data: bytes | bytearray) -> dict[str, Any]:
     check_archive(data)
     try:
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            members = {name: archive.read(name) for name in archive.namelist() if name.endswith(".npy")}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError) as error:
         raise InputError(f"is not a whole archive of NumPy arrays: {error}") from error
+    return {name.removesuffix(".npy"): _loaded_array(member, name) for name, member in members.items()}
 
 
 def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, first_names, printable, printable_name
+from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.common.units import FloatArray
-from petmjx.plans.box_columns import BoxColumns, box_columns, role_of
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, words_of
+from petmjx.plans.box_columns import IGNORED, BoxColumns, box_columns, role_of
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, word_set, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.foreign_formats import PACKINGSOLVER, BoxSource, sources_of_bytes
+from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, rows_of, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.json_reader import unpacked_bytes
 from petmjx.plans.nested_json import BoxList
@@ -35,7 +35,7 @@ from petmjx.plans.plan_fields import (
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
 from petmjx.plans.raw_cells import GROUPED, cell_number, cell_text
-from petmjx.plans.raw_tables import RawTable
+from petmjx.plans.raw_tables import RawTable, are_numbers
 from petmjx.plans.reading_candidates import Candidate, layout_of
 from petmjx.plans.reading_choice import TIE, choose_reading, container_of
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
@@ -46,6 +46,27 @@ all boxes have the same."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this are in those of water."""
+_LIGHTEST, _HEAVIEST = 2.0, 5000.0
+"""Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
+_DECK: Final = re.compile(
+    r"^\W*(?:euro?|epal|chep|gma)?[\W\d_]*(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
+    re.IGNORECASE,
+)
+"""Names of pallets among boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
+_OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
+"""Least and largest short and long side of a pallet."""
+_HIGHEST_DECK_MM: Final = 250.0
+_NUMBERS_OF_A_BOX: Final = 6
+"""Least number of numbers in a row of a box: three sizes, three coordinates."""
+_MANY_OVERLAP: Final = 0.3
+"""Least share of boxes that overlap if two pallets are read as one."""
+_LEAST_OF_PALLETS: Final = 4
+"""Least number of boxes of several pallets whose column is found out."""
+_OF_PALLETS: Final = word_set(
+    "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
+    "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
+)
+"""Words for pallets in names of columns that are none of ``column_names``."""
 _MATCHED: Final = 0.9
 """Least share of boxes whose item is in a table of items that belongs to them."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
@@ -120,7 +141,15 @@ def _plans_of(
         raise _no_geometry(columns, sources, path, source)
     written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
     columns = replace(columns, geometries=written or columns.geometries)
-    return _Builder(columns, source, wishes).plans()
+    builder = _Builder(columns, source, wishes)
+    plans = builder.plans()
+    if not builder.decks:
+        return plans
+    rows = [row for row in range(columns.n_boxes) if row not in builder.decks]
+    lines = [f"{chosen.boxes.table.places[row]} is the pallet, and left out" for row in sorted(builder.decks)]
+    shown = lines if len(lines) < 3 else [f"{len(lines):,} rows are pallets, and left out"]
+    rest = replace(chosen, boxes=rows_of(chosen.boxes, rows), notes=(*chosen.notes, *shown))
+    return _plans_of(rest, sources, path, source, wishes)
 
 
 # Items beside the places.
@@ -261,12 +290,17 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
     quantities = bool(kinds & {"quantity", "layers"})
-    sized = boxes.has_sizes or bool(kinds & {"size", "sizes"})
-    places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"})
+    some_sizes = boxes.has_sizes or bool(kinds & {"size", "sizes"})
+    n_sizes = max(
+        sum(meaning is not None and meaning.kind == "size" for meaning in column_meanings(other.boxes.table.header))
+        for other in (columns.source, *sources)
+    )
+    sized = some_sizes and n_sizes != 1  # one of three is no box's size
+    places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
     if not columns.n_boxes:
         return InputError("holds no box")
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
-    if quantities and (items_of_packingsolver or (sized and not places_named)):
+    if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
         what = "quantities and layers" if "layers" in kinds else "quantities"
         return InputError(f"has types of boxes with {what}, and no places: {PACK.format(file=file)}")
     names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
@@ -276,7 +310,13 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         return InputError(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
     if sized:
         return InputError(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
-    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; say which with --columns x=NAME,…")
+    which = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
+    if some_sizes:
+        return InputError(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {which}")
+    table = boxes.table
+    if table.has_header and path is not None and are_numbers(table.rows, _NUMBERS_OF_A_BOX):
+        return InputError(f"no column is known as a size or a place of boxes; {names}; {which}")
+    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {which}")
 
 
 # Rows become plans.
@@ -291,16 +331,20 @@ class _Builder:
         self.places = self.boxes.table.places
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
+        self.decks: set[int] = set()  # rows that are pallets below boxes
+        self.of_one: tuple[Reading, Candidate] | None = None  # the choice if all boxes are one plan
+        self.counters: set[str] = set()  # columns that are the packing order of some plan
 
     def plans(self) -> ForeignPlans:
+        unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
+        if unsaid and self.columns.plan is None and not any(self.boxes.parts) and self.boxes.table.has_header:
+            self._find_pallets()
         names = self._plan_names()
-        rows_of: dict[str, list[int]] = {}
-        for row, name in enumerate(names):
-            rows_of.setdefault(name, []).append(row)
-        plans = {name: np.array(rows, np.int64) for name, rows in rows_of.items()}
+        plans = _rows_by(names)
         try:
             lost = self._plans_with_lost(names)
-            reading, candidate = choose_reading(self.columns, plans, self.wishes, lost)
+            known = self.of_one if len(plans) == 1 and not lost else None
+            reading, candidate = known or choose_reading(self.columns, plans, self.wishes, lost)
         except AmbiguousFile:
             if not self.boxes.table.lost:
                 raise
@@ -308,6 +352,7 @@ class _Builder:
             raise InputError(f"{place}: {fault}") from None
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         size, low, containers = self._geometry(reading, candidate, plans)
+        self.decks = self._decks(plans, size, low)
         self._check_ranges(reading, candidate, size, low)
         mass = self._masses(reading, size)
         refused: list[RefusedPlan] = []
@@ -335,14 +380,69 @@ class _Builder:
         order = self._order_note(orders, list(good))
         if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
             self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
+        if set(orders) == {"sequence"} and len(self.counters) == 1:
+            reading = replace(reading, columns={**reading.columns, "sequence": next(iter(self.counters))})
         reading = replace(
             reading,
             order=order,
             notes=tuple(dict.fromkeys((*reading.notes, *self.notes))),
+            unused=self._unused(reading) if self.boxes.table.has_header else (),
+            odd=self._odd(size, mass),
             density_kg_m3=self._density() if self._lacks_masses() else None,
         )
         table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
         return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _find_pallets(self) -> None:
+        """Take a column as that of the plans if it alone separates pallets that are on top of each other else.
+
+        Raises:
+            InputError: a column does so whose name is no word for pallets, or several do.
+        """
+        columns = self.columns
+        rows = np.arange(columns.n_boxes)
+        faultless = not columns.faults
+        again = columns.sequence is not None and len(set(columns.sequence.tolist())) < len(rows)
+        if len(rows) < _LEAST_OF_PALLETS or not faultless or not (again or self._overlaps({"": rows}, _MANY_OVERLAP)):
+            return
+        used = {name for geometry in columns.geometries for name in geometry.columns.values()}
+        used |= {columns.columns.get(role, "") for role in ("weight", "density", "rotation", "sequence")}
+        separating: dict[tuple[int, ...], list[str]] = {}
+        for name in self.boxes.table.header:
+            texts = [cell_text(cell) for cell in self.boxes.table.column(name)]
+            groups = _rows_by(texts)
+            if name in used or "" in groups or not 2 <= len(groups) <= len(rows) / 2:
+                continue
+            if any(self._repeated(group) is not None for group in groups.values()) or self._overlaps(groups, 0.0):
+                continue
+            numbers = {text: number for number, text in enumerate(groups)}
+            separating.setdefault(tuple(numbers[text] for text in texts), []).append(name)
+        if not separating:
+            return
+        named = [[name for name in names if _OF_PALLETS & set(words_of(name))] for names in separating.values()]
+        sure = [names[0] for names in named if names]
+        if len(sure) != 1:
+            names = [names[0] for names in separating.values()]
+            why = "numbers of the packing order are there twice" if again else "boxes overlap"
+            raise InputError(
+                f"{why}, but not if {' or '.join(map(printable_name, names))} separates pallets; say which with "
+                f"{' or '.join(f'--columns plan={printable_name(name)}' for name in (*names, IGNORED))} (one pallet)"
+            )
+        texts = [cell_text(cell) for cell in self.boxes.table.column(sure[0])]
+        self.columns = replace(columns, plan=texts, columns={**columns.columns, "plan": sure[0]})
+        self.notes.append(f"several pallets, by {printable_name(sure[0])}")
+
+    def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
+        """Whether more than a share of the boxes overlap others in the most plausible reading, or some float."""
+        try:
+            choice = choose_reading(self.columns, plans, self.wishes)
+            evidence = choice[0].evidence
+            self.of_one = choice if len(plans) == 1 else self.of_one
+        except AmbiguousFile as error:
+            evidence = error.readings[0].evidence
+        except InputError:
+            return False
+        return evidence.n_overlapping > share * evidence.n_boxes or (not share and evidence.n_floating > 0)
 
     def _place_of(self, row: int) -> str:
         """Where a row is, with the name of its box."""
@@ -386,6 +486,28 @@ class _Builder:
         if len(set(names)) == 1 and names[0].isdigit():
             return [stem] * len(names)  # the number of the only container
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
+
+    def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
+        """Rows that are the pallet of a plan: named so, as large as one, and below all other boxes."""
+        decks = set()
+        for rows in plans.values():
+            if len(rows) < 2 or np.isnan(low[rows]).any():
+                continue
+            row = int(rows[np.argmin(low[rows, 2])])
+            top = low[row, 2] + size[row, 2] - DEFAULT_TOLERANCE_MM
+            above = bool((low[rows[rows != row], 2] >= top).all())
+            names = [cell for cell in self.boxes.table.rows[row] if isinstance(cell, str)]
+            level = np.sort(size[row, :2])
+            narrow, wide = _OF_DECKS_MM
+            as_large = narrow[0] <= level[0] <= wide[0] and narrow[1] <= level[1] <= wide[1]
+            if (
+                above
+                and as_large
+                and size[row, 2] <= _HIGHEST_DECK_MM
+                and any(map(_DECK.search, map(plain_text, names)))
+            ):
+                decks.add(row)
+        return decks
 
     def _geometry(
         self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
@@ -498,14 +620,43 @@ class _Builder:
                 self.faults.setdefault(row, fault)
         return np.asarray(mass)
 
+    def _unused(self, reading: Reading) -> tuple[str, ...]:
+        """Names of columns that this reading does not use."""
+        used = set(reading.columns.values())
+        return tuple(
+            name for name in self.boxes.table.header if name not in used and name.rpartition("[")[0] not in used
+        )
+
+    def _odd(self, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
+        """Lines about densities that no load on a pallet has."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            density = mass / (size.prod(axis=1) / 1e9)
+        density = density[np.isfinite(density)]
+        if self.columns.weight is None or not len(density) or _LIGHTEST <= np.median(density) <= _HEAVIEST:
+            return ()
+        line = f"boxes have {three_digits(float(np.median(density)))} kg/m³ in the median"
+        return (f"{line}: weights or lengths in another unit? (--units)",)
+
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
         """(n,) packing order of a plan's rows, from 1, and where it is from."""
         if self.columns.sequence is not None:
             return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
-        in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
-        at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
-        if (in_order & ~at_all).any():
+        possible = _can_be_placed(order, low, size)
+        for name, values in self.columns.counters.items():
+            counted = values[rows]
+            if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) != 1).any():
+                continue  # no numbers of all boxes, or the order of the rows
+            if not _can_be_placed(counted, low, size):
+                continue
+            if not possible:
+                self.notes.append(f"packing order by {printable_name(name)}: rows are not in one")
+                self.counters.add(name)
+                return counted.astype(np.int64), "sequence"
+            self.notes.append(
+                f"{printable_name(name)} may be the packing order, too (--columns sequence={printable_name(name)})"
+            )
+        if not possible:
             order[np.argsort(low[:, 2], kind="stable")] = np.arange(1, len(rows) + 1)
             return order, "height"
         return order, "rows"
@@ -567,6 +718,28 @@ class _Builder:
                 values[name] = [texts[row][:1000] for row in rows.tolist()]
         numbers = np.array([_number_of(self.places[row], row) for row in rows.tolist()], np.int64)
         return Table({name: as_column(column) for name, column in values.items()}, (), numbers)
+
+
+def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
+    """Name → its rows."""
+    rows: dict[str, list[int]] = {}
+    for row, name in enumerate(names):
+        rows.setdefault(name, []).append(row)
+    return {name: np.array(some, np.int64) for name, some in rows.items()}
+
+
+def _counts_all(values: FloatArray) -> bool:
+    """Whether numbers are all whole numbers from 0 or 1 on, in any order."""
+    return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
+
+
+def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
+    """Whether in an order each box that lies on another one comes after one that it lies on."""
+    by_order = np.argsort(order, kind="stable")
+    low, size = low[by_order], size[by_order]
+    in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM
+    at_all = gaps_mm(low, size, in_order=False) > DEFAULT_TOLERANCE_MM
+    return not (in_order & ~at_all).any()
 
 
 def _number_of(place: str, otherwise: int) -> int:

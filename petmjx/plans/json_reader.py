@@ -251,7 +251,7 @@ def _n_bytes(text: str, n_characters: int) -> int:
     return n_characters if text.isascii() else len(text[:n_characters].encode("utf-8", "surrogateescape"))
 
 
-def _parse_any_integer(digits: str) -> int | float:
+def any_integer(digits: str) -> int | float:
     """An integer of any length. An integer beyond float64 becomes infinite, and is refused later as not finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
@@ -262,7 +262,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 _DECODER: Final = json.JSONDecoder(object_pairs_hook=_object)
-_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object, parse_int=_parse_any_integer)
+_PATIENT_DECODER: Final = json.JSONDecoder(object_pairs_hook=_object, parse_int=any_integer)
 
 
 def _decode_start(text: str) -> tuple[Any, int]:

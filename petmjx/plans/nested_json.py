@@ -19,6 +19,7 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text
 from petmjx.plans.column_names import ColumnMeaning, column_meanings, word_set, words_of
+from petmjx.plans.json_reader import any_integer
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable
 
@@ -105,7 +106,7 @@ def decoded_json(text: str) -> Any:
         InputError: the text is neither. The error names the line and the column, and no file.
     """
     try:
-        return json.loads(text)
+        return _json_value(text)
     except RecursionError:
         raise InputError("not JSON (nested too deeply)") from None
     except json.JSONDecodeError as error:
@@ -117,13 +118,24 @@ def decoded_json(text: str) -> Any:
                     continue
                 values.lines.append(number)
                 try:
-                    values.append(json.loads(line))
+                    values.append(_json_value(line))
+                except RecursionError:
+                    raise InputError(f"not JSON at line {number} (nested too deeply)") from None
                 except json.JSONDecodeError as fault:
                     raise InputError(f"not JSON at line {number}, column {fault.colno} ({fault.msg})") from None
             return values
         raise InputError(f"not JSON at line {error.lineno}, column {error.colno} ({error.msg})") from None
-    except ValueError as error:  # whole numbers of thousands of digits
-        raise InputError(f"not JSON ({error})") from None
+
+
+def _json_value(text: str) -> Any:
+    """The value of JSON. Whole numbers of thousands of digits, which Python refuses, become infinite: they are later
+    refused as not finite, with their row and column."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        raise
+    except ValueError:
+        return json.loads(text, parse_int=any_integer)
 
 
 @dataclass(frozen=True, eq=False)

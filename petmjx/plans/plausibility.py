@@ -244,3 +244,44 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
     if any(long <= (1 + _NEAR) * side and short <= (1 + _NEAR) * other for side, other in _DECKS_MM[:_PALLETS]):
         return 0.0
     return 1.0 + min(_squared(long, 1200.0, _DECK_SPREAD), 6.0)
+
+
+_LOAD_MM: Final = (1340.0, 1320.0)
+"""Largest x–y size of a load on a pallet, longer side first: the largest pallets, with an overhang of a tenth."""
+_HIGHEST_MM: Final = 3000.0
+_SMALLEST_SIDE_MM, _LARGEST_SIDE_MM = 50.0, 1500.0
+"""Limits of the geometric mean of the sides of boxes on pallets."""
+_OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
+"""Least and largest long side, and short side, of a carrier that a person may take for a pallet."""
+
+
+def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
+    """How well boxes and their load fit a carrier in one unit: 0 not at all, 1 as on one of another size, 2 as on a
+    usual one that is known, or that the load fills. Masses say nothing here.
+
+    Args:
+        side_mm: geometric mean of the boxes' sides.
+        load_mm: extents of the load along x, y, z.
+        deck_mm: x–y size of the carrier if ``known``, else of the load.
+    """
+    if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
+        return 0
+    long, short = float(deck_mm.max()), float(deck_mm.min())
+    usual = any(
+        abs(long / side - 1) < _NEAR and abs(short / other - 1) < _NEAR
+        for side, other in _DECKS_MM
+        if known or side >= _LARGE_MM
+    )
+    if known:
+        least, most, narrow, wide = _OF_PALLET_MM
+        return 2 if usual else int(least <= long <= most and narrow <= short <= wide)
+    return 2 if usual else int(long <= _LOAD_MM[0] and short <= _LOAD_MM[1])
+
+
+_WHOLE_MM: Final = 0.03
+"""Largest distance of a length from whole millimetres, mm: inches have three digits behind the point."""
+
+
+def converted_share(lengths_mm: FloatArray) -> float:
+    """Share of lengths that are whole millimetres. Of whole inches few are; of "23.622" as inches, 600 mm, all."""
+    return float(np.mean(np.abs(lengths_mm - np.rint(lengths_mm)) <= _WHOLE_MM))

@@ -289,10 +289,27 @@ def _header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
     known = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
     most = max(known, default=0)
     if most < _LEAST_KNOWN:
-        return []
+        first = next((index for index, row in enumerate(rows) if any(cell is not None for cell in row)), None)
+        return [] if first is None or not _heads_numbers(rows, first) else [first]
     head = known.index(most)
     header = rows[head]
     return [index for index in range(head, len(rows)) if index == head or rows[index] == header]
+
+
+def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
+    """Whether a row has names that are not known: text alone, above rows of numbers enough for boxes."""
+    names = rows[head]
+    texts = [cell for cell in names if isinstance(cell, str) and not _NUMERIC.match(cell)]
+    below = [row for row in rows[head + 1 : head + 20] if any(cell is not None for cell in row)]
+    alike = all(len(row) == len(names) for row in below)
+    return len(set(texts)) == len(names) >= 6 and bool(below) and alike and are_numbers(below, 6)
+
+
+def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
+    """Whether most of the first rows have so many numbers."""
+    first = rows[:20]
+    counts = [sum(cell_number(cell) is not None or cell_number(cell, ",") is not None for cell in row) for row in first]
+    return sum(count >= least for count in counts) * 2 > len(first)
 
 
 def _table_below(
@@ -386,11 +403,78 @@ def _geometric(header: Sequence[str]) -> list[int]:
 
 
 def _is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
-    """Whether a row is a total: its first text says so, and it lacks a size or a place."""
-    text = next((cell for cell in row if isinstance(cell, str) and cell_number(cell) is None), "")
-    if not _TOTAL.match(plain_text(text).strip()):
+    """Whether a row is a total or a mean: its first text says only that, or begins with it and the row lacks a size or
+    a place. A box may be called "Total fruit"."""
+    text = next(
+        (
+            cell
+            for cell in row
+            if isinstance(cell, str) and cell_number(cell) is None and cell_number(cell, ",") is None
+        ),
+        "",
+    )
+    plain = plain_text(text).strip()
+    if not _TOTAL.match(plain):
         return False
+    if _ONLY_TOTAL.match(plain):
+        return True
     return not geometric or any(index >= len(row) or row[index] is None for index in geometric)
+
+
+def computed_row(table: RawTable, rows: Sequence[int]) -> str:
+    """What the last of some rows has of the rows above it: "the total", "the sums", "the means"; "": it is a box.
+
+    Args:
+        rows: indices of the rows of one plan.
+
+    Sizes, places and weights that the last row has must all be sums, or all means, and two of them must tell. Of a box
+    on two smaller ones the length may be the sum, and of a box in the middle of a layer of equal ones the mean place.
+    """
+    if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
+        return "the total"
+    if len(rows) < 3:
+        return ""
+    meanings = column_meanings(table.header)
+    columns = [
+        (meaning.kind, index)
+        for index, meaning in enumerate(meanings)
+        if meaning is not None and meaning.kind in _COMPUTED and not meaning.of_container
+    ]
+    last = table.rows[rows[-1]]
+    sums = means = True
+    n_sums = n_means = n_goods = 0
+    for kind, index in columns:
+        number = cell_number(last[index], table.decimal)
+        if number is None:
+            if last[index] is not None:
+                return ""
+            continue
+        above = [cell_number(table.rows[row][index], table.decimal) for row in rows[:-1]]
+        values = np.array([cell.value for cell in above if cell is not None])
+        if len(values) < len(rows) - 1 or not np.isfinite(values).all():
+            return ""
+        total, mean = float(values.sum()), float(values.mean())
+        if kind not in ("sequence", "number"):  # of these a line of sums may have anything
+            sums &= _as_written(number.value, total)
+            n_sums += total != 0.0
+        means &= _as_written(number.value, mean)
+        varies = bool(np.ptp(values) > 0.0)
+        n_means += varies
+        n_goods += varies and kind not in _PLACES
+        if not sums and not means:
+            return ""
+    return "the sums" if sums and n_sums > 1 else "the means" if means and n_means > 1 and n_goods else ""
+
+
+_PLACES: Final = ("position", "low", "high")
+_COMPUTED: Final = ("size", "weight", "volume", "sequence", "number", *_PLACES)
+"""Kinds of columns whose sums and means show that a row is no box."""
+
+
+def _as_written(value: float, exact: float) -> bool:
+    """Whether a number of a cell is another one, rounded to as many decimals as the cell has."""
+    decimals = next((count for count in range(7) if round(value, count) == value), 6)
+    return abs(value - exact) <= 0.5000001 * 10.0**-decimals + 1e-9 * abs(exact)
 
 
 def _has_places(names: Sequence[str]) -> bool:
@@ -441,9 +525,16 @@ def _mostly_numbers(row: Sequence[Any]) -> bool:
 
 
 _TOTAL: Final = re.compile(
-    r"^(grand |sub)?(total|sum|summe|gesamt|somme|suma|totale|razem|summen?|insgesamt|average|mittelwert)\b",
+    r"^(?:grand |sub|sub[- ]|sous[- ]|zwischen|end)?(?:total|totals|sums?|summe|gesamt(?:summe|gewicht)?|somme|suma|"
+    r"totale|totales|totaux|razem|lacznie|ogolem|summen|insgesamt|celkem|totaal|average|avg|mean|median|mittelwert|mittel|"
+    r"durchschnitt|moyenne|media|promedio|srednia|gemiddelde|prumer)\b",
     re.IGNORECASE,
 )
+"""Words for totals and means, without accents."""
+_ONLY_TOTAL: Final = re.compile(
+    _TOTAL.pattern + r"[\s:=.]*(?:\(.*\)|\[.*\]|[\d.,]+\s*\w{0,5})?[\s:=.]*$", re.IGNORECASE
+)
+"""The same without another word behind it: "Summe:", "Total (26)", "Total 12 kg"."""
 
 
 def _without_header(

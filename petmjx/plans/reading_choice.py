@@ -14,7 +14,16 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import BoxColumns
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
-from petmjx.plans.plausibility import Layout, deck_cost, density_cost, layout_cost, same_layouts, side_cost
+from petmjx.plans.plausibility import (
+    Layout,
+    converted_share,
+    deck_cost,
+    density_cost,
+    layout_cost,
+    load_fit,
+    same_layouts,
+    side_cost,
+)
 from petmjx.plans.reading_candidates import Candidate, candidates, layout_of
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_text
 
@@ -204,7 +213,13 @@ def choose_reading(
     if len(units) > 1:
         first, second = units[0], units[1]
         others = [
-            replace(reading, units=_unit_text(best, columns, entry[1]), masses=entry[2]) for entry in (first, second)
+            replace(
+                reading,
+                units=_unit_text(best, columns, entry[1]),
+                masses=entry[2],
+                evidence=replace(reading.evidence, density_kg_m3=entry[3], side_mm=entry[4]),
+            )
+            for entry in (first, second)
         ]
         raise AmbiguousFile(tie_text(others, weak=False), others)
     if (rival := _other_mass(best, columns, wishes)) is not None:
@@ -239,21 +254,72 @@ def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged
 
 
 def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """The units of a reading; two if they are a tie in lengths. Masses alone change no verdict, and are never a tie."""
+    """The units of a reading; two if they are a tie.
+
+    Lengths are a tie if boxes and load fit a carrier equally well in two units, whatever the masses say; or if costs
+    are about equal. Beside inches pounds and kilograms are one. Other masses change no verdict, and are no tie.
+    """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]
     rivals = [entry for entry in costs[1:] if entry[1] != first[1] and entry[0] < first[0] + TIE]
+    if best.candidate.scale == 1.0:
+        cheapest: dict[str, tuple[float, str, str, float, float]] = {}
+        for entry in costs:
+            cheapest.setdefault(entry[1], entry)
+        fits = {unit: _fit(best, unit, wishes) for unit in cheapest if unit in _TRIED or unit == first[1]}
+        most = max(fits.values())
+        equal = [unit for unit, fit in fits.items() if fit == most]
+        if most and equal != [first[1]]:
+            others = [cheapest[unit] for unit in equal if unit != first[1]]
+            rivals = others if not _are_converted(best, first[1], [entry[1] for entry in others]) else []
+        elif most > 1:
+            rivals = []  # the load fills a pallet in this unit alone
+    if not rivals and LENGTH_UNITS[first[1]] == LENGTH_UNITS["in"]:
+        rivals = [entry for entry in costs[1:] if entry[1] == first[1] and {first[2], entry[2]} == {"kg", "lb"}]
+        rivals = [entry for entry in rivals if _THIN < entry[3] < _DENSE]
     return [first, *rivals[:1]]
 
 
+_TRIED: Final = ("mm", "cm", "m", "in")
+"""Units of lengths that are a tie if boxes and load fit in two of them."""
+_THIN, _DENSE = 20.0, 2000.0
+"""Densities between which a unit of masses is plausible, kg/m³: crisps, and bricks."""
+_CONVERTED, _NOT_CONVERTED = 0.95, 0.6
+"""Least share of lengths that are whole millimetres in a unit if they were converted to it, and most in another one."""
+
+
+def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
+    """How well boxes and load fit a carrier, in a unit of coordinates (``load_fit``)."""
+    factor = LENGTH_UNITS[unit]
+    size = np.concatenate([layout.size for layout in best.layouts])
+    load = np.max([(one.low + one.size).max(axis=0) - one.low.min(axis=0) for one in best.layouts], axis=0)
+    deck, known = _deck_of(best, wishes)
+    side = float(np.exp(np.log(size).mean(axis=1)).mean())
+    return load_fit(side * factor, load * factor, deck * factor, known)
+
+
+def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
+    """Whether sizes are whole millimetres in inches alone: they were converted to inches.
+
+    Whole centimetres are whole millimetres, too, and say nothing: boxes have whole inches as well.
+    """
+    if unit != "in":
+        return False
+    size = np.concatenate([layout.size for layout in best.layouts])
+    return converted_share(size * LENGTH_UNITS[unit]) >= _CONVERTED and all(
+        converted_share(size * LENGTH_UNITS[other]) <= _NOT_CONVERTED for other in others
+    )
+
+
 def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
-    """Another unit of masses that is about as plausible; None: there is none.
+    """Another unit of masses that no name excludes and that is plausible; None: there is none.
 
     It is only said: a verdict hardly depends on it, since all boxes have it.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]
-    rivals = [entry for entry in costs[1:] if entry[1] == first[1] and entry[0] < first[0] + TIE]
+    rivals = [entry for entry in costs[1:] if entry[1] == first[1]]
+    rivals = [entry for entry in rivals if entry[0] < first[0] + TIE or _THIN < entry[3] < _DENSE]
     return rivals[0][2] if rivals else None
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text
+from petmjx.common.text import count_text, three_digits
 
 ROTATION_RULES: Final = {
     "none": "sizes are as placed",
@@ -52,6 +52,11 @@ class Evidence:
     density_kg_m3: float = math.nan
     side_mm: float = math.nan
 
+    def of_units(self) -> str:
+        """What the units of a reading make of the boxes."""
+        density = "" if math.isnan(self.density_kg_m3) else f", {three_digits(self.density_kg_m3)} kg/m³"
+        return f"boxes with sides of about {three_digits(self.side_mm)} mm{density}"
+
     def __str__(self) -> str:
         parts = [
             count_text(self.n_overlapping, "box overlaps", "boxes overlap") if self.n_overlapping else "",
@@ -80,6 +85,8 @@ class Reading:
         order: "sequence": by a column; "rows": of the rows; "height": rows from the ground up.
         density_kg_m3: density of boxes without a weight; None: all have one.
         notes: lines about what was filled in or left out.
+        unused: names of columns that are not used.
+        odd: lines about what is hardly right, whatever the reading.
         cost: how implausible it is; layout_cost: without names and units.
         evidence: by what it was judged.
         alternatives: other readings that were close, most plausible first.
@@ -98,6 +105,8 @@ class Reading:
     order: str = "rows"
     density_kg_m3: float | None = None
     notes: tuple[str, ...] = ()
+    unused: tuple[str, ...] = ()
+    odd: tuple[str, ...] = ()
     cost: float = 0.0
     layout_cost: float = 0.0
     evidence: Evidence = Evidence()
@@ -128,7 +137,7 @@ class Reading:
             parts.append(
                 {"middle": "origin in the middle of the carrier", "floor": "heights from below the deck"}[self.origin]
             )
-        return f"read as {'; '.join([*filter(None, parts), *self.notes])}"
+        return f"read as {'; '.join([*filter(None, parts), *self.notes, *self.odd])}"
 
 
 _ANCHOR_WORDS: Final = {
@@ -180,6 +189,7 @@ class AmbiguousFile(InputError):
 
 
 _UNIT_WORDS: Final = {"mm": "millimetres", "cm": "centimetres", "dm": "decimetres", "m": "metres", "in": "inches"}
+_MASS_WORDS: Final = {"kg": "kilograms", "g": "grams", "lb": "pounds", "t": "tonnes"}
 
 
 def _length_words(reading: Reading) -> str:
@@ -197,6 +207,7 @@ def _column_words(reading: Reading) -> str:
 
 _DIFFERENCES: Final = (
     (("units",), "--units", _length_words),
+    (("masses",), "--units", lambda reading: f"weights in {_MASS_WORDS.get(reading.masses, reading.masses)}"),
     (("up",), "--up", lambda reading: f"{reading.up} upwards"),
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("sizes", "rule"), "--sizes", _size_words),
@@ -224,7 +235,9 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
     options = " or ".join(dict.fromkeys(part[0] for part in parts))
     why = "no reading is plausible; the best are" if weak else "can be read in two ways:"
-    ways = f"{first} ({one.evidence}), or {second} ({two.evidence})"
+    boxes = one.units != two.units or one.masses != two.masses
+    evidence = [reading.evidence.of_units() if boxes else str(reading.evidence) for reading in (one, two)]
+    ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
     return f"{why} {ways}; say which with {options}, or with --as FILE.toml"
 
 

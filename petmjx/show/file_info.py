@@ -15,9 +15,12 @@ from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan_reader import load_plans
 from petmjx.plans.plan_set import PlanSet
+from petmjx.plans.readings import Reading
 
 _MOST_LINES: Final = 5
 """Most lines of a kind that are shown of a file."""
+_MOST_NAMES: Final = 12
+"""Most names of columns in a line."""
 _WIDTH: Final = 11
 
 
@@ -76,7 +79,11 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "mass_kg": round(sum(float(plan.mass_kg.sum()) for plan in plans), 6),
         "largest_mm": [max(sizes[axis::3]) for axis in range(3)] if plans else [],
         "skipped": [skipped.message for skipped in plan_set.skipped if skipped.source == source],
-        "odd": [*(str(odd) for odd in plan_set.warnings if odd.source == source), *ready],
+        "odd": [
+            *(str(odd) for odd in plan_set.warnings if odd.source == source),
+            *ready,
+            *(() if reading is None else reading.odd),
+        ],
         "reading": None,
     }
     if reading is not None:
@@ -88,12 +95,25 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
             "notes": list(reading.notes),
             "evidence": str(reading.evidence),
             "line": reading.line(),
+            "unused": list(reading.unused),
             "alternatives": [
-                {"line": other.line(), "cost": round(other.cost - reading.cost, 3), "evidence": str(other.evidence)}
+                {
+                    "line": other.line(),
+                    "cost": round(other.cost - reading.cost, 3),
+                    "evidence": str(other.evidence),
+                    "why": _why_worse(reading, other),
+                }
                 for other in reading.alternatives
             ],
         }
     return record
+
+
+def _why_worse(reading: Reading, other: Reading) -> str:
+    """Why another reading is less plausible than the one that was chosen: what its names, units or boxes cost more."""
+    more, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
+    what = "by its boxes" if of_layout > more / 2 else "by names, units and what is usual"
+    return f"less plausible {what} (cost {reading.cost:.1f} against {other.cost:.1f})" if more > 0 else "as plausible"
 
 
 def info_lines(infos: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -122,10 +142,12 @@ def _lines(record: Mapping[str, Any]) -> Iterator[str]:
         yield _line("read", reading["line"].removeprefix("read as "))
         columns = ", ".join(f"{role} = {printable_name(name)}" for role, name in reading["columns"].items())
         yield _line("columns", columns)
+        if reading["unused"]:
+            yield _line("not used", first_names(reading["unused"], _MOST_NAMES))
         yield _line("evidence", reading["evidence"])
         if reading["alternatives"]:
             other = reading["alternatives"][0]
-            yield _line("next best", f"{other['line'].removeprefix('read as ')}; {other['evidence']}")
+            yield _line("next best", f"{other['line'].removeprefix('read as ')}; {other['evidence']}; {other['why']}")
     for name in ("odd", "skipped"):
         for line in record[name][:_MOST_LINES]:
             yield _line(name, line.removeprefix(f"{record['file']}: "))

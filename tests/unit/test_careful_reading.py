@@ -1,0 +1,321 @@
+"""What could be read wrong in silence in other tools' files: it is refused, asked, or named in a note."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import struct
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import petmjx
+from petmjx.show.file_info import file_infos, info_lines
+
+pytestmark = pytest.mark.filterwarnings("ignore::petmjx.PlanWarning")
+
+NAMES = "name,x [mm],y [mm],z [mm],length [mm],width [mm],height [mm],weight [kg]"
+BOXES = np.array([[0, 0, 0, 400, 300, 200], [400, 0, 0, 300, 300, 200], [200, 0, 200, 350, 300, 150.0]])
+"""x, y, z, and sizes, mm: two boxes on the deck, one across both."""
+
+
+def load(tmp_path: Path, name: str, content: str | bytes, **options: object) -> petmjx.PlanSet:
+    file = tmp_path / name
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
+    return petmjx.load_plans(file, **options)
+
+
+def refusal(plan_set: petmjx.PlanSet) -> str:
+    """The one line about the file, of which nothing was read."""
+    assert not plan_set.plans
+    (skipped,) = plan_set.skipped
+    assert "\n" not in skipped.message
+    return skipped.message
+
+
+def array_bytes(shape: str, dtype: str = "<f8", values: bytes = b"", version: int = 1) -> bytes:
+    """An .npy file whose header has this shape, whatever follows it."""
+    header = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return (
+        b"\x93NUMPY" + bytes([version, 0]) + struct.pack("<H" if version == 1 else "<I", len(header)) + header + values
+    )
+
+
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [
+        (array_bytes("(100000000000, 6)", values=BOXES.tobytes()), "4,800,000,000,000 bytes, but 144 bytes follow"),
+        (array_bytes("(4, 6)", values=BOXES.tobytes(), version=2), "192 bytes, but 144 bytes follow"),
+        (array_bytes("(2, 6)", values=BOXES.tobytes()), "96 bytes, but 144 bytes follow"),
+        (array_bytes("(100000000000, 0)"), "without values"),
+        (array_bytes("(100000000000,)", "<U0"), "without values"),
+        (array_bytes("(-1, 6)", values=BOXES.tobytes()), "header cannot be read"),
+        (array_bytes("((((", values=BOXES.tobytes()), "header cannot be read"),
+        (array_bytes("(3, 6)", "|O", BOXES.tobytes()), "Python objects"),
+        (b"\x93NUMPY\x01\x00", "header cannot be read"),
+        (b"\x93NUMPY\x02\x00\xff\xff\xff\x7f", "header cannot be read"),
+    ],
+)
+def test_an_array_whose_header_does_not_fit_its_bytes_is_refused(tmp_path: Path, content: bytes, fault: str) -> None:
+    assert fault in refusal(load(tmp_path, "load.npy", content))
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("boxes.npy", content)
+    message = refusal(load(tmp_path, "load.npz", packed.getvalue()))
+    assert fault in message
+    assert "boxes.npy" in message
+
+
+def test_arrays_of_all_versions_are_read(tmp_path: Path) -> None:
+    for version in (1, 2, 3):
+        content = array_bytes("(3, 6)", values=BOXES.tobytes(), version=version)
+        (plan,) = load(tmp_path, "load.npy", content, units="mm").plans
+        np.testing.assert_array_equal(plan.corner_mm, BOXES[:, :3])
+
+
+@pytest.mark.parametrize("digits", [350, 5000])
+@pytest.mark.parametrize("lines", [False, True])
+def test_whole_numbers_of_thousands_of_digits_are_named_with_their_place(
+    tmp_path: Path, digits: int, lines: bool
+) -> None:
+    names = ("x", "y", "z", "length", "width", "height")
+    rows = [dict(zip(names, row, strict=True)) for row in BOXES.tolist()]
+    rows[1]["width"] = "MANY"
+    text = "\n".join(map(json.dumps, rows)) if lines else json.dumps(rows)
+    plan_set = load(tmp_path, "load.jsonl" if lines else "load.json", text.replace('"MANY"', "9" * digits), units="mm")
+    assert f"{'line 2' if lines else '[1]'}: width must be finite" in refusal(plan_set)
+
+
+def table(rows: list[list[object]], names: str = NAMES) -> str:
+    return "\n".join([names, *(",".join(map(str, row)) for row in rows)])
+
+
+def named(last: str, values: object) -> list[list[object]]:
+    """Four boxes of the unequal sizes, and a last row."""
+    boxes = [
+        ["a", 0, 0, 0, 400, 300, 200, 6.5],
+        ["b", 400, 0, 0, 300, 300, 200, 5],
+        ["c", 0, 300, 0, 300, 250, 100, 2.25],
+        ["d", 200, 0, 200, 350, 300, 150, 4],
+    ]
+    numbers = np.array([box[1:] for box in boxes], float)
+    row = {"sums": numbers.sum(axis=0), "means": numbers.mean(axis=0).round(1)}.get(str(values), values)
+    return [*boxes, [last, *row]]
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("Mittelwert", "means"), ("Ø", "means"), ("", "means"), ("", "sums"), ("all", "sums"), ("Średnia:", "means"),
+        ("Durchschnitt", [0, 0, 200, 300, 300, 200, 5]), ("Summe (4)", [0, 0, 350, 300, 250, 200, 17.75]),
+        ("Moyenne", "means"), ("Total fruit", ["", "", "", "", "", "", 17.75]),
+    ],
+)  # fmt: skip
+def test_a_row_of_totals_or_means_is_no_box(tmp_path: Path, name: str, values: object) -> None:
+    plan_set = load(tmp_path, "load.csv", table(named(name, values)))
+    (plan,) = plan_set.plans
+    assert plan.n_boxes == 4
+    ((_, reading),) = plan_set.readings.items()
+    assert any(note.startswith("row 6 ") and note.endswith("left out") for note in reading.notes)
+
+
+def test_a_total_in_json_is_no_box(tmp_path: Path) -> None:
+    names = ("name", "x", "y", "z", "length", "width", "height", "weight")
+    for last in (named("Total", [0, 0, 350, 300, 250, 200, 17.75]), named("", "sums")):
+        rows = [dict(zip(names, row, strict=True)) for row in last]
+        (plan,) = load(tmp_path, "load.json", json.dumps(rows), units="mm").plans
+        assert plan.n_boxes == 4
+
+
+def test_boxes_that_look_like_sums_or_means_are_boxes(tmp_path: Path) -> None:
+    plans = {
+        "called Total fruit": [*named("Total fruit", [0, 0, 350, 300, 250, 200, 5])],
+        "two halves below": [
+            ["a", 0, 0, 0, 300, 400, 200, 5], ["b", 300, 0, 0, 300, 400, 200, 5], ["c", 0, 0, 200, 600, 400, 200, 10],
+        ],
+        "the corners of a layer": [
+            [name, x, y, 0, 400, 300, 200, 5]
+            for name, x, y in (("a", 0, 0), ("b", 400, 0), ("c", 0, 300), ("d", 400, 300))
+        ],
+        "the middle last": [
+            [name, x, y, 0, 200, 200, 200, 5]
+            for name, x, y in (("a", 0, 0), ("b", 400, 0), ("c", 0, 400), ("d", 400, 400), ("e", 200, 200))
+        ],
+    }  # fmt: skip
+    for rows in plans.values():
+        (plan,) = load(tmp_path, "load.csv", table(rows), anchor="corner").plans
+        assert plan.n_boxes == len(rows)
+
+
+TOWER = [["b", 0, 0, 200, 400, 300, 200, 5], ["a", 0, 0, 0, 400, 300, 200, 6], ["c", 0, 0, 400, 400, 300, 200, 4]]
+"""The middle, the lowest and the highest box of a pile."""
+
+
+@pytest.mark.parametrize(
+    "name", ["N°", "Nr.", "#", "No", "Lfd. Nr.", "Index", "Pick", "Pos", "Seq", "Ordine", "Placed", "Pořadí"]
+)
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_column_that_counts_is_the_packing_order_where_rows_are_not(tmp_path: Path, name: str, first: int) -> None:
+    rows = [[*row, number + first] for row, number in zip(TOWER, (1, 0, 2), strict=True)]
+    plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},{name}"))
+    assert plan_set.plans[0].corner_mm[:, 2].tolist() == [0, 200, 400]
+    (reading,) = plan_set.readings.values()
+    assert reading.columns["sequence"] == name
+    again = load(tmp_path, "load.csv", table(rows, f"{NAMES},{name}"), reading=reading)
+    assert again.plans[0].corner_mm[:, 2].tolist() == [0, 200, 400]
+    beside = [[*TOWER[1], 1], ["d", 400, 0, 0, 400, 300, 200, 5, 0], ["e", 800, 0, 0, 400, 300, 200, 5, 2]]
+    if name in ("Pick", "#"):  # both orders are possible
+        plan_set = load(tmp_path, "load.csv", table(beside, f"{NAMES},{name}"))
+        (reading,) = plan_set.readings.values()
+        assert any(note.startswith(f"{name} may be the packing order, too") for note in reading.notes)
+
+
+def test_an_order_with_a_box_before_its_support_is_odd(tmp_path: Path) -> None:
+    rows = [[*row, number] for row, number in zip(TOWER, (3, 1, 2), strict=True)]
+    plan_set = load(tmp_path, "load.csv", table(rows, f"{NAMES},step"))
+    (odd,) = plan_set.warnings
+    assert odd.floating == ("1 by 200 mm",)
+
+
+def grid(nx: int, ny: int, nz: int, size: tuple[float, float, float], weight: float) -> str:
+    """A block of equal boxes without units, as CSV."""
+    a, b, c = size
+    rows = [f"{i * a},{j * b},{k * c},{a},{b},{c},{weight}" for k in range(nz) for j in range(ny) for i in range(nx)]
+    return "\n".join(["x,y,z,length,width,height,weight", *rows])
+
+
+@pytest.mark.parametrize(
+    ("block", "ways"),
+    [
+        ((4, 3, 3, (12, 10, 8), 2), ("inches", "centimetres")),  # 127 or 2,083 kg/m³
+        ((2, 2, 4, (16, 12, 10), 1.2), ("centimetres", "inches")),  # 37 kg/m³ in inches, 606 in cm
+        ((1, 1, 4, (100, 80, 60), 40), ("centimetres", "millimetres")),  # a pile of large boxes, or of small ones
+    ],
+)
+def test_units_that_masses_alone_would_decide_are_asked(
+    tmp_path: Path, block: tuple[int, int, int, tuple[float, float, float], float], ways: tuple[str, str]
+) -> None:
+    message = refusal(load(tmp_path, "load.csv", grid(*block)))
+    assert "can be read in two ways: " in message
+    assert all(f"lengths in {way}" in message for way in ways)
+    assert "say which with --units" in message
+    assert "kg/m³" in message
+
+
+@pytest.mark.parametrize(
+    ("block", "unit"),
+    [
+        ((3, 4, 3, (40, 20, 30), 7), "cm"),  # fills 1200 × 800 mm; 3 m in inches
+        ((2, 2, 3, (50, 35, 30), 7), "cm"),  # larger than pallets in inches
+        ((2, 2, 2, (390, 290, 300), 7), "mm"),
+        ((3, 4, 3, (0.4, 0.2, 0.3), 7), "m"),
+    ],
+)
+def test_units_by_what_fits_a_pallet(
+    tmp_path: Path, block: tuple[int, int, int, tuple[float, float, float], float], unit: str
+) -> None:
+    (reading,) = load(tmp_path, "load.csv", grid(*block)).readings.values()
+    assert (reading.units, reading.masses) == (unit, "kg")
+    assert "weights may be in lb, too (--units)" in reading.notes
+
+
+def test_lengths_in_inches_leave_pounds_and_kilograms_open(tmp_path: Path) -> None:
+    text = grid(3, 4, 3, (16, 10, 12), 7)
+    for options in ({}, {"units": "in"}):  # 48 × 40 inches are a usual pallet
+        message = refusal(load(tmp_path, "load.csv", text, **options))
+        assert "weights in kilograms (boxes with sides of about 316 mm, 222 kg/m³), or weights in pounds" in message
+    (plan,) = load(tmp_path, "load.csv", text.replace("weight", "weight [lb]"), units="in").plans
+    np.testing.assert_allclose(plan.mass_kg, 7 * 0.45359237)
+    (reading,) = load(tmp_path, "load.csv", text, units="in,kg").readings.values()
+    assert not any("weights may be" in note for note in reading.notes)
+
+
+def test_converted_lengths_are_inches(tmp_path: Path) -> None:
+    """600 × 400 × 300 mm, written as inches, on no usual deck."""
+    text = grid(1, 2, 3, (23.622, 15.748, 11.811), 7).replace("weight", "weight [kg]")
+    (reading,) = load(tmp_path, "load.csv", text).readings.values()
+    assert (reading.units, reading.masses) == ("in", "kg")
+
+
+@pytest.mark.parametrize(("weight", "density"), [(7000, "291,667"), (0.02, "0.833")])
+def test_absurd_densities_are_odd(tmp_path: Path, weight: float, density: str) -> None:
+    text = grid(3, 4, 3, (400, 200, 300), weight).replace("weight", "weight [kg]").replace("length", "length [mm]")
+    (reading,) = load(tmp_path, "load.csv", text).readings.values()
+    assert reading.masses == "kg"
+    assert reading.odd == (f"boxes have {density} kg/m³ in the median: weights or lengths in another unit? (--units)",)
+    assert reading.odd[0] in reading.line()
+    infos, _ = file_infos([tmp_path / "load.csv"], {})
+    assert reading.odd[0] in infos[0]["odd"]
+
+
+def test_info_names_unused_columns_and_why_the_next_best_lost(tmp_path: Path) -> None:
+    rows = [[*row, colour, 3] for row, colour in zip(named("e", [800, 0, 0, 300, 300, 100, 3]), "rgbry", strict=True)]
+    load(tmp_path, "load.csv", table(rows, f"{NAMES},colour,shelf"))
+    infos, _ = file_infos([tmp_path / "load.csv"], {})
+    lines = [" ".join(line.split()) for line in info_lines(infos)]
+    assert "not used colour, shelf" in lines
+    (other,) = (line for line in lines if line.startswith("next best"))
+    assert re.search(
+        r"less plausible by (its boxes|names, units and what is usual) \(cost -?[\d.]+ against [\d.]+\)$", other
+    )
+
+
+def two_pallets(first: object, second: object, step: bool) -> list[list[object]]:
+    """The four boxes of ``named`` on two pallets."""
+    boxes = named("", "sums")[:-1]
+    rows = [[*box, pallet] for pallet in (first, second) for box in boxes]
+    return [[*row, number % 4 + 1] for number, row in enumerate(rows)] if step else rows
+
+
+@pytest.mark.parametrize("step", [False, True])
+@pytest.mark.parametrize("name", ["PalNo", "LU", "HU", "SSCC", "Stop", "Palette", "Nośnik", "Unit"])
+def test_a_column_that_separates_pallets_is_used_with_a_note(tmp_path: Path, name: str, step: bool) -> None:
+    plan_set = load(tmp_path, "load.csv", table(two_pallets(7, 8, step), f"{NAMES},{name}{',step' * step}"))
+    assert [plan.n_boxes for plan in plan_set.plans] == [4, 4]
+    (reading,) = plan_set.readings.values()
+    assert reading.columns["plan"] == name
+
+
+@pytest.mark.parametrize("step", [False, True])
+def test_a_column_of_another_name_that_separates_pallets_is_named(tmp_path: Path, step: bool) -> None:
+    text = table(two_pallets("A", "B", step), f"{NAMES},zone{',step' * step}")
+    message = refusal(load(tmp_path, "load.csv", text))
+    assert (
+        "not if zone separates pallets; say which with --columns plan=zone or --columns plan=- (one pallet)" in message
+    )
+    assert len(load(tmp_path, "load.csv", text, columns={"plan": "zone"}).plans) == 2
+    if not step:
+        assert len(load(tmp_path, "load.csv", text, columns={"plan": "-"}, anchor="corner", up="z").plans) == 1
+
+
+def test_unknown_headers_are_said_to_be_unknown_and_can_be_named(tmp_path: Path) -> None:
+    names = "foo,bar,baz,qux,quux,corge,grault"
+    text = table([box[1:] for box in named("", "sums")[:-1]], names)
+    message = refusal(load(tmp_path, "load.csv", text))
+    assert "no column is known as a size or a place of boxes; there are foo, bar, baz" in message
+    assert "--columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME" in message
+    roles = dict(zip(("x", "y", "z", "length", "width", "height", "weight"), names.split(","), strict=True))
+    (plan,) = load(tmp_path, "load.csv", text, columns=roles, units="mm,kg").plans
+    assert plan.size_mm[0].tolist() == [400, 300, 200]
+
+
+def test_what_is_missing_is_named(tmp_path: Path) -> None:
+    rows = "\n".join(f"{400 * number},0,0,400,300,200,5" for number in range(3))
+    message = refusal(load(tmp_path, "load.csv", f"foo,bar,baz,qux,height,corge,weight\n{rows}"))
+    assert "lacks some of the sizes, and places" in message
+    np.savez(tmp_path / "poses.npz", poses=np.tile(np.eye(4), (3, 1, 1)))
+    message = refusal(petmjx.load_plans(tmp_path / "poses.npz"))
+    assert "has places of boxes, but no sizes: name a file that has them with --items FILE" in message
+
+
+@pytest.mark.parametrize(("name", "n_boxes"), [("EPAL 1", 4), ("Euro-Palette", 4), ("base board", 5)])
+def test_a_pallet_below_the_boxes_is_the_deck(tmp_path: Path, name: str, n_boxes: int) -> None:
+    boxes = [[*box[:3], float(str(box[3])) + 144, *box[4:]] for box in named("", "sums")[:-1]]
+    plan_set = load(tmp_path, "load.csv", table([[name, 0, 0, 0, 1200, 800, 144, 25], *boxes]))
+    assert plan_set.plans[0].n_boxes == n_boxes
+    assert plan_set.plans[0].corner_mm[:, 2].min() == 0
+    (reading,) = plan_set.readings.values()
+    assert ("row 2 is the pallet, and left out" in reading.notes) == (n_boxes == 4)
