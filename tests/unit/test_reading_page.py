@@ -8,10 +8,10 @@ import pytest
 
 from petmjx.cli.main import main
 
-TABLE = """Nr;Artikel;L [cm];B [cm];H [cm];X [cm];Y [cm];Z [cm];Gewicht [kg]
-1;<b>Kiste</b>;60;40;30;0;0;0;12,5
-2;Karton;60;40;30;0;40;0;12,5
-3;Karton;60;40;20;0;20;30;8
+TABLE = """Nr;Artikel;Farbe;L [cm];B [cm];H [cm];X [cm];Y [cm];Z [cm];Gewicht [kg]
+1;<b>Kiste</b>;rot;60;40;30;0;0;0;12,5
+2;Karton;rot;60;40;30;0;40;0;12,5
+3;Karton;rot;60;40;20;0;20;30;8
 """
 
 
@@ -22,7 +22,15 @@ def test_the_page_has_a_picture_the_columns_and_the_numbers(tmp_path: Path, caps
     assert "page: " in capsys.readouterr().err
     text = page.read_text(encoding="utf-8")
     assert text.count("<svg") == 1
-    for shown in ("L [cm]", "Gewicht [kg]", "600, 400, 300", "0, 200, 300", "12.5", "decimal commas"):
+    for shown in (
+        "L [cm]",
+        "Gewicht [kg]",
+        "600, 400, 300",
+        "0, 200, 300",
+        "12.5",
+        "decimal commas",
+        "Not used: Farbe",
+    ):
         assert shown in text
     assert "<b>Kiste" not in text, "texts of files are no markup"
     assert "&lt;b&gt;Kiste" in text

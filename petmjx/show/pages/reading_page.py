@@ -95,6 +95,8 @@ def _conventions(reading: Mapping[str, Any]) -> str:
 def _columns(reading: Mapping[str, Any]) -> str:
     """The columns, and the readings that were close."""
     html = f"<h3>Columns</h3>{_table(('in petmjx', 'in the file'), reading['columns'].items())}"
+    if reading["unused"]:
+        html += f"<p>Not used: {escaped_html(', '.join(reading['unused']))}</p>"
     if reading["alternatives"]:
         rows = [
             (other["line"].removeprefix("read as "), other["evidence"], f"{other['cost']:.2f}")
