@@ -95,7 +95,9 @@ def score_worlds(
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     first, *retries = attempts
     most_pending *= engine.devices
-    stream = JobStream[Pending[AnyWorld]](most_boxes=PENDING_BOXES * engine.devices, feedback=following is not None)
+    stream = JobStream[Pending[AnyWorld]](
+        most_boxes=PENDING_BOXES * engine.devices, feedback=following is not None, begin_with=begin_with
+    )
     waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
     aside = deque[Pending[AnyWorld]]()  # the thread of the source appends
     side_tasks = _SideTasks[AnyWorld](sim, engines, check_pool)

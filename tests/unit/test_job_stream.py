@@ -104,6 +104,7 @@ class Streaming(FailingEngine):
 
     fails_after: int = 10**9
     most_in_flight: int = 0
+    begin_with: int = 0
 
     @takes_stream
     def run(
@@ -111,6 +112,7 @@ class Streaming(FailingEngine):
     ) -> Iterator[Outcome]:
         stream, taken, in_flight = JobStream.of(jobs), list[Job](), list[int]()
         self.calls.append((sim, taken))
+        self.begin_with = stream.begin_with
         while True:
             new = stream.take(4 - len(in_flight), wait=not in_flight)
             in_flight += range(len(taken), len(taken) + len(new))
@@ -133,6 +135,14 @@ def test_an_engine_with_a_stream_has_all_worlds_in_one_run() -> None:
     assert {result.world.plan.plan_id for result in results} == {f"p{k}" for k in range(10)}
     assert [len(jobs) for _, jobs in engine.calls] == [10]
     assert engine.most_in_flight == 4
+
+
+@pytest.mark.parametrize(("options", "count"), [({}, attempt_stream.FIRST_WORLDS), ({"begin_with": 7}, 7)])
+def test_an_engine_knows_how_many_jobs_to_wait_for_at_first(options: dict[str, int], count: int) -> None:
+    """A GPU would else begin with the first job, and compile programs for it."""
+    engine = Streaming()
+    assert len(list(score_worlds(worlds_failing(0), SIM, engine, **options))) == 1
+    assert engine.begin_with == count
 
 
 def test_the_source_pauses_while_many_wait_for_another_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
