@@ -14,12 +14,13 @@ from petmjx.common.errors import InputError
 from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
 from petmjx.engines.engine_choice import make_engine, options_of
+from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.protocol import Engine
-from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.engines.verdict import Outcome, Signs, Verdict, failures
 from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
-from petmjx.options.simulation import Simulation
+from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.plans.plan import Plan
-from petmjx.repairs.drafts import Draft
+from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.forks import Forks, can_fork
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.results.run_reader import RunResults
@@ -221,12 +222,16 @@ def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:
     return make_engine(name, **options_of(name, run)), second
 
 
+def _over_limits(boxes: Signs | BoxMetrics, limits: Thresholds) -> BoolArray:
+    """(n,) whether boxes have crossed a limit."""
+    over: BoolArray = np.logical_or.reduce([failed for _, failed in failures(boxes, limits)])
+    return over
+
+
 def _trial_of(outcome: Outcome, order: tuple[int, ...], sim: Simulation) -> Trial:
     """A trial from the outcome of a fork."""
-    boxes, limits, k = outcome.boxes, sim.thresholds, outcome.n_placed
-    with np.errstate(invalid="ignore"):
-        over = (np.abs(boxes.shift_m).max(axis=1) > limits.shift_m) | (boxes.max_tilt_deg > limits.tilt_deg)
-    over |= boxes.dropped
+    k = outcome.n_placed
+    over = _over_limits(outcome.boxes, sim.thresholds)
     return Trial(
         outcome.verdict.value,
         outcome.reason.value,
@@ -253,8 +258,12 @@ def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
 
 def _fallen(run: RunResults, sim: Simulation) -> dict[str, list[int]]:
     """Plan id → rows of the boxes that crossed a limit."""
-    boxes, limits = run.boxes, sim.thresholds
-    shift = boxes[["shift_x_m", "shift_y_m", "shift_z_m"]].abs().max(axis=1)
-    over = (shift > limits.shift_m) | (boxes["max_tilt_deg"] > limits.tilt_deg) | boxes["dropped"]
-    rows = boxes.loc[over, ["plan_id", "box"]]
+    boxes = run.boxes
+    signs = Signs(
+        shift_m=boxes[["shift_x_m", "shift_y_m", "shift_z_m"]].to_numpy(),
+        max_tilt_deg=boxes["max_tilt_deg"].to_numpy(),
+        max_top_force_n=boxes["max_top_force_n"].to_numpy(),
+        dropped=boxes["dropped"].to_numpy(bool),
+    )
+    rows = boxes.loc[_over_limits(signs, sim.thresholds), ["plan_id", "box"]]
     return {str(plan_id): numbers.tolist() for plan_id, numbers in rows.groupby("plan_id", observed=True)["box"]}
