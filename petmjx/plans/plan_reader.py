@@ -301,11 +301,8 @@ class _PlanLoader:
         from petmjx.plans.foreign_formats import sources_of_frame
         from petmjx.plans.foreign_plans import plans_of_sources
 
-        items = self.options.items
         try:
-            self._take_foreign(
-                source, lambda wishes: plans_of_sources(sources_of_frame(frame), None, source, wishes, items)
-            )
+            self._take_foreign(source, partial(plans_of_sources, sources_of_frame(frame), None, source))
         except InputError as error:
             return error
         return None
@@ -320,11 +317,8 @@ class _PlanLoader:
         from petmjx.plans.foreign_plans import plans_of_sources
 
         self.most_skipped = MOST_LINES
-        items = self.options.items
         try:
-            self._take_foreign(
-                OBJECT, lambda wishes: plans_of_sources(sources_of_object(value), None, OBJECT, wishes, items)
-            )
+            self._take_foreign(OBJECT, partial(plans_of_sources, sources_of_object(value), None, OBJECT))
         except InputError as error:
             raise InputError(f"{OBJECT}: {error}") from None
         self._count_unlisted(OBJECT)
@@ -333,17 +327,19 @@ class _PlanLoader:
         """Read a file of another tool. Returns why it cannot be read; None: it was read."""
         from petmjx.plans.foreign_plans import read_foreign
 
-        items = self.options.items
         try:
-            self._take_foreign(source, lambda wishes: read_foreign(data, path, source, wishes, items))
+            self._take_foreign(source, partial(read_foreign, data, path, source))
         except InputError as error:
             if self.strict and str(error).startswith(f"{source}: "):  # of a plan or row
                 raise
             return error
         return None
 
-    def _take_foreign(self, source: str, read: Callable[[Wishes], ForeignPlans]) -> None:
+    def _take_foreign(self, source: str, read: Callable[[Wishes, Path | None], ForeignPlans]) -> None:
         """Take the plans of another tool's form. A tie is asked, if somebody answers.
+
+        Args:
+            read: reads them, from wishes and the file with the items.
 
         Raises:
             InputError: the form holds no plans, or can be read in two ways.
@@ -352,13 +348,13 @@ class _PlanLoader:
         from petmjx.plans.readings import CHOOSER, AmbiguousFile
 
         try:
-            plans = read(wishes_of(self.options, self.carrier_extent_mm, self.reading))
+            plans = read(wishes_of(self.options, self.carrier_extent_mm, self.reading), self.options.items)
         except AmbiguousFile as error:
             chooser = CHOOSER.get()
             chosen = None if chooser is None else chooser(source, error)
             if chosen is None:
                 raise
-            plans = read(wishes_of_reading(chosen))
+            plans = read(wishes_of_reading(chosen), self.options.items)
         self.found.readings[source] = plans.reading
         for refused in plans.refused:
             self._skip(source, refused.plan_id, refused.message)
