@@ -56,26 +56,21 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
     if not np.isfinite(carrier_pos).all():
         carrier_pos, carrier_quat = scene.carrier.pos, np.array(IDENTITY_QUAT)
     boards = scene.carrier.shapes_at(carrier_pos, carrier_quat)
-    pos = np.concatenate([history.pos[-1][shown], boards[0]])
-    axes = np.concatenate([rotations(history.quat[-1][shown]), boards[1]])
-    half = np.concatenate([scene.half_size[shown], boards[2]])
-    colours = article_colours(story.plan.articles)
+    pos, quat, half = history.pos[-1][shown], history.quat[-1][shown], scene.half_size[shown]
+    boxes = (
+        np.concatenate([pos, boards[0]]),
+        np.concatenate([rotations(quat), boards[1]]),
+        np.concatenate([half, boards[2]]),
+    )
     called = range(story.plan.n_boxes) if numbers is None else numbers
-    names = [*(box_label(called[int(box)], story.plan.articles[box]) for box in shown), *["carrier"] * len(boards[0])]
-    fills = [*(colours[box] for box in shown), *[hex_of(_LOOK["wood"])] * len(boards[0])]
-    points = corners(pos, axes, half)
-    low, scale, height = _picture_fit(story, points)
-    flat = (_projection(points) - low) * scale + _MARGIN
-    parts = []
-    for k in drawing_order(pos, axes, half):
-        first = k < len(shown) and shown[k] in marked
-        faces = "".join(_face(flat[k], axes[k], fills[k], number) for number in range(6))
-        mark = ' class="first"' if first else ""
-        parts.append(f"<g{mark}><title>{escaped_html(names[k])}</title>{faces}</g>")
-    label = f"Still picture of plan {story.plan.plan_id} as it ended"
-    return (
-        f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
-        f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'
+    return _svg(
+        boxes,
+        story.plan,
+        shown.tolist(),
+        [called[box] for box in shown.tolist()],
+        _picture_fit(corners(*boxes), framed_corners(story)),
+        marked,
+        f"Still picture of plan {story.plan.plan_id} as it ended",
     )
 
 
@@ -83,22 +78,49 @@ def plan_svg(plan: Plan) -> str:
     """A plan as it is written, on its carrier, as SVG. Nothing is simulated."""
     scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
     boards = scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT))
-    pos = np.concatenate([scene.target, boards[0]])
-    axes = np.concatenate([np.tile(np.eye(3), (plan.n_boxes, 1, 1)), boards[1]])
-    half = np.concatenate([scene.half_size, boards[2]])
+    axes = np.tile(np.eye(3), (plan.n_boxes, 1, 1))
+    boxes = (
+        np.concatenate([scene.target, boards[0]]),
+        np.concatenate([axes, boards[1]]),
+        np.concatenate([scene.half_size, boards[2]]),
+    )
+    numbers = list(range(plan.n_boxes))
+    fit = _picture_fit(corners(*boxes))
+    return _svg(boxes, plan, numbers, numbers, fit, (), f"Plan {plan.plan_id} as it was read")
+
+
+def _svg(
+    boxes: tuple[FloatArray, FloatArray, FloatArray],
+    plan: Plan,
+    shown: Sequence[int],
+    numbers: Sequence[int],
+    fit: tuple[FloatArray, float, float],
+    marked: Collection[int],
+    label: str,
+) -> str:
+    """Boxes of a plan and its carrier's boards as SVG.
+
+    Args:
+        boxes: centres, axes and half sizes of the shown boxes and then of the boards, as in ``drawing_order``.
+        shown: rows of the plan of the shown boxes.
+        numbers: the numbers by which these are called.
+        fit: as from ``_picture_fit``.
+        marked: rows of boxes that are outlined.
+    """
+    n_boards = len(boxes[0]) - len(shown)
     colours = article_colours(plan.articles)
-    fills = [*(colours[box] for box in range(plan.n_boxes)), *[hex_of(_LOOK["wood"])] * len(boards[0])]
-    names = [*(box_label(box, plan.articles[box]) for box in range(plan.n_boxes)), *["carrier"] * len(boards[0])]
-    flat = _projection(corners(pos, axes, half))
-    low, high = flat.reshape(-1, 2).min(axis=0), flat.reshape(-1, 2).max(axis=0)
-    scale = (_WIDTH - 2 * _MARGIN) / max(high[0] - low[0], 1.25 * (high[1] - low[1]))
-    low[0] -= ((_WIDTH - 2 * _MARGIN) / scale - (high[0] - low[0])) / 2
-    flat, height = (flat - low) * scale + _MARGIN, (high[1] - low[1]) * scale + 2 * _MARGIN
+    fills = [*(colours[row] for row in shown), *[hex_of(_LOOK["wood"])] * n_boards]
+    names = [
+        *(box_label(number, plan.articles[row]) for number, row in zip(numbers, shown, strict=True)),
+        *["carrier"] * n_boards,
+    ]
+    low, scale, height = fit
+    flat = (_projection(corners(*boxes)) - low) * scale + _MARGIN
     parts = []
-    for k in drawing_order(pos, axes, half):
-        faces = "".join(_face(flat[k], axes[k], fills[k], number) for number in range(6))
-        parts.append(f"<g><title>{escaped_html(names[k])}</title>{faces}</g>")
-    label = f"Plan {plan.plan_id} as it was read"
+    for k in drawing_order(*boxes):
+        faces = "".join(_face(flat[k], boxes[1][k], fills[k], number) for number in range(6))
+        mark = ' class="first"' if k < len(shown) and shown[k] in marked else ""
+        parts.append(f"<g{mark}><title>{escaped_html(names[k])}</title>{faces}</g>")
     return (
         f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
         f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'
@@ -110,13 +132,23 @@ def _projection(points: FloatArray) -> FloatArray:
     return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
 
 
-def _picture_fit(story: Story, points: FloatArray) -> tuple[FloatArray, float, float]:
-    """Upper left corner (2,), pixels per m and height of a picture that shows all boxes except distant ones."""
-    ends = np.array(framed_corners(story))
-    room = _projection(np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)]))
-    flat = _projection(points).reshape(-1, 2)
-    low, high = room.min(axis=0), room.max(axis=0)
-    seen = np.vstack([np.clip(flat, low - 0.2, high + 0.2), [low, high]])
+def _picture_fit(
+    points: FloatArray, framed: tuple[FloatArray, FloatArray] | None = None
+) -> tuple[FloatArray, float, float]:
+    """Upper left corner (2,), pixels per m and height of a picture.
+
+    Args:
+        points: corners of all boxes.
+        framed: lowest and highest corner of the scene; boxes far from it are cut off. None: the picture shows all.
+    """
+    seen = _projection(points).reshape(-1, 2)
+    if framed is not None:
+        ends = np.array(framed)
+        room = _projection(
+            np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        )
+        low, high = room.min(axis=0), room.max(axis=0)
+        seen = np.vstack([np.clip(seen, low - 0.2, high + 0.2), [low, high]])
     low, high = seen.min(axis=0), seen.max(axis=0)
     scale = (_WIDTH - 2 * _MARGIN) / max(high[0] - low[0], 1.25 * (high[1] - low[1]))
     low[0] -= ((_WIDTH - 2 * _MARGIN) / scale - (high[0] - low[0])) / 2
