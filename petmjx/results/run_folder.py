@@ -26,7 +26,6 @@ import re
 import secrets
 import shutil
 from collections.abc import Callable, Collection, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -74,10 +73,6 @@ def part_files(folder: Path, table: str) -> list[Path]:
     """The files of a table's parts, in order."""
     return sorted(_own_files(folder / table, _PART), key=part_number)
 
-
-MOST_AT_ONCE: Final = 8
-"""Number of tables that are read or written at the same time. Packing a table needs a processor; writing it to disk
-only takes time."""
 
 Write = Callable[[BinaryIO], object]
 """Writes the content of a file."""
@@ -130,35 +125,6 @@ def appear(hidden: Mapping[Path, Path]) -> None:
             os.fsync(descriptor)
         finally:
             os.close(descriptor)
-
-
-def write_hidden(table: pa.Table, path: Path) -> tuple[Path, str]:
-    """Write a table to a hidden file beside its final path. Returns the hidden path, for :func:`appear`, and the
-    digest."""
-    path.parent.mkdir(exist_ok=True)
-    temporary = _hidden_path(path)
-    try:
-        return temporary, _write(temporary, parquet(table))
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-def write_all_hidden(tables: Mapping[Path, pa.Table]) -> dict[Path, tuple[Path, str]]:
-    """As :func:`write_hidden`, for many tables at the same time. Returns final path → hidden path and digest.
-
-    Raises:
-        OSError: a table cannot be written; then no hidden file is left.
-    """
-    with ThreadPoolExecutor(MOST_AT_ONCE, thread_name_prefix="petmjx-write") as pool:
-        writing = {path: pool.submit(write_hidden, table, path) for path, table in tables.items()}
-    try:
-        return {path: future.result() for path, future in writing.items()}
-    except BaseException:
-        for future in writing.values():
-            if future.exception() is None:
-                future.result()[0].unlink(missing_ok=True)
-        raise
 
 
 def write_table(table: pa.Table, path: Path) -> str:

@@ -16,8 +16,11 @@ from petmjx.common.arrow_files import OversizedFile, decoded_bytes, open_for_arr
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.safe_read import allowed_bytes, open_regular, size
-from petmjx.results.run_folder import MOST_AT_ONCE, OF_WORLDS, digest_of, part_name, part_number
+from petmjx.results.run_folder import OF_WORLDS, digest_of, part_name, part_number
 from petmjx.results.schema import check_version, schema_version_of
+
+MOST_AT_ONCE: Final = 8
+"""Number of parts that are read at the same time."""
 
 LISTED: Final = "parts"
 """Entry of ``run.json``: table → file name → digest. Files that it does not list were left by a killed run and are not
