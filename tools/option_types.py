@@ -22,6 +22,7 @@ from petmjx.options.physics import CUSTOM, PHYSICS, Physics
 from petmjx.options.placing import Placing
 from petmjx.options.run_options import AUTO, Confidence, RunOptions
 from petmjx.options.simulation import Quiet, Simulation, Thresholds
+from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
 TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "runs" / "option_types.py"
@@ -46,6 +47,7 @@ INNER: tuple[type[CheckedRecord], ...] = (
     Quiet,
     Placing,
     Wrap,
+    Walls,
     OwnCarrier,
     Board,
     FrictionPair,
@@ -56,6 +58,7 @@ INNER: tuple[type[CheckedRecord], ...] = (
 SHORT: dict[type[CheckedRecord], tuple[str, ...]] = {
     Physics: ("PhysicsName",),
     Placing: ("Way", "WayName"),
+    Walls: ("tuple[Side | SideName, ...]", "list[Side | SideName]", "str"),
     OwnCarrier: ("str", "PathLike[str]"),
 }
 """What else stands for such a record: its name, or the file that has it."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray, seconds_to_steps
-from petmjx.options.carriers import Carrier
+from petmjx.options.carriers import Carrier, walls_of
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
 from petmjx.world.job import Drive, Job
 
@@ -170,9 +170,9 @@ class Work:
 
     @property
     def on_boards(self) -> bool:
-        """Whether the carrier has boards."""
+        """Whether the carrier has boards, or walls."""
         slabs = (Carrier.FOOTPRINT, Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
-        return self.sim.carrier not in slabs
+        return self.sim.carrier not in slabs or bool(walls_of(self.sim.carrier, self.sim.walls).sides)
 
     @property
     def fixed_steps(self) -> FloatArray:

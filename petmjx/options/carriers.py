@@ -15,7 +15,8 @@ from petmjx.common.checked_records import TABLE, VALUE, CheckedRecord, complaint
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable, printable_name
 from petmjx.common.units import MM_PER_M
-from petmjx.options.materials import WOOD
+from petmjx.options.materials import STEEL, WOOD
+from petmjx.options.walls import USUAL, Side, Walls
 
 
 class Carrier(StrEnum):
@@ -28,6 +29,11 @@ class Carrier(StrEnum):
     GMA_48X40 = "gma-48x40"
     PET_EUR = "pet-eur"
     ROLLCONTAINER_GRID = "rollcontainer-grid"
+    ROLLCONTAINER_2 = "rollcontainer-2"
+    ROLLCONTAINER_3 = "rollcontainer-3"
+    ROLLCONTAINER_4 = "rollcontainer-4"
+    GITTERBOX = "gitterbox"
+    CONTAINER_20FT = "container-20ft"
 
 
 CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
@@ -37,9 +43,33 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     Carrier.EPAL_1: (1.2, 0.8),
     Carrier.GMA_48X40: (1.219, 1.016),
     Carrier.PET_EUR: (1.2, 0.8),
-    Carrier.ROLLCONTAINER_GRID: (0.8, 0.7),
+    **dict.fromkeys(
+        (Carrier.ROLLCONTAINER_GRID, Carrier.ROLLCONTAINER_2, Carrier.ROLLCONTAINER_3, Carrier.ROLLCONTAINER_4),
+        (0.8, 0.7),
+    ),
+    Carrier.GITTERBOX: (1.2, 0.8),
+    Carrier.CONTAINER_20FT: (5.867, 2.33),
 }
 """x–y extent of each carrier in metres. None: the plan's bounding box."""
+
+_GRID_WALLS: Final = Walls(sides=(), height_mm=1500.0, gap_mm=5.0, thickness_mm=30.0, mass_kg_m2=6.0, material=STEEL)
+"""Lattices of tubes. Typical ones, not those of a certain maker: EN 12674 leaves the sizes of roll containers open."""
+
+WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
+    Carrier.ROLLCONTAINER_GRID: _GRID_WALLS,
+    Carrier.ROLLCONTAINER_2: _GRID_WALLS.changed(sides=("left", "right")),
+    Carrier.ROLLCONTAINER_3: _GRID_WALLS.changed(sides=("left", "right", "back")),
+    Carrier.ROLLCONTAINER_4: _GRID_WALLS.changed(sides=tuple(Side)),
+    Carrier.GITTERBOX: Walls(
+        sides=tuple(Side), height_mm=800.0, gap_mm=0.0, thickness_mm=17.5, mass_kg_m2=14.0, material=STEEL
+    ),
+    Carrier.CONTAINER_20FT: Walls(
+        sides=tuple(Side), height_mm=2350.0, gap_mm=0.0, thickness_mm=50.0, mass_kg_m2=30.0, material=STEEL
+    ),
+}
+"""The walls of built-in carriers. Those of ``rollcontainer-grid`` are only there on sides that the user names.
+``gitterbox`` is 1200 × 800 × 800 mm inside and some 85 kg (UIC 435-3), ``container-20ft`` 5867 × 2330 × 2350 mm (least
+inner sizes of 1CC, ISO 668) and some 2.2 t."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """Carriers that are BED-BPP's targets."""
@@ -111,6 +141,7 @@ class OwnCarrier(CheckedRecord):
         None, description="coefficient of sliding friction of boards without a value of their own"
     )
     material: Name = Field(WOOD, description="material of boards that name none, for friction by materials")
+    walls: Walls = Field(Walls(), description="walls around its top, as for the option walls")
     boards: Annotated[tuple[Board, ...], Field(min_length=1, max_length=MOST_BOARDS)] = Field(
         description="[[boards]] tables with corner_mm, size_mm and mass_kg"
     )
@@ -321,3 +352,10 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
         return CARRIER_EXTENT_M[carrier]
     x, y, _ = carrier.size_mm
     return x / MM_PER_M, y / MM_PER_M
+
+
+def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
+    """The walls of a carrier: the user's values, else the carrier's, else the usual ones. Only ``friction`` may be
+    None."""
+    of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
+    return walls.or_of(of_carrier).or_of(USUAL)

@@ -13,10 +13,11 @@ from typing import Annotated, Any, Final, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from petmjx.common.checked_records import CheckedRecord, CliFlag, complaint, within
-from petmjx.options.carriers import AnyCarrier, Carrier
+from petmjx.options.carriers import AnyCarrier, Carrier, walls_of
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import PHYSICS, Cone, Physics
 from petmjx.options.placing import Placing, Way
+from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
 # Limits of physical or useful values. A value beyond them has the wrong unit or a digit too many. It would lead to an
@@ -157,8 +158,10 @@ class Simulation(CheckedRecord):
         Carrier.FOOTPRINT,
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y); made of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
-        "(PET-Physics's), rollcontainer-grid, or your own, FILE.toml",
+        "(PET-Physics's), rollcontainer-grid, or your own, FILE.toml; with walls: rollcontainer-2, -3, -4, gitterbox, "
+        "container-20ft",
     )
+    walls: Walls = Field(Walls(), description="walls around the carrier's top")
     friction_pairs: tuple[FrictionPair, ...] = Field(
         (),
         max_length=100,
@@ -276,6 +279,14 @@ class Simulation(CheckedRecord):
                 raise complaint("needs check one-by-one and schedule fixed", "total_time_factor")
             if self.rest_s != type(self).model_fields["rest_s"].default:
                 raise complaint("contradicts total_time_factor: drop one of them", "rest_s")
+        return self
+
+    @model_validator(mode="after")
+    def _opens_walls(self) -> Self:
+        walls = walls_of(self.carrier, self.walls)
+        for at, side in enumerate(walls.open):
+            if side not in (walls.sides or ()):
+                raise complaint(f"is {side}, where the carrier has no wall", "walls", "open", at)
         return self
 
     @model_validator(mode="after")

@@ -15,6 +15,7 @@ from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.placing import Placing, Way
 from petmjx.options.simulation import Attempts, Check, Quiet, Schedule, Solver, Thresholds
+from petmjx.options.walls import Side, Walls
 from petmjx.options.wrap import Wrap
 
 EngineName = Literal[
@@ -40,6 +41,11 @@ CarrierName = Literal[
     "gma-48x40",
     "pet-eur",
     "rollcontainer-grid",
+    "rollcontainer-2",
+    "rollcontainer-3",
+    "rollcontainer-4",
+    "gitterbox",
+    "container-20ft",
 ]
 CheckName = Literal[
     "one-by-one",
@@ -52,6 +58,12 @@ ConeName = Literal[
 ScheduleName = Literal[
     "fixed",
     "adaptive",
+]
+SideName = Literal[
+    "left",
+    "right",
+    "front",
+    "back",
 ]
 SolverName = Literal[
     "newton",
@@ -138,6 +150,19 @@ class WrapTable(TypedDict, total=False):
     hat_n: float
 
 
+class WallsTable(TypedDict, total=False):
+    """Fields of ``petmjx.options.walls.Walls``."""
+
+    sides: tuple[Side | SideName, ...] | list[Side | SideName] | None
+    open: tuple[Side | SideName, ...] | list[Side | SideName]
+    height_mm: float | None
+    gap_mm: float | None
+    thickness_mm: float | None
+    mass_kg_m2: float | None
+    friction: float | None
+    material: str | None
+
+
 class OwnCarrierTable(TypedDict, total=False):
     """Fields of ``petmjx.options.carriers.OwnCarrier``."""
 
@@ -145,6 +170,7 @@ class OwnCarrierTable(TypedDict, total=False):
     mass_kg: float | None
     friction: float | None
     material: str
+    walls: Walls | WallsTable | tuple[Side | SideName, ...] | list[Side | SideName] | str
     boards: tuple[Board | BoardTable, ...] | list[Board | BoardTable]
 
 
@@ -181,6 +207,7 @@ class SimulationOptions(TypedDict, total=False):
     schedule: Schedule | ScheduleName
     physics: Physics | PhysicsTable | PhysicsName
     carrier: Carrier | CarrierName | OwnCarrier | OwnCarrierTable | str | PathLike[str]
+    walls: Walls | WallsTable | tuple[Side | SideName, ...] | list[Side | SideName] | str
     friction_pairs: tuple[FrictionPair | FrictionPairTable, ...] | list[FrictionPair | FrictionPairTable]
     landing_pairs: tuple[LandingPair | LandingPairTable, ...] | list[LandingPair | LandingPairTable]
     size_reduction_mm: float

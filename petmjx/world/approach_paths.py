@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.placing import Placing, Way
 from petmjx.options.simulation import Check, Simulation
+from petmjx.world.body_shapes import Room
 from petmjx.world.rotation import rotations
 from petmjx.world.scene import Scene
 from petmjx.world.stackable_scenes import stacked_values
@@ -71,7 +72,7 @@ ASIDE_SHARE: Final = 2.0
 CLEARANCE_M: Final = 0.001
 """Height of a box's bottom above the bodies in its way when it begins above them."""
 
-_BESIDE_M: Final = 0.005
+BESIDE_M: Final = 0.005
 """Boxes are beside one another along an axis if their planned extents overlap by no more than this: sizes and places
 have errors."""
 
@@ -88,6 +89,7 @@ class ApproachPath(NamedTuple):
         offset: (n, 3) from the place at which it is let go to the place at which it begins, if that is free.
         steps: (n,) number of steps of its way; 0: the box is not carried, but falls.
         falls: (n,) True: the box is let go at the end of its way and falls. False: the hand sets it down first.
+        aside: (n, 2, 2) how far a box may go aside from where it begins to the low and the high end of x and y, m.
     """
 
     lift: FloatArray
@@ -95,6 +97,7 @@ class ApproachPath(NamedTuple):
     offset: FloatArray
     steps: NDArray[np.int64]
     falls: NDArray[np.bool_]
+    aside: FloatArray
 
 
 def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
@@ -105,14 +108,20 @@ def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
     lift, quat, offset = np.zeros((n, 3)), scene.start_quat, np.zeros((n, 3))
     offset[:, 2] = placing.height_mm / MM_PER_M
     steps, falls = np.zeros(n, np.int64), scene.start_pos[:, 2] > scene.target[:, 2]
+    room = Room.of([scene.carrier])[0] if scene.carrier.walls else None
     if placing.carries:
-        approach, open_side = _approaches(scene)
+        approach, open_side = _approaches(scene, room)
         offset[:, :2] = -placing.side_mm / MM_PER_M * approach
         if placing.name is Way.TINES:
             lift, quat = _on_an_edge(scene, open_side, sim.thresholds.tilt_deg)
             falls = np.ones(n, dtype=bool)
+    aside = np.full((n, 2, 2), most_aside_m(placing))
+    if room is not None:
+        end = scene.start_pos + lift
+        offset[:, :2], aside = _between_walls(room, end, offset[:, :2], reach(quat, scene.half_size), aside)
+    if placing.carries:
         steps = way_steps(np.linalg.norm(offset, axis=1), scene.mass, placing, sim.physics.timestep_s)
-    return ApproachPath(lift, quat, offset, steps, falls)
+    return ApproachPath(lift, quat, offset, steps, falls, aside)
 
 
 def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath | None:
@@ -128,13 +137,41 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
     quat, offset = stacked_values(scenes, "start_quat"), np.zeros(start.shape)
     offset[..., 2] = placing.height_mm / MM_PER_M
     steps, falls = np.zeros(start.shape[:2], np.int64), start[..., 2] > target[..., 2]
+    half_size = stacked_values(scenes, "half_size")
+    room = Room.of([scene.carrier for scene in scenes]) if scenes[0].carrier.walls else None
     if placing.carries:
-        half_size = stacked_values(scenes, "half_size")
-        approach, _ = _approaches_of(_neighbour_mask(target, half_size, placing), scenes[0].approach)
+        approach, _ = _approaches_of(_neighbour_mask(target, half_size, placing, room), scenes[0].approach)
         offset[..., :2] = -placing.side_mm / MM_PER_M * approach
+    aside = np.full((*start.shape[:2], 2, 2), most_aside_m(placing))
+    if room is not None:
+        reaches = reach(quat.reshape(-1, 4), half_size.reshape(-1, 3)).reshape(start.shape)
+        offset[..., :2], aside = _between_walls(room, start, offset[..., :2], reaches, aside)
+    if placing.carries:
         length_m, mass = np.linalg.norm(offset, axis=-1), stacked_values(scenes, "mass")
         steps = way_steps(length_m, mass, placing, sim.physics.timestep_s)
-    return ApproachPath(np.zeros(start.shape), quat, offset, steps, falls)
+    return ApproachPath(np.zeros(start.shape), quat, offset, steps, falls, aside)
+
+
+def _between_walls(
+    room: Room, end: FloatArray, offset: FloatArray, reaches: FloatArray, aside: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(…, n, 2) offsets with which boxes begin between the walls, and (…, n, 2, 2) how far they may go aside there.
+
+    A box for which there is no room begins in the middle.
+
+    Args:
+        end: (…, n, 3) where the boxes are let go, m.
+        offset: (…, n, 2) from there to where they would begin, m.
+        reaches: (…, n, 3) half extents of the boxes along the axes, m.
+        aside: as of ``ApproachPath``, without walls.
+    """
+    gap = room.gaps(end, reaches, BESIDE_M)
+    low, high = -gap[..., 0, :], gap[..., 1, :]
+    narrow = low > high
+    middle = (np.where(narrow, low, 0.0) + np.where(narrow, high, 0.0)) / 2
+    kept = np.where(narrow, middle, np.clip(offset, np.minimum(low, high), high))
+    free = np.maximum(np.stack([kept - low, high - kept], axis=-2), 0.0)
+    return kept, np.minimum(aside, free)
 
 
 def way_steps(
@@ -183,19 +220,19 @@ def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
 
 
 def free_begin(
-    begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: float
+    begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: FloatArray
 ) -> FloatArray:
     """(3,) the place nearest to ``begin`` at which a box overlaps no other box, m: ``begin`` itself, aside, or above.
 
     The box goes aside from the first box that it overlaps, along x or y, whichever overlap is less. This is repeated at
     most ``MOST_SIDESTEPS`` times. If the box would have to go aside by more than ``most_m``, or is still not free, it
-    goes up from ``begin`` instead.
+    goes up from ``begin`` instead. ``begin`` is between the carrier's walls, and ``most_m`` ends at them.
 
     Args:
         begin: (3,) planned begin of the box, m.
         own_reach: (3,) half extents of the box, m.
         pos, reaches: (k, 3) middles and half extents of the boxes that stand, m.
-        most_m: largest way aside along x and along y.
+        most_m: (2, 2) largest way aside to the low and the high end of x and y.
     """
     aside = begin.copy()
     for _ in range(MOST_SIDESTEPS + 1):
@@ -206,7 +243,8 @@ def free_begin(
         axis = 0 if overlap[first, 0] <= overlap[first, 1] else 1
         away = 1.0 if aside[axis] >= pos[first, axis] else -1.0
         aside[axis] += away * overlap[first, axis]
-        if abs(aside[axis] - begin[axis]) > most_m:
+        way_m = aside[axis] - begin[axis]
+        if -way_m > most_m[0, axis] or way_m > most_m[1, axis]:
             break
     above = begin.copy()
     for _ in range(len(pos)):
@@ -225,9 +263,9 @@ def _overlap(
     return shared, np.asarray((shared > FREE_M).all(axis=1))
 
 
-def _approaches(scene: Scene) -> tuple[FloatArray, FloatArray]:
+def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray]:
     """``_approaches_of`` for one scene."""
-    return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing), scene.approach)
+    return _approaches_of(_neighbour_mask(scene.target, scene.half_size, scene.placing, room), scene.approach)
 
 
 def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -254,13 +292,16 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
     return towards, side
 
 
-def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing) -> NDArray[np.bool_]:
+def _neighbour_mask(
+    place: FloatArray, half: FloatArray, placing: Placing, room: Room | None = None
+) -> NDArray[np.bool_]:
     """(…, n, 2, 2) which sides of each box have a neighbour, by the plan, when the box is placed: (low and high side, x
-    and y). A neighbour is no further away than the box may go aside.
+    and y). A neighbour, a box or a wall, is no further away than the box may go aside.
 
     Args:
         place: (…, n, 3) planned middles, m.
         half: (…, n, 3) half extents, m.
+        room: the room between the carrier's walls; None: it has none.
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M
@@ -268,14 +309,14 @@ def _neighbour_mask(place: FloatArray, half: FloatArray, placing: Placing) -> ND
     between = [place[..., None, :, axis] - place[..., :, None, axis] for axis in range(3)]
     gap = [np.abs(between[axis]) - (half[..., None, :, axis] + half[..., :, None, axis]) for axis in range(3)]
     before = np.tri(place.shape[-2], k=-1, dtype=bool)
-    level = before & ((gap[2] < -_BESIDE_M) | ((gap[2] < lifted_m) & (between[2] > 0)))
+    level = before & ((gap[2] < -BESIDE_M) | ((gap[2] < lifted_m) & (between[2] > 0)))
     neighbours = np.zeros((*place.shape[:-1], 2, 2), dtype=bool)
     for axis in range(2):
-        shares = gap[1 - axis] < -_BESIDE_M
-        beside = level & shares & (gap[axis] >= -_BESIDE_M) & (gap[axis] < near_m)
+        shares = gap[1 - axis] < -BESIDE_M
+        beside = level & shares & (gap[axis] >= -BESIDE_M) & (gap[axis] < near_m)
         for side in range(2):
             neighbours[..., side, axis] = (beside & ((between[axis] > 0) == bool(side))).any(axis=-1)
-    return neighbours
+    return neighbours if room is None else neighbours | (room.gaps(place, half, BESIDE_M) < near_m)
 
 
 def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[FloatArray, FloatArray]:

@@ -7,13 +7,15 @@ mass.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.options.physics import Triple
+from petmjx.options.walls import Side
 from petmjx.world.rotation import rotations
 
 
@@ -30,6 +32,7 @@ class Body:
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
         surface: (s,) numbers of their surfaces (petmjx/world/friction_pairs.py); None: all 0.
+        walls: sides of a carrier on which it has walls. They are its last shapes, in this order; all others are boards.
     """
 
     pos: FloatArray
@@ -39,6 +42,7 @@ class Body:
     friction: FloatArray
     inertia_box: FloatArray
     surface: NDArray[np.intp] | None = None
+    walls: tuple[Side, ...] = ()
 
     @classmethod
     def solid(cls, pos: FloatArray, half_size: FloatArray, mass: float, friction: Triple) -> Body:
@@ -64,15 +68,63 @@ class Body:
         second = np.einsum("s,si,si->i", mass, place, place) + mass @ half_size**2 / 3
         return cls(pos, float(mass.sum()), half_size, place, friction, np.sqrt(3 * second / mass.sum()))
 
+    def with_walls(
+        self, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray, sides: Sequence[Side]
+    ) -> Body:
+        """The body with walls, one for each side. Arguments as for ``of_boards``."""
+        boards = self.pos + self.shape_pos
+        whole = Body.of_boards(
+            np.vstack([self.pos, center]),
+            np.vstack([self.inertia_box, half_size]),
+            np.append(self.mass, mass),
+            np.vstack([self.friction[:1], friction]),
+        )
+        return replace(
+            whole,
+            half_size=np.vstack([self.half_size, half_size]),
+            shape_pos=np.vstack([boards, center]) - whole.pos,
+            friction=np.vstack([self.friction, friction]),
+            walls=tuple(sides),
+        )
+
     def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(s, 3) centres, (s, 3, 3) rotations and (s, 3) half extents of its shapes when the body is at this pose."""
         turns = np.tile(rotations(quat[None]), (len(self.half_size), 1, 1))
         return pos + np.einsum("sij,sj->si", turns, self.shape_pos), turns, self.half_size
 
     @property
+    def n_boards(self) -> int:
+        """Number of its shapes that are no walls: the first ones."""
+        return len(self.half_size) - len(self.walls)
+
+    def without_walls(self, sides: Collection[Side]) -> Body:
+        """The body with the walls of these sides open. Their mass stays, so that its frame is the same.
+
+        Raises:
+            ValueError: it has no wall on one of the sides.
+        """
+        if missing := [side for side in sides if side not in self.walls]:
+            raise ValueError(f"the carrier has no wall on the side {missing[0]}")
+        kept = np.array([True] * self.n_boards + [side not in sides for side in self.walls])
+        of_shapes = {name: getattr(self, name)[kept] for name in ("half_size", "shape_pos", "friction")}
+        surface = None if self.surface is None else self.surface[kept]
+        return replace(self, **of_shapes, surface=surface, walls=tuple(s for s in self.walls if s not in sides))
+
+    @property
     def boards(self) -> FloatArray:
         """(s, 6) extents of its shapes and their places in the body's frame, m, as pages and tables have them."""
         return np.hstack([2 * self.half_size, self.shape_pos])
+
+    @property
+    def room(self) -> Room:
+        """The room between its walls, with the body at its planned place."""
+        face, top = np.array([[-np.inf] * 2, [np.inf] * 2]), np.full((2, 2), -np.inf)
+        center, half = (self.pos + self.shape_pos)[self.n_boards :], self.half_size[self.n_boards :]
+        for row, side in enumerate(self.walls):
+            at, inwards = (int(side.is_far), side.axis), -1 if side.is_far else 1
+            face[at] = center[row, side.axis] + inwards * half[row, side.axis]
+            top[at] = center[row, 2] + half[row, 2]
+        return Room(face, top)
 
     @property
     def low(self) -> FloatArray:
@@ -85,6 +137,41 @@ class Body:
         """(3,) the highest corner, m."""
         high: FloatArray = (self.pos + self.shape_pos + self.half_size).max(axis=0)
         return high
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """The room between the walls of a carrier, or of several.
+
+    Attributes:
+        face: (…, 2, 2) inner faces of the walls at the low and the high end of x and y, m; infinite without a wall.
+        top: (…, 2, 2) heights of their tops, m.
+    """
+
+    face: FloatArray
+    top: FloatArray
+
+    @classmethod
+    def of(cls, carriers: Sequence[Body]) -> Room:
+        """The rooms of m carriers: arrays (m, 2, 2)."""
+        rooms = [carrier.room for carrier in carriers]
+        return cls(np.array([room.face for room in rooms]), np.array([room.top for room in rooms]))
+
+    def __getitem__(self, row: int) -> Room:
+        return Room(self.face[row], self.top[row])
+
+    def gaps(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
+        """(…, n, 2, 2) gaps between boxes and walls, m; negative: a box is in a wall. Infinite where there is no wall,
+        and where a box is above it, or with its middle beyond it.
+
+        Args:
+            place, half: (…, n, 3) middles and half extents of the boxes along the axes, m.
+            least_m: a box is beside a wall if it reaches below its top by more than this.
+        """
+        inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
+        beside = (inwards > 0) & ((place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m)
+        gap: FloatArray = np.where(beside, inwards - half[..., None, :2], np.inf)
+        return gap
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,8 @@ import numpy as np
 
 from petmjx.common.text import printable_name
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
-from petmjx.options.carriers import TOUCH_MM, Carrier, OwnCarrier
-from petmjx.options.materials import STEEL
+from petmjx.options.carriers import TOUCH_MM, Carrier, OwnCarrier, walls_of
+from petmjx.options.materials import STEEL, WOOD
 from petmjx.options.physics import Physics, Triple
 from petmjx.options.simulation import Simulation
 from petmjx.world.body_shapes import Body
@@ -127,11 +127,31 @@ def _rollcontainer_grid() -> Pallet:
     return Pallet(tuple(boards), _by_volume(boards, 25.0), materials=(STEEL,) * len(boards))
 
 
+def _gitterbox() -> Pallet:
+    """The base of a box pallet of steel: a floor of 30 mm on four feet, 150 mm high, 25 kg. UIC 435-3 has the sizes of
+    the whole; its feet are plain blocks here."""
+    length, width, floor, foot, top = 1200.0, 800.0, 30.0, 100.0, 150.0
+    boards: list[Board] = [((0, 0, top - floor), (length, width, floor))]
+    boards += [((x, y, 0), (foot, foot, top - floor)) for x in (0.0, length - foot) for y in (0.0, width - foot)]
+    return Pallet(tuple(boards), _by_volume(boards, 25.0), materials=(STEEL,) * len(boards))
+
+
+def _container_20ft() -> Pallet:
+    """The floor of a container, of 28 mm of wood on a frame: one slab here, 150 mm high, 900 kg."""
+    boards: list[Board] = [((0, 0, 0), (5867.0, 2330.0, 150.0))]
+    return Pallet(tuple(boards), (900.0,))
+
+
 PALLETS: Final = {
     Carrier.EPAL_1: _epal_1,
     Carrier.GMA_48X40: _gma,
     Carrier.PET_EUR: _pet_eur,
-    Carrier.ROLLCONTAINER_GRID: _rollcontainer_grid,
+    **dict.fromkeys(
+        (Carrier.ROLLCONTAINER_GRID, Carrier.ROLLCONTAINER_2, Carrier.ROLLCONTAINER_3, Carrier.ROLLCONTAINER_4),
+        _rollcontainer_grid,
+    ),
+    Carrier.GITTERBOX: _gitterbox,
+    Carrier.CONTAINER_20FT: _container_20ft,
 }
 
 
@@ -157,6 +177,53 @@ def body_of(board_pallet: Pallet, physics: Physics) -> Body:
         if sliding is not None:
             friction[board, 0] = sliding
     return Body.of_boards(corner + size / 2, size / 2, np.array(board_pallet.masses_kg), friction)
+
+
+WALL_DEPTH_M: Final = 0.02
+"""How far walls reach below the carrier's top at most, so that no box gets under them."""
+
+
+def has_walls(sim: Simulation) -> bool:
+    """Whether the carrier has walls, open ones included."""
+    return bool(walls_of(sim.carrier, sim.walls).sides)
+
+
+def with_walls(carrier: Body, sim: Simulation) -> Body:
+    """A carrier with the walls of the options, those that are open taken away.
+
+    A wall stands along a whole side, and reaches over the ends of the walls beside it.
+
+    Args:
+        carrier: its boards, with its top at z = 0.
+    """
+    walls = walls_of(sim.carrier, sim.walls)
+    if not walls.sides:
+        return carrier
+    gap, thick, height = ((value or 0.0) / MM_PER_M for value in (walls.gap_mm, walls.thickness_mm, walls.height_mm))
+    low, high = carrier.low[:2] - gap, carrier.high[:2] + gap
+    below = min(WALL_DEPTH_M, -carrier.low[2] / 2)
+    center, half = np.empty((len(walls.sides), 3)), np.empty((len(walls.sides), 3))
+    for row, side in enumerate(walls.sides):
+        along, across = 1 - side.axis, side.axis
+        center[row, along], half[row, along] = (low + high)[along] / 2, (high - low)[along] / 2 + thick
+        center[row, across] = high[across] + thick / 2 if side.is_far else low[across] - thick / 2
+        half[row, across] = thick / 2
+        center[row, 2], half[row, 2] = (height - below) / 2, (height + below) / 2
+    area_m2 = 2 * height * np.array([half[row, 1 - side.axis] for row, side in enumerate(walls.sides)])
+    friction = np.tile(sim.physics.carrier_friction, (len(half), 1))
+    if walls.friction is not None:
+        friction[:, 0] = walls.friction
+    whole = carrier.with_walls(center, half, (walls.mass_kg_m2 or 0.0) * area_m2, friction, walls.sides)
+    return whole.without_walls(walls.open)
+
+
+def carrier_surfaces(sim: Simulation) -> list[tuple[float | None, str]]:
+    """The friction and the material of each shape of the carrier: its boards, and the walls that are not open."""
+    board_pallet, walls = pallet(sim.carrier), walls_of(sim.carrier, sim.walls)
+    count = 1 if board_pallet is None else len(board_pallet.boards)
+    frictions, materials = ((), ()) if board_pallet is None else (board_pallet.frictions, board_pallet.materials)
+    boards = zip(frictions or (None,) * count, materials or (WOOD,) * count, strict=True)
+    return [*boards, *[(walls.friction, walls.material or "")] * len(walls.standing)]
 
 
 def carrier_notes(sim: Simulation) -> Iterator[str]:

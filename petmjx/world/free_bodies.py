@@ -13,7 +13,7 @@ from petmjx.options.carriers import extent_m
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Simulation
 from petmjx.world.body_shapes import Body
-from petmjx.world.carrier_boards import body_of, floor_z_m, pallet
+from petmjx.world.carrier_boards import body_of, floor_z_m, pallet, with_walls
 from petmjx.world.scene import Scene
 
 _BURIED_M: Final = -100.0
@@ -61,7 +61,7 @@ class Ground:
         else:
             half = np.array([extent[0] / 2, extent[1] / 2, physics.carrier_half_height_m])
             body = Body.solid(half * (1, 1, -1), half, physics.carrier_mass_kg, physics.carrier_friction)
-        return cls(body, floor_z_m(sim), physics.floor_friction, is_plane=False)
+        return cls(with_walls(body, sim), floor_z_m(sim), physics.floor_friction, is_plane=False)
 
     @property
     def smooth(self) -> Ground:

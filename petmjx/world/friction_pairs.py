@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.options.materials import WOOD, check_pairs, friction_between, landing_between
+from petmjx.options.materials import check_pairs, friction_between, landing_between
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.world.carrier_boards import pallet
+from petmjx.world.carrier_boards import carrier_surfaces
 
 MOST_SURFACES: Final = 16
 """Rows of a world's table on devices, surface 0 included."""
@@ -86,16 +86,13 @@ def filled_up_landings(table: FloatArray | None) -> FloatArray:
 _NOT_SAID: Final = ""
 """The material of a box for which none is given."""
 
-_Board = tuple[float | None, str]
-"""A board's own friction, and its material."""
-
 
 class Surfaces(NamedTuple):
     """The surfaces of a world.
 
     Attributes:
         of_boxes: (n,) surface of each box.
-        of_boards: (s,) surface of each board of the carrier.
+        of_boards: (s,) surface of each board and wall of the carrier.
         friction: (k, k) coefficients between surfaces, or ``LARGER``.
         landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
     """
@@ -106,8 +103,8 @@ class Surfaces(NamedTuple):
     landing: FloatArray
 
 
-def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None:
-    """The surfaces of a plan's boxes and of its carrier's boards.
+def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
+    """The surfaces of a plan's boxes and of its carrier's boards and walls.
 
     None if boxes have no materials and boards have no friction of their own, and with pyramidal cones, which have no
     friction by pairs. Between a box and a board the board's own friction counts, if it has one, else that of their
@@ -116,7 +113,7 @@ def find_surfaces(plan: Plan, sim: Simulation, n_boards: int) -> Surfaces | None
     Raises:
         InputError: friction between two of the materials is not known, or there are too many surfaces.
     """
-    boards = _boards(sim, n_boards)
+    boards = carrier_surfaces(sim)
     materials = plan.materials or (_NOT_SAID,) * plan.n_boxes
     has_materials = any(materials)
     if not sim.physics.has_own_friction or not (has_materials or any(friction is not None for friction, _ in boards)):
@@ -166,17 +163,9 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
         return notes
     if not sim.physics.has_own_friction:
         return [*notes, "materials have no effect: with pyramidal cones only the friction of boxes and carrier counts"]
-    board_pallet = pallet(sim.carrier)
     for plan in with_materials:
-        find_surfaces(plan, sim, 1 if board_pallet is None else len(board_pallet.boards))
+        find_surfaces(plan, sim)
     return notes
-
-
-def _boards(sim: Simulation, count: int) -> list[_Board]:
-    board_pallet = pallet(sim.carrier)
-    frictions = board_pallet.frictions if board_pallet is not None else ()
-    materials = board_pallet.materials if board_pallet is not None else ()
-    return list(zip(frictions or (None,) * count, materials or (WOOD,) * count, strict=True))
 
 
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:

@@ -262,7 +262,9 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     """Set mass and moments of inertia. For a solid box without a skin MuJoCo computes the moments. Their last digits
     differ, and the reference implementation has MuJoCo's."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
-    solid = scene.inertia_box is None and len(scene.carrier.half_size) == 1 and not scene.pieces
+    carrier = scene.carrier
+    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # a wall that is open has left its mass
+    solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
         body.first_geom().mass = mass
         return

@@ -6,7 +6,7 @@ numbers shapes and bodies: all other code takes indices from it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
@@ -20,10 +20,11 @@ from petmjx.options.carriers import extent_m
 from petmjx.options.physics import Triple
 from petmjx.options.placing import EXACT, Placing
 from petmjx.options.simulation import Simulation
+from petmjx.options.walls import Side
 from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
 from petmjx.world.body_shapes import Body, Pieces, Shapes
-from petmjx.world.carrier_boards import body_of, floor_z_m, pallet
+from petmjx.world.carrier_boards import body_of, floor_z_m, has_walls, pallet, with_walls
 from petmjx.world.friction_pairs import find_surfaces
 from petmjx.world.history import CARRIER
 from petmjx.world.rotation import rotated_vectors
@@ -117,6 +118,15 @@ class Scene:
         cut = {name: values[:count] for name in OF_BOXES if (values := getattr(self, name)) is not None}
         return replace(self, **cut, pieces=tuple(piece for piece in self.pieces if piece.box < count))
 
+    def with_open_walls(self, sides: Collection[Side]) -> Scene:
+        """The scene with the carrier's walls of these sides open, as a door is that is opened. All else, the frame and
+        the mass of the carrier too, is as before, so that a state of this scene is one of that scene.
+
+        Raises:
+            ValueError: the carrier has no wall on one of the sides.
+        """
+        return replace(self, carrier=self.carrier.without_walls(sides))
+
     @property
     def all_soft(self) -> Scene:
         """The scene with all its boxes as flex bodies. Sheets stay rigid."""
@@ -198,7 +208,8 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         carrier = next(_slabs(plan.corner_mm, plan.size_mm, np.array([0]), sim))
     else:
         carrier = body_of(boards, sim.physics)
-    surfaces = find_surfaces(plan, sim, len(carrier.half_size))
+    carrier = with_walls(carrier, sim)
+    surfaces = find_surfaces(plan, sim)
     boxes = _of_boxes(plan.size_mm, plan.corner_mm, plan.mass_kg.copy(), sim)
     return Scene(
         **boxes,
@@ -218,7 +229,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     """The nominal scenes of plans, in order. The arrays of many plans are computed at once, identical to the last bit
     with those of ``build_scene``."""
-    slabs, source = pallet(sim.carrier) is None, iter(plans)
+    slabs, source = pallet(sim.carrier) is None and not has_walls(sim), iter(plans)
     while some := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in some if slabs and _is_plain(plan)]
         together = iter(_stacked_scenes(alike, sim)) if alike else iter(())

@@ -37,11 +37,8 @@ def pieces_of(
         carrier: the carrier. Its boards with tops at z = 0 bear, too.
     """
     pieces = []
-    board = carrier.pos + carrier.shape_pos
-    low, high = (
-        np.vstack([target - half_size, board - carrier.half_size]),
-        np.vstack([target + half_size, board + carrier.half_size]),
-    )
+    board, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]
+    low, high = np.vstack([target - half_size, board - half]), np.vstack([target + half_size, board + half])
     for box in np.flatnonzero(sheets).tolist():
         bottom = low[box, 2]
         gap = bottom - high[:, 2]

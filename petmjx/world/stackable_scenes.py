@@ -26,7 +26,8 @@ def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]
         if not is_plain(scene):
             yield [number], False
             continue
-        key = scene.n_boxes, len(scene.carrier.half_size), id(scene.approach), scene.placing, scene.wrap
+        carrier = scene.carrier
+        key = scene.n_boxes, carrier.n_boards, carrier.walls, id(scene.approach), scene.placing, scene.wrap
         group = numbers_by_key.setdefault(key, [])
         group.append(number)
         if len(group) == AT_A_TIME:

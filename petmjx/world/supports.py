@@ -390,9 +390,9 @@ def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, Flo
 
 def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
     """(b, 2) lowest and (b, 2) highest corners of the boards whose tops are the carrier's top, m."""
-    center = carrier.pos + carrier.shape_pos
-    deck = (center + carrier.half_size)[:, 2] >= -TOUCH_M
-    return (center - carrier.half_size)[deck, :2], (center + carrier.half_size)[deck, :2]
+    center, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]
+    deck = (center + half)[:, 2] >= -TOUCH_M
+    return (center - half)[deck, :2], (center + half)[deck, :2]
 
 
 def joined_bearing(bearings: Sequence[Bearing]) -> Bearing:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.placing import Placing, Way
+from petmjx.world.body_shapes import Body
 from petmjx.world.friction_pairs import scaled_pairs
 from petmjx.world.random_streams import WorldKey, rngs
 from petmjx.world.release_places import make_room
@@ -363,7 +364,44 @@ def _with_room(
     movable = np.arange(scene.n_boxes) >= standing
     reach_m = _farthest_m(scene, change)
     places = start_pos[..., :2], half_size, yaw
-    return make_room(*places, scene.target[:, :2], scene.half_size, beside, movable, reach_m)
+    planned = scene.target[:, :2], scene.half_size
+    if not scene.carrier.walls:
+        return make_room(*places, *planned, beside, movable, reach_m)
+    return _with_walls(scene.carrier, scene.target, places, planned, beside, movable, reach_m)
+
+
+def _with_walls(
+    carrier: Body,
+    target: FloatArray,
+    places: tuple[FloatArray, FloatArray, FloatArray],
+    planned: tuple[FloatArray, FloatArray],
+    beside: NDArray[np.bool_],
+    movable: NDArray[np.bool_],
+    reach_m: float,
+) -> FloatArray:
+    """``make_room`` with the carrier's walls as further boxes that do not move."""
+    walls, n, sides = slice(carrier.n_boards, None), len(target), carrier.walls
+    middle, half = (carrier.pos + carrier.shape_pos)[walls], carrier.half_size[walls]
+    gap = carrier.room.gaps(target, planned[1], 0.0)
+    near = np.array([np.isfinite(gap[:, int(side.is_far), side.axis]) for side in sides]).T
+    more = np.zeros((n + len(sides),) * 2, bool)
+    more[:n, :n], more[:n, n:], more[n:, :n] = beside, near, near.T
+
+    def joined(of_boxes: FloatArray, of_walls: FloatArray) -> FloatArray:
+        repeated = np.broadcast_to(of_walls, (*of_boxes.shape[: of_boxes.ndim - of_walls.ndim], *of_walls.shape))
+        return np.concatenate([of_boxes, repeated], axis=of_boxes.ndim - of_walls.ndim)
+
+    moved = make_room(
+        joined(places[0], middle[:, :2]),
+        joined(places[1], half),
+        joined(places[2], np.zeros(len(sides))),
+        joined(planned[0], middle[:, :2]),
+        joined(planned[1], half),
+        more,
+        np.append(movable, [False] * len(sides)),
+        reach_m,
+    )
+    return moved[:, :n]
 
 
 def _farthest_m(scene: Scene, change: PlacementChange) -> float:

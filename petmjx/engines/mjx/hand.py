@@ -45,7 +45,8 @@ def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep
     middles, reaches = motion.middles(state.qpos, worlds.middle), _reaches(state.qpos, worlds.half)
     stands = jnp.arange(state.qpos.shape[1])[None] < box[:, None]
     planned = _values_of_box(middles, box) + offset
-    aside = _free_begin(planned, _values_of_box(reaches, box), middles, reaches, stands, worlds.hand_aside) - planned
+    most_aside = _values_of_box(worlds.way_aside, box)
+    aside = _free_begin(planned, _values_of_box(reaches, box), middles, reaches, stands, most_aside) - planned
     length = _length(offset + aside)
     seconds = jnp.maximum(
         1.5 * length / worlds.hand_speed,
@@ -130,7 +131,7 @@ def _free_begin(
     middles: Float[Array, "world box 3"],
     reaches: Float[Array, "world box 3"],
     stands: Bool[Array, "world box"],
-    most_aside: Float[Array, " world"],
+    most_aside: Float[Array, "world 2 2"],
 ) -> Vector:
     """Places where boxes may begin without overlapping a standing box, m: the given place, else a place moved aside by
     as little as needed, else one above."""
@@ -150,7 +151,8 @@ def _free_begin(
         along = jnp.arange(3)[None] == axis[:, None]
         moves = (in_way.any(-1) & ~far)[:, None] & along
         place = place + jnp.where(moves, jnp.where(place >= other, length, -length), 0.0)
-        return place, far | (jnp.abs(place - begin).max(-1) > most_aside)
+        way = (place - begin)[:, :2]
+        return place, far | (-way > most_aside[:, 0]).any(-1) | (way > most_aside[:, 1]).any(-1)
 
     aside, far = jax.lax.fori_loop(0, MOST_SIDESTEPS, sidestep, (begin, jnp.zeros(len(begin), bool)))
     free = ~far & ~overlap(aside)[1].any(-1)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from petmjx.common.processes import on_threads
 from petmjx.engines.mjx.repeated_rows import MANY, MOST_THREADS, gather_rows
 from petmjx.options.simulation import Simulation
-from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, most_aside_m
+from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of
 from petmjx.world.compliance import compliances, sinks_m
 from petmjx.world.film import film_of
 from petmjx.world.friction_pairs import filled_up, filled_up_landings
@@ -110,6 +110,7 @@ def _empty(n: int, width: int, boards: int) -> Rows:
         "appears": np.ones(n, np.bool_),
         "way_offset": np.zeros((n, width, 3), np.float32),
         "way_steps": np.zeros((n, width), np.int32),
+        "way_aside": np.zeros((n, width, 2, 2), np.float32),
         "falls": np.zeros((n, width), np.bool_),
         "wrap_press": np.zeros((n, width, 3), np.float32),
         "wrap_hold": np.zeros((n, width), np.float32),
@@ -118,8 +119,6 @@ def _empty(n: int, width: int, boards: int) -> Rows:
 
 def _scene_values(scenes: Sequence[Scene]) -> Rows:
     """Fields with one value a scene."""
-    of_placing = {id(scene.placing): scene.placing for scene in scenes}
-    aside = {key: most_aside_m(placing) for key, placing in of_placing.items()}
     return {
         "n_boxes": stacked_values(scenes, "n_boxes").astype(np.int32),
         "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),
@@ -129,7 +128,6 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
         "floor_z": stacked_values(scenes, "floor_z").astype(np.float32),
         "hand_force": stacked_values(scenes, "placing.force_n").astype(np.float32),
         "hand_speed": stacked_values(scenes, "placing.speed_m_s").astype(np.float32),
-        "hand_aside": np.array([aside[id(scene.placing)] for scene in scenes]).astype(np.float32),
     }
 
 
@@ -144,7 +142,7 @@ def _put_plain(
     if path is not None:
         place, quat, rows["appears"][at] = place + path.lift, path.quat, False
         rows["way_offset"][at, :k], rows["way_steps"][at, :k] = path.offset, path.steps
-        rows["falls"][at, :k] = path.falls
+        rows["falls"][at, :k], rows["way_aside"][at, :k] = path.falls, path.aside
     rows["start"][at, :k, :3], rows["start"][at, :k, 3:] = place, quat
     if scenes[0].wrap.holds:
         for row, scene in zip(at.tolist(), scenes, strict=True):
@@ -174,7 +172,7 @@ def _put(rows: Rows, row: int, scene: Scene, sim: Simulation) -> None:
     if path is not None:
         place, quat, rows["appears"][row] = place + path.lift, path.quat, False
         rows["way_offset"][row, :k], rows["way_steps"][row, :k] = path.offset, path.steps
-        rows["falls"][row, :k] = path.falls
+        rows["falls"][row, :k], rows["way_aside"][row, :k] = path.falls, path.aside
     rows["start"][row, :k, :3], rows["start"][row, :k, 3:] = scene.frames(place, quat), quat
     if scene.wrap.holds:
         rows["wrap_press"][row, :k], rows["wrap_hold"][row, :k] = film_of(scene)

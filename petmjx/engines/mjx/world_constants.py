@@ -45,7 +45,8 @@ class Worlds(NamedTuple):
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
     Else they begin at an offset of ``way_offset`` from it, for a way of ``way_steps``, or 0 if they fall. At the end of
     the way boxes are set down, unless they are let go to fall (petmjx/world/approach_paths.py). ``hand_force``, N,
-    ``hand_speed``, m/s, and ``hand_aside``, m, are a hand's limits. ``wrap_press`` and ``wrap_hold``, N, are the forces
+    and ``hand_speed``, m/s, are a hand's limits, and ``way_aside``, m, is how far a box may begin aside to the low and
+    the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces
     of film (petmjx/world/film.py).
     """
 
@@ -85,10 +86,10 @@ class Worlds(NamedTuple):
     appears: Bool[Array, " world"]
     way_offset: Float[Array, "world box 3"]
     way_steps: Int[Array, "world box"]
+    way_aside: Float[Array, "world box 2 2"]
     falls: Bool[Array, "world box"]
     hand_force: Float[Array, " world"]
     hand_speed: Float[Array, " world"]
-    hand_aside: Float[Array, " world"]
     wrap_press: Float[Array, "world box 3"]
     wrap_hold: Float[Array, "world box"]
 

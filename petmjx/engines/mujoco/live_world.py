@@ -22,7 +22,7 @@ from petmjx.engines.mujoco.waiting_boxes import add_waiting, press_waiting
 from petmjx.engines.verdict import Flag
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation
-from petmjx.world.approach_paths import ApproachPath, approach_path_of, free_begin, most_aside_m, reach, way_steps
+from petmjx.world.approach_paths import ApproachPath, approach_path_of, free_begin, reach, way_steps
 from petmjx.world.mujoco_model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
 from petmjx.world.release_places import Release, release_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
@@ -265,7 +265,7 @@ class LiveWorld:
         planned, pose = end + path.offset[box], self.pose[:box]
         box_reach = reach(quat[None], scene.half_size[box, None])[0]
         reaches = reach(pose[:, 3:], scene.half_size[:box])
-        begin = free_begin(planned, box_reach, pose[:, :3], reaches, most_aside_m(scene.placing))
+        begin = free_begin(planned, box_reach, pose[:, :3], reaches, path.aside[box])
         steps = int(path.steps[box])
         if steps and (begin != planned).any():
             length = float(np.linalg.norm(begin - end))

@@ -109,7 +109,8 @@ def free_begin(
         shared = extent + reach - wp.abs(other - place)
         axis = wp.where(shared[0] <= shared[1], 0, 1)
         place[axis] = place[axis] + wp.where(place[axis] >= other[axis], shared[axis], -shared[axis])
-        if wp.abs(place[axis] - begin[axis]) > worlds.hand_aside[world]:
+        way = place[axis] - begin[axis]
+        if -way > worlds.way_aside[world, box, 0, axis] or way > worlds.way_aside[world, box, 1, axis]:
             break
         first, top = _first_obstacle(worlds, state, world, box, place, reach)
         moves += 1

@@ -1,0 +1,194 @@
+"""Walls of carriers: they bear what slides onto them, tip a load back, and let it fall where a door is open."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.plans import Box, make_plan, make_scene, stack
+
+import petmjx
+from petmjx.common.units import MM_PER_M
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.carriers import Carrier
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.options.walls import Side
+from petmjx.world.history import Record
+from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
+
+G = 9.81
+KG = 10.0
+X_MM, Y_MM = 800.0, 700.0
+"""Extents of the deck of a roll container."""
+
+FORCE_SHARE = 0.03
+"""Exactness of the force on a wall, of the weight's share that friction does not bear."""
+MARGIN = 0.03
+"""Exactness of thresholds: a load stands that much below, and falls that much above."""
+
+SHAKEN = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, early_stop=False, size_reduction_mm=0.0)
+
+
+def along(direction: tuple[float, float], level_g: float, ramp: int = 500, hold: int = 300) -> Drive:
+    """What throws the load in a horizontal direction: a level that grows, in steps, and is then held."""
+    level = level_g * G * np.append(np.linspace(0.0, 1.0, ramp), np.ones(hold))
+    x, y = direction
+    return Drive(Excitation("throw", ACCELERATION, np.outer(level, [-x, -y, 0.0])), rest_s=0.2)
+
+
+def simulate(boxes: Sequence[Box], sim: Simulation, drive: Drive | None = None, record: Record | None = None) -> Outcome:
+    (outcome,) = MujocoEngine(1).run([Job(make_scene(boxes, sim), drive, record=record)], sim)
+    return outcome
+
+
+@pytest.mark.parametrize("carrier", ["footprint", "euro-pallet", "epal-1", "rollcontainer-grid"])
+def test_walls_stand_beside_the_deck_and_the_deck_is_as_without(carrier: str) -> None:
+    plain, sim = Simulation(carrier=carrier), Simulation(carrier=carrier, walls={"sides": list(Side), "gap_mm": 7.0})
+    boxes = stack(2, at_mm=(100.0, 50.0))
+    bare, walled = make_scene(boxes, plain).carrier, make_scene(boxes, sim).carrier
+    assert walled.n_boards == len(bare.half_size)
+    assert walled.walls == tuple(Side)
+    np.testing.assert_array_equal(walled.half_size[: walled.n_boards], bare.half_size)
+    deck = (walled.pos + walled.shape_pos)[: walled.n_boards]
+    np.testing.assert_allclose(deck, bare.pos + bare.shape_pos, atol=1e-12)
+    room = walled.room
+    np.testing.assert_allclose(room.face, [bare.low[:2] - 0.007, bare.high[:2] + 0.007], atol=1e-12)
+    np.testing.assert_allclose(room.top, 1.5)
+    # kilograms by area, as on a drawing: sides are as long as the room and two thicknesses
+    x, y = bare.high[:2] - bare.low[:2] + 0.014 + 2 * 0.03
+    assert walled.mass == pytest.approx(bare.mass + 6.0 * 1.5 * 2 * (x + y))
+    masses = np.append(bare.mass, np.repeat([y, x], 2) * 6.0 * 1.5)
+    middles = np.vstack([bare.pos, (walled.pos + walled.shape_pos)[walled.n_boards :]])
+    np.testing.assert_allclose(walled.pos, masses @ middles / masses.sum(), atol=1e-12)
+
+
+def test_a_door_that_is_opened_leaves_its_mass_so_that_states_stay_valid() -> None:
+    scene = make_scene(stack(2), Simulation(carrier="rollcontainer-4"))
+    opened = scene.with_open_walls([Side.FRONT]).carrier
+    for name in ("pos", "mass", "inertia_box"):
+        np.testing.assert_array_equal(getattr(opened, name), getattr(scene.carrier, name))
+    assert opened.walls == (Side.LEFT, Side.RIGHT, Side.BACK)
+    by_option = make_scene(stack(2), Simulation(carrier="rollcontainer-4", walls={"open": ["front"]})).carrier
+    for name, values in vars(opened).items():
+        np.testing.assert_array_equal(getattr(by_option, name), values)
+    with pytest.raises(ValueError, match="no wall on the side front"):
+        opened.without_walls([Side.FRONT])
+
+
+@pytest.mark.parametrize(("friction", "level_g"), [(0.0, 0.5), (0.3, 0.4), (0.3, 0.6), (0.5, 0.8)])
+def test_a_wall_bears_what_friction_leaves_of_a_block(friction: float, level_g: float) -> None:
+    """On a deck that is tilted by a, or accelerated as here: m g (sin a − µ cos a)."""
+    coefficients = [friction, 0.005, 0.0001]
+    sim = SHAKEN.changed(
+        carrier="euro-pallet",
+        walls={"sides": ["right"], "friction": 0.0},
+        physics={"box_friction": coefficients, "carrier_friction": coefficients},
+    )
+    block: Box = ((200.0, 200.0, 200.0), (1000.0, 300.0, 0.0), KG)
+    ramp, dt = 500, sim.physics.timestep_s
+    outcome = simulate([block], sim, along((1.0, 0.0), level_g, ramp, hold=20), Record(dt, details=True))
+    assert outcome.verdict is Verdict.STABLE
+    history = outcome.history
+    assert history is not None and history.contacts is not None
+    end = int(np.searchsorted(history.time_s, sim.settle_s + (ramp + 5) * dt))
+    of_wall = (history.contacts.frame == end) & (np.abs(history.contacts.normal[:, 0]) > 0.9)
+    force = np.abs(history.contacts.force[of_wall, 0].sum())
+    assert force == pytest.approx(KG * G * (level_g - friction), rel=FORCE_SHARE)
+
+
+def leaning(side: Side, beyond_mm: float = 60.0) -> tuple[Box, ...]:
+    """A tall box on a post. Its middle is beyond the post's edge on a side where it stands at the deck's end."""
+    width, post, height = 300.0, 200.0, 600.0
+    extent = (X_MM, Y_MM)
+    corner = [(end - width) / 2 for end in extent]
+    corner[side.axis] = extent[side.axis] - width if side.is_far else 0.0
+    below = [at + (width - post) / 2 for at in corner]
+    way = -post / 2 - beyond_mm if side.is_far else post / 2 + beyond_mm  # of the post, away from the wall
+    below[side.axis] = corner[side.axis] + (width - post) / 2 + way
+    return (
+        ((post, post, 150.0), (below[0], below[1], 0.0), 20.0),
+        ((width, width, height), (corner[0], corner[1], 150.0), 10.0),
+    )
+
+
+WALLS_OF: dict[str, tuple[Side, ...]] = {
+    "rollcontainer-grid": (),
+    "rollcontainer-2": (Side.LEFT, Side.RIGHT),
+    "rollcontainer-3": (Side.LEFT, Side.RIGHT, Side.BACK),
+    "rollcontainer-4": tuple(Side),
+}
+
+
+@pytest.mark.parametrize(("carrier", "opened"), [*((name, ()) for name in WALLS_OF), ("rollcontainer-4", (Side.FRONT,))])
+def test_a_box_that_tips_stands_where_there_is_a_wall(carrier: str, opened: tuple[Side, ...]) -> None:
+    plans = [make_plan(side, leaning(side)) for side in Side]
+    worlds = petmjx.score(plans, engine="mujoco", threads=1, carrier=carrier, walls={"open": opened}).worlds
+    stands = dict(zip(worlds.plan_id, worlds.verdict == Verdict.STABLE, strict=True))
+    assert stands == {side: side in WALLS_OF[carrier] and side not in opened for side in Side}
+
+
+@pytest.mark.parametrize(("share", "stands"), [(1.0 + MARGIN, True), (1.0 - MARGIN, False)])
+def test_a_box_leans_on_a_smooth_wall_if_friction_holds_its_foot(share: float, stands: bool) -> None:
+    """Its middle is e beyond the edge on which it stands, and its top touches the wall at h: the wall bears W·e/h,
+    which the edge must bear by friction µ·W, so µ ≥ e/h."""
+    beyond, height = 60.0, 600.0
+    friction = [share * beyond / height, 0.005, 0.0001]
+    sim = Simulation(
+        carrier="rollcontainer-grid",
+        walls={"sides": ["right"], "gap_mm": 0.0, "friction": 0.0},
+        physics={"box_friction": friction, "carrier_friction": friction},
+        size_reduction_mm=0.0,
+    )
+    assert (simulate(leaning(Side.RIGHT, beyond), sim).verdict is Verdict.STABLE) == stands
+
+
+WALL_OF_BOXES = tuple(
+    ((200.0, 340.0, 200.0), (200.0 * k + 2.0, 350.0 * row + 5.0, 200.0 * layer), 6.0)
+    for layer in range(5)
+    for row in range(2)
+    for k in range(4)
+)
+"""Two walls of boxes, each four columns of five: a column topples at g·b/h, over x at 0.2 g, over y at 0.34 g."""
+
+
+@pytest.mark.parametrize(
+    ("direction", "side", "level_g"), [((1.0, 0.0), Side.RIGHT, 0.3), ((0.0, 1.0), Side.BACK, 0.45), ((0.0, -1.0), Side.FRONT, 0.45)]
+)
+def test_a_wall_of_boxes_against_three_walls_stands_until_a_door_is_opened(
+    direction: tuple[float, float], side: Side, level_g: float
+) -> None:
+    """The states in which boxes settled in the closed container are those from which the open one starts."""
+    sim = Simulation(carrier="rollcontainer-4")
+    scene, drive = make_scene(WALL_OF_BOXES, sim), along(direction, level_g)
+    (settled,) = MujocoEngine(1).run([Job(scene, keep_state=True)], sim)
+    assert settled.verdict is Verdict.STABLE
+    others = [other for other in Side if other is not side][:1]
+    scenes = [scene, scene.with_open_walls(others), scene.with_open_walls([side])]
+    outcomes = MujocoEngine(1).run([Job(one, drive, start=settled.state) for one in scenes], sim)
+    assert [bool(outcome.boxes.max_tilt_deg.max() < 20.0) for outcome in outcomes] == [True, True, False]
+
+
+def drawn_piles(n: int, seed: int) -> list[petmjx.Plan]:
+    """Small piles near the sides of a roll container, some of which lean."""
+    rng = np.random.default_rng(seed)
+    plans = []
+    for number in range(n):
+        boxes: list[Box] = []
+        for side in rng.permutation(list(Side))[:2]:
+            base, tall = leaning(Side(side), beyond_mm=float(rng.uniform(-60.0, 80.0)))
+            height = float(rng.uniform(250.0, 600.0))
+            boxes += [base, (replace_height(tall[0], height), tall[1], float(rng.uniform(3.0, 12.0)))]
+            if rng.random() < 0.5:
+                aside = rng.uniform(-70.0, 70.0, 2)
+                corner = (tall[1][0] + 50.0 + aside[0], tall[1][1] + 50.0 + aside[1], 150.0 + height)
+                boxes.append(((200.0, 200.0, 200.0), corner, 4.0))
+        plans.append(make_plan(f"pile-{number}", boxes))
+    return plans
+
+
+def replace_height(size: tuple[float, float, float], height: float) -> tuple[float, float, float]:
+    return size[0], size[1], height
