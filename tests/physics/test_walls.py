@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
 
+import jax
 import numpy as np
 import pytest
 from support.plans import Box, make_plan, make_scene, stack
 
 import petmjx
-from petmjx.common.units import MM_PER_M
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.options.carriers import Carrier
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.walls import Side
+from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
+from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
 
 G = 9.81
 KG = 10.0
+TOUCH_M = 1e-5
+"""Exactness of places that are moved apart."""
+
+TOUCH_DEG = 0.07
+"""By how much a box tilts until its contacts bear it: a few hundredths of a millimetre over its height."""
+
+SAME_M = 0.0005
+"""By how much engines differ in where a box stands that tipped onto a wall and slid."""
+
 X_MM, Y_MM = 800.0, 700.0
 """Extents of the deck of a roll container."""
 
@@ -40,7 +48,9 @@ def along(direction: tuple[float, float], level_g: float, ramp: int = 500, hold:
     return Drive(Excitation("throw", ACCELERATION, np.outer(level, [-x, -y, 0.0])), rest_s=0.2)
 
 
-def simulate(boxes: Sequence[Box], sim: Simulation, drive: Drive | None = None, record: Record | None = None) -> Outcome:
+def simulate(
+    boxes: Sequence[Box], sim: Simulation, drive: Drive | None = None, record: Record | None = None
+) -> Outcome:
     (outcome,) = MujocoEngine(1).run([Job(make_scene(boxes, sim), drive, record=record)], sim)
     return outcome
 
@@ -93,7 +103,8 @@ def test_a_wall_bears_what_friction_leaves_of_a_block(friction: float, level_g: 
     outcome = simulate([block], sim, along((1.0, 0.0), level_g, ramp, hold=20), Record(dt, details=True))
     assert outcome.verdict is Verdict.STABLE
     history = outcome.history
-    assert history is not None and history.contacts is not None
+    assert history is not None
+    assert history.contacts is not None
     end = int(np.searchsorted(history.time_s, sim.settle_s + (ramp + 5) * dt))
     of_wall = (history.contacts.frame == end) & (np.abs(history.contacts.normal[:, 0]) > 0.9)
     force = np.abs(history.contacts.force[of_wall, 0].sum())
@@ -123,7 +134,9 @@ WALLS_OF: dict[str, tuple[Side, ...]] = {
 }
 
 
-@pytest.mark.parametrize(("carrier", "opened"), [*((name, ()) for name in WALLS_OF), ("rollcontainer-4", (Side.FRONT,))])
+@pytest.mark.parametrize(
+    ("carrier", "opened"), [*((name, ()) for name in WALLS_OF), ("rollcontainer-4", (Side.FRONT,))]
+)
 def test_a_box_that_tips_stands_where_there_is_a_wall(carrier: str, opened: tuple[Side, ...]) -> None:
     plans = [make_plan(side, leaning(side)) for side in Side]
     worlds = petmjx.score(plans, engine="mujoco", threads=1, carrier=carrier, walls={"open": opened}).worlds
@@ -131,10 +144,12 @@ def test_a_box_that_tips_stands_where_there_is_a_wall(carrier: str, opened: tupl
     assert stands == {side: side in WALLS_OF[carrier] and side not in opened for side in Side}
 
 
-@pytest.mark.parametrize(("share", "stands"), [(1.0 + MARGIN, True), (1.0 - MARGIN, False)])
-def test_a_box_leans_on_a_smooth_wall_if_friction_holds_its_foot(share: float, stands: bool) -> None:
-    """Its middle is e beyond the edge on which it stands, and its top touches the wall at h: the wall bears W·e/h,
-    which the edge must bear by friction µ·W, so µ ≥ e/h."""
+@pytest.mark.parametrize("share", [1.0 + MARGIN, 0.9, 0.8])
+def test_a_box_leans_on_a_smooth_wall_as_far_as_friction_holds_its_foot(share: float) -> None:
+    """Its middle is e beyond the edge on which it stands, and its top touches the wall at h. The wall bears W·e/h,
+    which the edge must bear by friction µ·W: the foot stays if µ ≥ e/h. Else it slides, and the box tilts by an angle
+    a, with which the middle comes back by a·h/2 and the edge bears W·(µ + a): until e − a·h/2 = h·(µ + a). As a load
+    that comes at once it goes up to twice as far."""
     beyond, height = 60.0, 600.0
     friction = [share * beyond / height, 0.005, 0.0001]
     sim = Simulation(
@@ -143,52 +158,106 @@ def test_a_box_leans_on_a_smooth_wall_if_friction_holds_its_foot(share: float, s
         physics={"box_friction": friction, "carrier_friction": friction},
         size_reduction_mm=0.0,
     )
-    assert (simulate(leaning(Side.RIGHT, beyond), sim).verdict is Verdict.STABLE) == stands
+    outcome = simulate(leaning(Side.RIGHT, beyond), sim)
+    assert outcome.verdict is Verdict.STABLE
+    balance_deg = np.degrees(max(0.0, (1.0 - share) * beyond) / (1.5 * height))
+    tilt = outcome.boxes.max_tilt_deg[1]
+    assert balance_deg <= tilt <= 2.0 * balance_deg + TOUCH_DEG
 
 
 WALL_OF_BOXES = tuple(
-    ((200.0, 340.0, 200.0), (200.0 * k + 2.0, 350.0 * row + 5.0, 200.0 * layer), 6.0)
-    for layer in range(5)
+    ((200.0, 240.0, 400.0), (202.0 * k, 242.0 * row, 400.0 * layer), 6.0)
+    for layer in range(2)
     for row in range(2)
-    for k in range(4)
+    for k in range(2)
 )
-"""Two walls of boxes, each four columns of five: a column topples at g·b/h, over x at 0.2 g, over y at 0.34 g."""
+"""Columns of two boxes. One topples at g·b/h: over x at 0.25 g, over y at 0.3 g."""
 
 
-@pytest.mark.parametrize(
-    ("direction", "side", "level_g"), [((1.0, 0.0), Side.RIGHT, 0.3), ((0.0, 1.0), Side.BACK, 0.45), ((0.0, -1.0), Side.FRONT, 0.45)]
-)
-def test_a_wall_of_boxes_against_three_walls_stands_until_a_door_is_opened(
-    direction: tuple[float, float], side: Side, level_g: float
-) -> None:
-    """The states in which boxes settled in the closed container are those from which the open one starts."""
-    sim = Simulation(carrier="rollcontainer-4")
-    scene, drive = make_scene(WALL_OF_BOXES, sim), along(direction, level_g)
+def test_a_wall_of_boxes_against_walls_stands_until_a_door_is_opened() -> None:
+    """The state in which boxes settled in the closed container is also that of the one with an open door."""
+    sim = Simulation(walls=list(Side), check=Check.STATIC)
+    scene = make_scene(WALL_OF_BOXES, sim)
     (settled,) = MujocoEngine(1).run([Job(scene, keep_state=True)], sim)
-    assert settled.verdict is Verdict.STABLE
-    others = [other for other in Side if other is not side][:1]
-    scenes = [scene, scene.with_open_walls(others), scene.with_open_walls([side])]
-    outcomes = MujocoEngine(1).run([Job(one, drive, start=settled.state) for one in scenes], sim)
-    assert [bool(outcome.boxes.max_tilt_deg.max() < 20.0) for outcome in outcomes] == [True, True, False]
+    for side, way, level_g in (
+        (Side.RIGHT, (1.0, 0.0), 0.35),
+        (Side.BACK, (0.0, 1.0), 0.4),
+        (Side.FRONT, (0.0, -1.0), 0.4),
+    ):
+        scenes = [scene, scene.with_open_walls([Side.LEFT]), scene.with_open_walls([side])]
+        jobs = [Job(one, along(way, level_g, ramp=150, hold=250), start=settled.state) for one in scenes]
+        tilt = [outcome.boxes.max_tilt_deg.max() for outcome in MujocoEngine(1).run(jobs, sim)]
+        assert max(tilt[:2]) < 5.0
+        assert tilt[2] > 20.0
 
 
 def drawn_piles(n: int, seed: int) -> list[petmjx.Plan]:
-    """Small piles near the sides of a roll container, some of which lean."""
+    """Piles at two opposite sides of a roll container, some of which lean."""
     rng = np.random.default_rng(seed)
     plans = []
     for number in range(n):
         boxes: list[Box] = []
-        for side in rng.permutation(list(Side))[:2]:
-            base, tall = leaning(Side(side), beyond_mm=float(rng.uniform(-60.0, 80.0)))
+        for side in ((Side.LEFT, Side.RIGHT), (Side.FRONT, Side.BACK))[number % 2]:
+            post, (size, corner, _) = leaning(side, beyond_mm=float(rng.uniform(-60.0, 80.0)))
             height = float(rng.uniform(250.0, 600.0))
-            boxes += [base, (replace_height(tall[0], height), tall[1], float(rng.uniform(3.0, 12.0)))]
-            if rng.random() < 0.5:
-                aside = rng.uniform(-70.0, 70.0, 2)
-                corner = (tall[1][0] + 50.0 + aside[0], tall[1][1] + 50.0 + aside[1], 150.0 + height)
-                boxes.append(((200.0, 200.0, 200.0), corner, 4.0))
+            boxes += [post, ((size[0], size[1], height), corner, float(rng.uniform(3.0, 12.0)))]
+            if rng.random() < 0.7:
+                x, y = (at + rng.uniform(0.0, 100.0) for at in corner[:2])
+                boxes.append(((200.0, 200.0, 200.0), (x, y, corner[2] + height), 4.0))
         plans.append(make_plan(f"pile-{number}", boxes))
     return plans
 
 
-def replace_height(size: tuple[float, float, float], height: float) -> tuple[float, float, float]:
-    return size[0], size[1], height
+def test_engines_agree_on_what_stands_in_a_roll_container() -> None:
+    """mjx-jax takes a minute to compile two boxes beside a wall; its shapes are tested in tests/oracle."""
+    plans, engines = drawn_piles(12, seed=7), ("mujoco", "mjx-warp-cpu")
+    with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
+        twin, other = (petmjx.score(plans, engine=name, threads=1, carrier="rollcontainer-3") for name in engines)
+    assert twin.worlds.verdict.tolist() == other.worlds.verdict.tolist()
+    assert twin.worlds.culprit.tolist() == other.worlds.culprit.tolist()
+    verdicts = dict(zip(twin.worlds.plan_id, twin.worlds.verdict, strict=True))
+    assert {*verdicts.values()} == {Verdict.STABLE, Verdict.UNSTABLE}
+    stands = twin.boxes.plan_id.map(verdicts) == Verdict.STABLE
+    for name in ("shift_x_m", "shift_y_m"):
+        np.testing.assert_allclose(twin.boxes[name][stands], other.boxes[name][stands], atol=SAME_M)
+
+
+ERRORS = PlacementChange(
+    x_mm=Distribution(DistributionShape.NORMAL, 0.0, 6.0),
+    y_mm=Distribution(DistributionShape.NORMAL, 0.0, 6.0),
+    yaw_deg=Distribution(DistributionShape.NORMAL, 0.0, 0.5),
+)
+
+
+@pytest.mark.parametrize("placing", ["exact", "hand"])
+def test_boxes_with_errors_begin_between_the_walls(placing: str) -> None:
+    sim = Simulation(carrier="rollcontainer-4", placing=placing)
+    boxes = [
+        ((390.0, 345.0, 300.0), (400.0 * x, 350.0 * y, 300.0 * z), 6.0)
+        for z in range(2)
+        for y in range(2)
+        for x in range(2)
+    ]
+    nominal = make_scene(boxes, sim)
+    variants = [Variant(k, ERRORS, replicate=k) for k in range(1, 41)]
+    scenes = [*apply_all(nominal, "plan", variants, seed=3)]
+    paths = approach_paths_of(scenes, sim)
+    outside = 0
+    for row, scene in enumerate(scenes):
+        begin, room = scene.start_pos.copy(), scene.carrier.room
+        reaches = reach(scene.start_quat, scene.half_size)[:, None, :2]
+        outside += int(
+            ((begin[:, None, :2] - reaches < room.face[0]) | (begin[:, None, :2] + reaches > room.face[1])).any()
+        )
+        if paths is not None:
+            path = ApproachPath(*(values[row] for values in paths))
+            for one, other in zip(path, approach_path_of(scene, sim) or (), strict=True):
+                np.testing.assert_array_equal(one, other)
+            begin += path.offset
+            # and so they do wherever they go aside
+            begin = begin[:, None, :2] + path.aside * [[-1.0], [1.0]]
+        else:
+            begin = begin[:, None, :2]
+        assert (begin - reaches >= room.face[0] - TOUCH_M).all()
+        assert (begin + reaches <= room.face[1] + TOUCH_M).all()
+    assert (outside > 10) == (placing == "hand")  # so far their errors took them

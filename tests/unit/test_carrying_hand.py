@@ -28,14 +28,14 @@ SINGLE = {"rtol": 2e-4, "atol": 2e-4}
 """Forces of single precision: the spring's is the difference of places of some decimetres, times up to 2,500 kg/s²."""
 
 
-def crowded() -> Scene:
+def crowded(sim: Simulation) -> Scene:
     """The last box belongs 3 mm into one neighbour and beside another."""
     boxes: list[Box] = [
         (SIZE, (0.0, 0.0, 0.0), 6.0),
         (SIZE, (0.0, 300.0, 0.0), 6.0),
         (SIZE, (297.0, 150.0, 0.0), 4.0),
     ]
-    scene = make_scene(boxes, SIM)
+    scene = make_scene(boxes, sim)
     return replace(scene, approach=np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 1.0]]))
 
 
@@ -55,14 +55,18 @@ class Pair:
 
 @pytest.fixture
 def pair() -> Pair:
-    scene = crowded()
-    live = LiveWorld(scene, SIM)
+    return placed(SIM)
+
+
+def placed(sim: Simulation) -> Pair:
+    scene = crowded(sim)
+    live = LiveWorld(scene, sim)
     for _ in range(scene.n_boxes):
         live.hand = None
         live.place_next()
         if live.n_placed < scene.n_boxes:  # those before stand at their places
             live._poses[live.n_placed - 1, :3] = scene.target[live.n_placed - 1]
-    worlds = upload_worlds([Job(scene)], 1, scene.n_boxes, {}, SIM)
+    worlds = upload_worlds([Job(scene)], 1, scene.n_boxes, {}, sim)
     state = fresh_state(worlds, all_placed=True, ends=jnp.full(1, NEVER, jnp.int32), rest_steps=1)
     poses = jnp.asarray(np.column_stack([scene.target, scene.start_quat]), jnp.float32)[None]
     state = state._replace(qpos=poses.at[:, -1].set(worlds.start[:, -1]), step=jnp.full(1, 70, jnp.int32))
@@ -79,6 +83,17 @@ def test_boxes_begin_at_the_same_place(pair: Pair) -> None:
     assert int(pair.state.carried_steps[0]) == pair.of_c.steps
     length = np.linalg.norm(pair.of_c.end - pair.of_c.begin)
     assert pair.of_c.steps == way_steps(length, 4.0, SIM.placing, DT)
+
+
+@pytest.mark.parametrize(("gap_mm", "goes"), [(0.0, "up"), (8.0, "aside")])
+def test_a_box_goes_aside_no_further_than_to_a_wall(gap_mm: float, goes: str) -> None:
+    """Its neighbour is 3 mm in its way. It goes up where the wall leaves less."""
+    pair = placed(SIM.changed(walls={"sides": ["right"], "gap_mm": gap_mm}))
+    place = pair.live.pose[2, :3]
+    np.testing.assert_allclose(pair.state.qpos[0, 2, :3], place, atol=1e-6)
+    assert place[0] + 0.15 <= 0.597 + gap_mm / 1000
+    planned = 0.15 + SIM.placing.height_mm / 1000
+    assert (place[2] > planned + 0.1) == (goes == "up")
 
 
 def random_motion(rng: np.random.Generator, quat: FloatArray) -> tuple[FloatArray, FloatArray]:
