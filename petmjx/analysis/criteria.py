@@ -41,6 +41,7 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.plans.plan import Plan
+from petmjx.world.body_shapes import Room
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +113,15 @@ def answer(
     friction: Friction,
     tolerance_mm: float,
     deck_mm: FloatArray | None = None,
+    room: Room | None = None,
 ) -> Answers:
     """Evaluate criteria for one plan.
 
     Args:
         friction: coefficients, for force balance.
-        tolerance_mm, deck_mm: see ``petmjx.analysis.plan_contacts.find_contacts``.
+        tolerance_mm, deck_mm, room: see ``petmjx.analysis.plan_contacts.find_contacts``.
     """
-    contacts = find_contacts(plan, tolerance_mm, deck_mm)
+    contacts = find_contacts(plan, tolerance_mm, deck_mm, room)
     inputs = CriterionInputs(
         contacts, friction, any(criterion.name == LEANING for criterion in criteria), plan.strength_n
     )
@@ -318,7 +320,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         LEANING,
-        "such forces exist if boxes may also press on neighbours that they touch side by side",
+        "such forces exist if boxes may also press on walls, and on neighbours that they touch side by side",
         "share of an even load that every corner can carry",
         DIMENSIONLESS,
         "StableLego, arXiv 2402.10711; Whiting et al. 2009",

@@ -10,6 +10,7 @@ from petmjx.analysis.criteria import Criterion, chosen_criteria
 from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 from petmjx.options.carriers import AnyCarrier, Carrier
 from petmjx.options.physics import PHYSICS
+from petmjx.options.walls import Walls
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 
 
@@ -30,6 +31,7 @@ class CriteriaOptions(CheckedRecord):
         description="what the boxes stand on, as for petmjx score, and by default that of the run: boards bear, gaps "
         "do not; one without boards reaches under all boxes",
     )
+    walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
     processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(

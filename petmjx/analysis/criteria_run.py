@@ -35,7 +35,8 @@ from petmjx.results.read_files import source_files
 from petmjx.results.run_folder import text
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
-from petmjx.world.carrier_boards import pallet
+from petmjx.world.carrier_boards import has_walls, pallet
+from petmjx.world.scene import carrier_of
 
 _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
@@ -280,6 +281,7 @@ def criteria(
     physics = run if isinstance(run, RunResults) or run is None else load_run(run)
     if physics is not None and "carrier" not in options:
         chosen = chosen.changed(carrier=physics.carrier)
+        chosen = chosen if "walls" in options else chosen.changed(walls=physics.walls)
     doubts = [] if physics is None else [*physics.doubts("the run"), *_other_carrier(chosen.carrier, physics)]
     if physics is not None:
         read = read.changed(articles=how_read(physics.info).articles)
@@ -363,9 +365,13 @@ def _answers(
 
 def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
     friction = Friction(options.friction, options.side_friction)
-    boards = pallet(options.carrier)
+    boards, sim = pallet(options.carrier), Simulation(carrier=options.carrier, walls=options.walls)
     deck_mm = None if boards is None else boards.deck_mm
-    return [answer(plan, options.criteria, friction, options.tolerance_mm, deck_mm) for plan in plans]
+    rooms = [carrier_of(plan, sim).room if has_walls(sim) else None for plan in plans]
+    return [
+        answer(plan, options.criteria, friction, options.tolerance_mm, deck_mm, room)
+        for plan, room in zip(plans, rooms, strict=True)
+    ]
 
 
 def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:

@@ -21,9 +21,9 @@ used:
   box that lies across it and its neighbour. The slack is then that with friction, if it is larger.
 - A structure of one box has the closed form above, without a linear programme.
 
-With ``lean`` boxes that touch side by side may press on each other, by default without friction. It is an option
-because forces that could exist need not arise: with friction at its sides any box could hang between two neighbours
-that press on it, though nothing makes them press when it is set down.
+With ``lean`` boxes that touch side by side may press on each other, and boxes on walls, by default without friction. It
+is an option because forces that could exist need not arise: with friction at its sides any box could hang between two
+neighbours that press on it, though nothing makes them press when it is set down.
 
 The linear programmes and ``wrenches``, the force and moment on bodies by forces at points, also serve
 petmjx.analysis.force_intervals.
@@ -381,7 +381,7 @@ def _hanging_together(
     """(n,) all placed boxes that are connected with the structure by contacts."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
-    pair = pair[(pair[:, 1] != CARRIER) & (pair.max(axis=1) <= newest)]
+    pair = pair[(pair != CARRIER).all(axis=1) & (pair.max(axis=1) <= newest)]
     members = structure.copy()
     count = 0
     while count != members.sum():
@@ -414,7 +414,8 @@ def _points(
         )
     ]
     if sides is not None:
-        indices = np.flatnonzero(boxes[sides.first] & boxes[sides.second])
+        stands = np.append(boxes, True)  # the walls, as CARRIER
+        indices = np.flatnonzero(stands[sides.first] & stands[sides.second])
         ends = (sides.first[indices], sides.second[indices], sides.axis[indices], _side_corners(sides, indices))
         parts.append((*ends, np.zeros(len(indices)), np.full(len(indices), friction.sides)))
     first, second, axis, position, share, mu = (np.concatenate(columns) for columns in zip(*parts, strict=True))

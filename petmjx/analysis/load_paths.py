@@ -202,6 +202,7 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
         contacts.mass_kg,
         (contacts.centre_mm - middle) / MM_PER_M,
         np.full(n, np.inf),
+        np.zeros((n, 2, 2)),
     )
     low, high = contacts.low_mm / MM_PER_M, contacts.high_mm / MM_PER_M
     return Bearing(boxes, contacts.upper, contacts.lower, low, high)

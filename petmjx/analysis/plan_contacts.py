@@ -14,13 +14,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.common.units import FloatArray
+from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.options.physics import Physics
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets, shared_length
+from petmjx.world.body_shapes import Room
 from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
-from petmjx.world.supports import TOUCH_M
+from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
 """A point at most this far outside counts as on the edge. It covers rounding errors of float64 sums of millimetres."""
@@ -151,6 +152,7 @@ class PlanContacts:
             board.
         tolerance_mm: gaps and overlaps up to this count as touching.
         mass_center_mm: (n, 3) centres of mass, as in ``Plan``.
+        room: the room between the carrier's walls; None: it has none.
     """
 
     size_mm: FloatArray
@@ -164,6 +166,7 @@ class PlanContacts:
     under_high_mm: FloatArray
     tolerance_mm: float
     mass_center_mm: FloatArray | None = None
+    room: Room | None = None
 
     @property
     def n_boxes(self) -> int:
@@ -211,10 +214,10 @@ class PlanContacts:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Where boxes touch side by side: s rectangles, each upright.
+    """Where boxes touch side by side, or lean on a wall: s rectangles, each upright.
 
     Attributes:
-        first, second: (s,) the boxes; the second is on the positive side along the axis.
+        first, second: (s,) the boxes, or ``CARRIER`` for a wall; the second is on the positive side along the axis.
         axis: (s,) 0 for x, 1 for y.
         low_mm, high_mm: (s, 3) corners of the rectangle, which has no extent along its axis.
     """
@@ -236,7 +239,10 @@ def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def find_contacts(
-    plan: Plan, tolerance_mm: float = DEFAULT_TOLERANCE_MM, deck_mm: FloatArray | None = None
+    plan: Plan,
+    tolerance_mm: float = DEFAULT_TOLERANCE_MM,
+    deck_mm: FloatArray | None = None,
+    room: Room | None = None,
 ) -> PlanContacts:
     """Find the contacts of a plan: the bodies and rectangles on which its boxes lie.
 
@@ -245,6 +251,7 @@ def find_contacts(
             default is the tolerance of the warnings about a plan: half of the last digit of whole millimetres.
         deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
             carrier reaches under all boxes.
+        room: the room between the carrier's walls; None: it has none.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     below, above = np.nonzero(_rests(low, high, tolerance_mm))
@@ -271,6 +278,7 @@ def find_contacts(
         under_high_mm=under_high,
         tolerance_mm=tolerance_mm,
         mass_center_mm=plan.mass_center_mm,
+        room=room,
     )
 
 
@@ -289,7 +297,8 @@ def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np
 
 
 def find_sides(contacts: PlanContacts) -> Sides:
-    """Find where the boxes of a plan touch side by side."""
+    """Find where the boxes of a plan touch side by side, and the walls, up to ``LEANS_M`` away, on which they lean if
+    they tip."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
     pairs_by_axis = []
@@ -303,7 +312,23 @@ def find_sides(contacts: PlanContacts) -> Sides:
     near, far = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
     rows = np.arange(len(axes))
     near[rows, axes] = far[rows, axes] = (near[rows, axes] + far[rows, axes]) / 2
-    return Sides(first, second, axes, near, far)
+    sides = Sides(first, second, axes, near, far)
+    return sides if contacts.room is None else _with_walls(sides, contacts, contacts.room)
+
+
+def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
+    """The sides, and behind them those at which boxes lean on walls: a box's whole side, up to the top of the wall."""
+    low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
+    middle_m, half_m = (low + high) / 2 / MM_PER_M, contacts.size_mm / 2 / MM_PER_M
+    gap_mm = MM_PER_M * room.gaps(middle_m, half_m, contacts.tolerance_mm / MM_PER_M)
+    box, end, axis = np.nonzero(gap_mm <= MM_PER_M * LEANS_M)
+    near, far, rows = low[box].copy(), high[box].copy(), np.arange(len(box))
+    near[rows, axis] = far[rows, axis] = np.where(end == 0, low[box, axis], high[box, axis])
+    far[:, 2] = np.minimum(far[:, 2], MM_PER_M * room.top[end, axis])
+    wall = np.full(len(box), CARRIER)
+    ends = (np.where(end == 0, wall, box), np.where(end == 0, box, wall), axis, near, far)
+    both = zip((sides.first, sides.second, sides.axis, sides.low_mm, sides.high_mm), ends, strict=True)
+    return Sides(*(np.concatenate(parts) for parts in both))
 
 
 LYING_GAP_M: Final = TOUCH_M

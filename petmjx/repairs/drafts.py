@@ -17,10 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
-from petmjx.options.carriers import AnyCarrier, extent_m
+from petmjx.options.carriers import extent_m
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import KINDS, SHEET
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets, shared_length
+from petmjx.world.carrier_boards import has_walls
+from petmjx.world.scene import carrier_of
 
 TOLERANCE_MM: Final = DEFAULT_TOLERANCE_MM
 """Gaps and overlaps up to this count as touching, as in the warnings about a plan."""
@@ -219,12 +222,14 @@ class Oddities(NamedTuple):
         gap_mm: (c, m) height of each box above its support when it is placed.
         blocked: (c, m, m) whether the row's box is placed before the column's, above its place.
         outside_mm: (c, m) distance by which each box reaches beyond the limits of the rules.
+        through_mm: (c, m) depth by which each box reaches through a wall of the carrier.
     """
 
     overlap_mm: FloatArray
     gap_mm: FloatArray
     blocked: BoolArray
     outside_mm: FloatArray
+    through_mm: FloatArray
 
 
 class Rules:
@@ -232,14 +237,14 @@ class Rules:
 
     Args:
         plan: the plan as it was.
-        carrier: what it stands on. Boxes may overhang its edges as far as boxes of the plan do.
+        sim: options of the simulation. Boxes may overhang the carrier's edges as far as boxes of the plan do.
         max_height_mm: highest top of a box; the plan's own height if that is greater.
         built: number of boxes that stand already. They are not changed.
     """
 
-    def __init__(self, plan: Plan, carrier: AnyCarrier, max_height_mm: float, built: int) -> None:
+    def __init__(self, plan: Plan, sim: Simulation, max_height_mm: float, built: int) -> None:
         low, high = plan.corner_mm.min(axis=0), (plan.corner_mm + plan.size_mm).max(axis=0)
-        extent = extent_m(carrier)
+        extent = extent_m(sim.carrier)
         if extent is not None:
             low[:2] = np.minimum(low[:2], 0.0)
             high[:2] = np.maximum(high[:2], np.array(extent) * MM_PER_M)
@@ -247,6 +252,7 @@ class Rules:
         self.high_mm[2] = max(high[2], max_height_mm)
         self.built = built
         self.plan = plan
+        self._room = carrier_of(plan, sim).room if has_walls(sim) else None
         self._before = self._oddities([Draft.of(plan)])
 
     @property
@@ -283,6 +289,7 @@ class Rules:
         worse = _worse(now.overlap_mm, self._before.overlap_mm, n).any(axis=(1, 2))
         worse |= _worse(now.gap_mm, self._before.gap_mm, n).any(axis=1)
         worse |= now.outside_mm.max(axis=1) > TOLERANCE_MM
+        worse |= _worse(now.through_mm, self._before.through_mm, n).any(axis=1)
         blocked = now.blocked.copy()
         blocked[:, :n, :n] &= ~self._before.blocked
         worse |= blocked.any(axis=(1, 2))
@@ -315,7 +322,16 @@ class Rules:
         over = low[:, :, None, 2] > low[:, None, :, 2] + TOLERANCE_MM  # the row's box begins higher
         blocked = beside & earlier & over
         outside = np.maximum(self.low_mm - low, high - self.high_mm).max(axis=2)
-        return Oddities(depth, gap, blocked, np.where(present, outside, 0.0))
+        through = np.where(present, self._through_mm(low, high), 0.0)
+        return Oddities(depth, gap, blocked, np.where(present, outside, 0.0), through)
+
+    def _through_mm(self, low: FloatArray, high: FloatArray) -> FloatArray:
+        """(c, m) as of ``Oddities``, for boxes with these (c, m, 3) corners."""
+        if self._room is None:
+            return np.zeros(low.shape[:2])
+        middle_m, half_m = (low + high) / 2 / MM_PER_M, (high - low) / 2 / MM_PER_M
+        gap_mm = MM_PER_M * self._room.gaps(middle_m, half_m, TOLERANCE_MM / MM_PER_M)
+        return np.maximum(-gap_mm.min(axis=(2, 3)), 0.0)
 
 
 AT_ONCE: Final = 256

@@ -130,7 +130,7 @@ class Search:
     def __post_init__(self) -> None:
         """Prepare the rules of the plan."""
         options = self.options
-        self.rules = Rules(self.plan, self.sim.carrier, options.max_height_mm, options.built)
+        self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
 

@@ -30,6 +30,7 @@ from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.carriers import Carrier, OwnCarrier
 from petmjx.options.run_options import WORLDS
 from petmjx.options.simulation import Simulation
+from petmjx.options.walls import Walls
 from petmjx.plans.order_matching import PlanOrderCounts
 from petmjx.plans.plan import Plan
 from petmjx.results.notebook_tables import worlds_as_html
@@ -174,11 +175,21 @@ class RunResults:
     @property
     def carrier(self) -> Carrier | OwnCarrier:
         """What the boxes stood on; ``footprint`` if the run names no known carrier."""
+        return self._carrying.carrier
+
+    @property
+    def walls(self) -> Walls:
+        """The walls that the run's options give the carrier, which may have walls of its own."""
+        return self._carrying.walls
+
+    @property
+    def _carrying(self) -> Simulation:
+        """The run's options of the carrier and its walls; all others have their defaults."""
         settings = self.info.get("config", {}).get("simulation", {})
         try:
-            return Simulation.read({"carrier": settings["carrier"]}).carrier
-        except (InputError, KeyError, TypeError):
-            return Carrier.FOOTPRINT
+            return Simulation.read({"carrier": settings["carrier"], "walls": settings.get("walls", {})})
+        except (InputError, KeyError, TypeError, AttributeError):
+            return Simulation()
 
     def doubts(self, name: str) -> list[str]:
         """A line that calls the run ``name`` if it is not finished; else an empty list."""

@@ -249,13 +249,7 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
     if several.any():
         _without_pulls(bearing, begins, step, load)
     point = load[:, 1:] / load[:, :1]
-    edge = np.full(len(box), np.nan)
-    one = np.flatnonzero((bearing.n_supports == 1)[box])
-    contact = np.cumsum(bearing.n_supports) - bearing.n_supports
-    low, high = bearing.low[contact[box[one]]], bearing.high[contact[box[one]]]
-    edge[one] = np.minimum(point[one] - low, high - point[one]).min(axis=1)
-    more = np.flatnonzero(several[box])
-    edge[more] = bearing.hulls.inside_m(bearing.number_of_hull[box[more]], point[more])
+    edge = bearing.inside_m(box, point)
     edge[(edge < 0) & (edge > -ROUNDING_M)] = 0.0
     return BuildingLoads(box, step, load, edge)
 

@@ -8,16 +8,17 @@ from typing import Final
 import numpy as np
 
 from petmjx.common.errors import InputError
-from petmjx.common.text import count_text, printable_name
-from petmjx.common.units import FloatArray
+from petmjx.common.text import count_text, printable_name, three_digits
+from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.placing import Placing, Way
 from petmjx.options.simulation import Attempts, Check, Schedule, Simulation
+from petmjx.options.walls import Side, Walls
 from petmjx.options.wrap import Wrap
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
-from petmjx.world.carrier_boards import carrier_notes, pallet
+from petmjx.world.carrier_boards import carrier_notes, has_walls, pallet
 from petmjx.world.friction_pairs import check_surfaces
-from petmjx.world.scene import build_scene
+from petmjx.world.scene import build_scene, carrier_of
 from petmjx.world.supports import bearing_of
 
 _USES: Final = {
@@ -57,6 +58,7 @@ def notes_about(
         *_placing_notes(sim.placing, axes, errors),
         *_wrap_notes(sim.wrap, axes, driven),
         *_gap_notes(sim, plans),
+        *_wall_notes(sim, plans),
         *_stiffness_notes(sim, plans, errors),
         *_attempt_notes(sim, driven),
         *_static_notes(sim),
@@ -107,6 +109,40 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
         verb = "stands" if count == 1 else "stand"
         first = f"{', '.join(named)}{more}"
         yield f"{count_text(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap ({first})"
+
+
+def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
+    """Notes on options of walls without walls, and on boxes that are planned through one."""
+    if not has_walls(sim):
+        idle = [name for name in Walls.model_fields if getattr(sim.walls, name) not in (None, ())]
+        if idle:
+            verb = "has" if len(idle) == 1 else "have"
+            yield f"{' and '.join(f'walls.{name}' for name in idle)} {verb} no effect: the carrier has no walls"
+        return
+    named: list[str] = []
+    count = 0
+    for plan in plans:
+        of_plan = printable_name(plan.plan_id)
+        boxes = [
+            f"box {box} of {of_plan} by {three_digits(depth)} mm on the {side}"
+            for box, side, depth in _through_walls(plan, sim)
+        ]
+        count += len(boxes)
+        named += boxes[: MOST_NAMED - len(named)]
+    if count:
+        more = ", …" if count > len(named) else ""
+        verb = "reaches" if count == 1 else "reach"
+        yield f"{count_text(count, 'box', 'boxes')} {verb} through a wall of the carrier ({', '.join(named)}{more})"
+
+
+def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, float]]:
+    """Boxes that are planned through a wall, its side, the deepest one, and by how much, mm."""
+    place, half = (mm_to_m(values) for values in (plan.corner_mm + plan.size_mm / 2, plan.size_mm / 2))
+    gap = carrier_of(plan, sim).room.gaps(place, half, DEFAULT_TOLERANCE_MM / MM_PER_M)
+    depth_mm = np.stack([-MM_PER_M * gap[:, int(side.is_far), side.axis] for side in Side], axis=1)
+    for box in np.flatnonzero(depth_mm.max(axis=1) > DEFAULT_TOLERANCE_MM).tolist():
+        deepest = int(depth_mm[box].argmax())
+        yield box, list(Side)[deepest], float(depth_mm[box, deepest])
 
 
 def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:

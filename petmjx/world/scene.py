@@ -202,14 +202,8 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     front-left-bottom corner stays. Half sizes and centres are rounded half up to 1 µm, as the reference implementation
     writes them.
     """
-    boards = pallet(sim.carrier)
     stiffness = _stiffness(plan) if sim.physics.has_own_friction else None
-    if boards is None:
-        carrier = next(_slabs(plan.corner_mm, plan.size_mm, np.array([0]), sim))
-    else:
-        carrier = body_of(boards, sim.physics)
-    carrier = with_walls(carrier, sim)
-    surfaces = find_surfaces(plan, sim)
+    carrier, surfaces = carrier_of(plan, sim), find_surfaces(plan, sim)
     boxes = _of_boxes(plan.size_mm, plan.corner_mm, plan.mass_kg.copy(), sim)
     return Scene(
         **boxes,
@@ -224,6 +218,14 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
         soft=np.isfinite(stiffness) & ~plan.sheets if sim.soft and stiffness is not None else None,
         pieces=pieces_of(plan.sheets, boxes["target"], boxes["half_size"], carrier) if plan.kinds else (),
     )
+
+
+def carrier_of(plan: Plan, sim: Simulation) -> Body:
+    """The carrier of a plan with its walls, without surfaces."""
+    boards = pallet(sim.carrier)
+    if boards is not None:
+        return with_walls(body_of(boards, sim.physics), sim)
+    return with_walls(next(_slabs(plan.corner_mm, plan.size_mm, np.array([0]), sim)), sim)
 
 
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:

@@ -18,8 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.options.simulation import Thresholds
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, meets
 from petmjx.world.body_shapes import Body
+from petmjx.world.friction_pairs import LARGER
 from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
@@ -30,6 +32,9 @@ IntArray = NDArray[np.intp]
 
 TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Faces touch if they are no further apart than this, as in the warnings about a plan."""
+
+LEANS_M: Final = Thresholds().shift_m
+"""Largest gap at which a box that tips leans on a wall: its middle has then moved by less than a verdict allows."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 
@@ -45,6 +50,7 @@ class Boxes:
         mass: (n,) kg.
         mass_center: (n, 3) from the middle, m.
         carrier_mass: (n,) mass of the carrier of each box's scene, kg.
+        held: (n, 2, 2) how far beyond its supports a wall holds a load, at the low and the high end of x and y, m.
     """
 
     first: IntArray
@@ -53,14 +59,22 @@ class Boxes:
     mass: FloatArray
     mass_center: FloatArray
     carrier_mass: FloatArray
+    held: FloatArray
 
     @classmethod
     def of(cls, scene: Scene) -> Boxes:
         """The boxes of one scene."""
         n = scene.n_boxes
         mass_center = np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
-        carrier_mass = np.full(n, scene.carrier.mass)
-        return cls(np.array([0, n]), scene.target, scene.half_size, scene.mass, mass_center, carrier_mass)
+        return cls(
+            np.array([0, n]),
+            scene.target,
+            scene.half_size,
+            scene.mass,
+            mass_center,
+            np.full(n, scene.carrier.mass),
+            _held_by_walls(scene, scene.target),
+        )
 
     @classmethod
     def together(cls, scenes: Sequence[Boxes]) -> Boxes:
@@ -82,6 +96,31 @@ class Boxes:
         number = np.arange(self.first[-1]) - np.repeat(self.first[:-1], counts)
         among: NDArray[np.bool_] = number < np.repeat(np.broadcast_to(placed, len(counts)), counts)
         return among
+
+
+def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
+    """(n, 2, 2) as ``Boxes.held``, with the boxes at these (n, 3) places, m.
+
+    A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
+    wall's, above its bottom. The wall then presses with W·e/h, which the edge must bear by friction: so it is held up
+    to e = µ·h. The wall counts as smooth, and what bears the box as held in its place.
+    """
+    held = np.zeros((scene.n_boxes, 2, 2))
+    if not scene.carrier.walls:
+        return held
+    room, half = scene.carrier.room, scene.half_size
+    bottom, top = (target - half)[:, 2], (target + half)[:, 2]
+    height = np.minimum(top[:, None, None], room.top) - bottom[:, None, None]
+    return np.where(room.gaps(target, half, TOUCH_M) <= LEANS_M, _least_friction(scene)[:, None, None] * height, held)
+
+
+def _least_friction(scene: Scene) -> FloatArray:
+    """(n,) the least coefficient of friction between each box and what it may stand on."""
+    friction = scene.friction[:, 0]
+    if scene.surface is None or scene.pair_friction is None:
+        return friction
+    of_pairs = np.where(scene.pair_friction == LARGER, np.inf, scene.pair_friction).min(axis=1)[scene.surface]
+    return np.where(np.isfinite(of_pairs), of_pairs, friction)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,12 +208,23 @@ class Bearing:
         NaN if nothing bears the box, or it has no load."""
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
-        distance_m = np.full(len(load), np.nan)
-        single = np.flatnonzero(self.n_supports[self.upper] == 1)
-        alone = self.upper[single]
-        distance_m[alone] = np.minimum(point[alone] - self.low[single], self.high[single] - point[alone]).min(axis=1)
-        several = np.flatnonzero(self.n_supports > 1)
-        distance_m[several] = self.hulls.inside_m(np.arange(len(several)), point[several])
+        return self.inside_m(np.arange(len(load)), point)
+
+    def inside_m(self, box: IntArray, point: FloatArray) -> FloatArray:
+        """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, as ``edges_m``."""
+        distance_m = np.full(len(box), np.nan)
+        alone = np.flatnonzero(self.n_supports[box] == 1)
+        contact, held = self.ends[box[alone]], self.boxes.held[box[alone]]
+        low, high = self.low[contact] - held[:, 0], self.high[contact] + held[:, 1]
+        distance_m[alone] = np.minimum(point[alone] - low, high - point[alone]).min(axis=1)
+        several = np.flatnonzero(self.n_supports[box] > 1)
+        if len(several):
+            hull, held = self.number_of_hull[box[several]], self.boxes.held[box[several]]
+            outward = -self.hulls.normal[hull]
+            wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
+                axis=2
+            )
+            distance_m[several] = (self.hulls.distances_m(hull, point[several]) + wider).min(axis=1, initial=np.inf)
         return distance_m
 
     @cached_property
@@ -335,7 +385,8 @@ def _stacked_bearings(scenes: Sequence[Scene], target: FloatArray, most_gap_m: f
     every = upper[order], lower[order], area_low[order], area_high[order]
     first, centred = np.array([0, n]), np.zeros((n, 3))
     for k, scene in enumerate(scenes):
-        boxes = Boxes(first, target[k], half_size[k], scene.mass, centred, np.full(n, scene.carrier.mass))
+        held = _held_by_walls(scene, target[k])
+        boxes = Boxes(first, target[k], half_size[k], scene.mass, centred, np.full(n, scene.carrier.mass), held)
         yield Bearing(boxes, *(values[ends[k] : ends[k + 1]] for values in every))
 
 

@@ -10,13 +10,19 @@ import pytest
 from support.plans import Box, make_plan, make_scene, stack
 
 import petmjx
+from petmjx.common.errors import InputError
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.walls import Side
+from petmjx.repairs.drafts import Draft, Rules
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
+from petmjx.world.edge_distances import building_edges, edges_of
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
+from petmjx.world.option_lint import notes_about
+from petmjx.world.scene import build_scene
+from petmjx.world.supports import bearings_of
 from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
 
 G = 9.81
@@ -189,6 +195,57 @@ def test_a_wall_of_boxes_against_walls_stands_until_a_door_is_opened() -> None:
         tilt = [outcome.boxes.max_tilt_deg.max() for outcome in MujocoEngine(1).run(jobs, sim)]
         assert max(tilt[:2]) < 5.0
         assert tilt[2] > 20.0
+
+
+@pytest.mark.parametrize("carrier", WALLS_OF)
+def test_criteria_and_edges_know_walls(carrier: str) -> None:
+    """A load e = 60 mm beyond an edge is held by a wall that it meets at h = 600 mm, with friction of µ > e/h."""
+    for friction, holds in ((0.11, True), (0.09, False)):
+        physics = {"box_friction": [friction, 0.005, 0.0001]}
+        sim = Simulation(carrier=carrier, physics=physics, size_reduction_mm=0.0)
+        plans = {side: make_plan(side, leaning(side)) for side in Side}
+        answers = petmjx.criteria(
+            [*plans.values()], carrier=carrier, only=("force_balance_leaning",), friction=friction
+        )
+        expected = {side: side in WALLS_OF[carrier] and holds for side in Side}
+        assert dict(zip(answers.plans.plan_id, answers.plans.force_balance_leaning, strict=True)) == expected
+        bearings = bearings_of([build_scene(plan, sim) for plan in plans.values()])
+        for side, edges in zip(Side, edges_of(bearings, [2] * len(Side)), strict=True):
+            held_m = 0.6 * friction if side in WALLS_OF[carrier] else 0.0
+            assert edges.by_load[1] == pytest.approx(min(held_m - 0.06, 0.2 + 0.06), abs=1e-9)
+            (built,) = building_edges([bearings[list(Side).index(side)]], [2])
+            assert built.edge_m == pytest.approx(np.nanmin(edges.by_load), abs=1e-9)
+
+
+def test_a_repair_moves_no_box_into_a_wall() -> None:
+    """Collars stand on the deck, so that its extents alone would allow it."""
+    plan = make_plan("two", [((200.0, 200.0, 150.0), (300.0 * k + 30.0, 30.0, 0.0), 5.0) for k in range(2)])
+    collar = {"sides": list(Side), "gap_mm": -20.0, "thickness_mm": 20.0, "height_mm": 195.0}
+    for walls, least_mm in ({}, 0.0), (collar, 20.0):
+        rules = Rules(plan, Simulation(carrier="epal-1", walls=walls), 1500.0, 0)
+        for beyond_mm in (-1.0, 1.0):
+            draft = Draft.of(plan).with_places([0], np.array([[least_mm - beyond_mm, 30.0, 0.0]]))
+            assert bool(rules.allow([draft])[0]) == (beyond_mm < 0)
+
+
+@pytest.mark.parametrize(
+    ("corner_x_mm", "line"),
+    [(-12.0, "1 box reaches through a wall of the carrier (box 0 of a by 7 mm on the left)"), (-5.0, None)],
+)
+def test_a_box_that_is_planned_through_a_wall_gets_a_line(corner_x_mm: float, line: str | None) -> None:
+    plans = [make_plan("a", [((300.0, 300.0, 300.0), (corner_x_mm, 0.0, 0.0), 5.0)])]
+    assert notes_about(Simulation(carrier="rollcontainer-4"), plans) == ([line] if line else [])
+
+
+def test_options_of_walls_that_mean_nothing_are_named() -> None:
+    assert notes_about(Simulation(walls={"height_mm": 900.0}), []) == [
+        "walls.height_mm has no effect: the carrier has no walls"
+    ]
+    with pytest.raises(InputError, match=r"walls\.open\[0\] is left, where the carrier has no wall"):
+        Simulation(walls={"open": ["left"]})
+    with pytest.raises(InputError, match=r"walls\.sides\[0\] must be 'left', 'right', 'front' or 'back', got 'up'"):
+        Simulation(walls=["up"])
+    assert Simulation(walls="right, left").walls.sides == (Side.LEFT, Side.RIGHT)
 
 
 def drawn_piles(n: int, seed: int) -> list[petmjx.Plan]:

@@ -58,7 +58,7 @@ def check(result: Repaired) -> None:
     """The plan stands, is allowed, and falls without any one of the changes."""
     assert result.stands
     assert verdict(result.plan) == "stable"
-    rules = Rules(result.before, Simulation().carrier, 2000.0, 0)
+    rules = Rules(result.before, Simulation(), 2000.0, 0)
     for number in range(len(result.changes)):
         shorter = (*result.changes[:number], *result.changes[number + 1 :])
         draft = applied(Draft.of(result.before), shorter)
@@ -220,9 +220,7 @@ def allowed(boxes: Sequence[Box], *changes: Any, built: int = 0, most_mm: float 
     plan = make_plan(boxes=boxes)
     draft = applied(Draft.of(plan), changes)
     assert draft is not None
-    return bool(
-        Rules(plan, "euro-pallet" and Simulation(carrier="euro-pallet").carrier, most_mm, built).allow([draft])[0]
-    )
+    return bool(Rules(plan, Simulation(carrier="euro-pallet"), most_mm, built).allow([draft])[0])
 
 
 def test_rules_know_what_a_changed_plan_may_not_do() -> None:
