@@ -32,6 +32,9 @@ _SOLIMP_TAIL = (0.5, 2.0)
 BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
 """Cardboard in three shades, so that a viewer shows where one box ends and the next begins."""
 
+_WALL_OPACITY = 0.1
+"""Boxes are seen through a carrier's walls."""
+
 _CARRIER_COLOUR = (0.45, 0.32, 0.20, 1.0)
 _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 
@@ -240,6 +243,7 @@ def _add_shapes(
     pallets tremble. A skin makes faces and edges deeper by the same amount (docs/validation.md).
     """
     shapes = scene.shapes
+    walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
     for row, partner in zip(shapes.of(number), _partners(scene, physics)[number], strict=True):
         half_size = shapes.half_size[row]
         if not (half_size > 0).all():
@@ -251,7 +255,7 @@ def _add_shapes(
             size=half_size + partner.skin_m,
             friction=partner.friction,
             physics=physics,
-            rgba=rgba,
+            rgba=rgba if row not in walls else (*rgba[:3], _WALL_OPACITY),
             pos=shapes.pos[row],
         )
         if partner.skin_m:

@@ -70,6 +70,7 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
         [called[box] for box in shown.tolist()],
         _picture_fit(corners(*boxes), framed_corners(story)),
         marked,
+        len(scene.carrier.walls),
         f"Still picture of plan {story.plan.plan_id} as it ended",
     )
 
@@ -86,7 +87,7 @@ def plan_svg(plan: Plan) -> str:
     )
     numbers = list(range(plan.n_boxes))
     fit = _picture_fit(corners(*boxes))
-    return _svg(boxes, plan, numbers, numbers, fit, (), f"Plan {plan.plan_id} as it was read")
+    return _svg(boxes, plan, numbers, numbers, fit, (), len(scene.carrier.walls), f"Plan {plan.plan_id} as it was read")
 
 
 def _svg(
@@ -96,6 +97,7 @@ def _svg(
     numbers: Sequence[int],
     fit: tuple[FloatArray, float, float],
     marked: Collection[int],
+    n_walls: int,
     label: str,
 ) -> str:
     """Boxes of a plan and its carrier's boards as SVG.
@@ -106,6 +108,7 @@ def _svg(
         numbers: the numbers by which these are called.
         fit: as from ``_picture_fit``.
         marked: rows of boxes that are outlined.
+        n_walls: number of the last boards, which are walls: they are drawn as panes.
     """
     n_boards = len(boxes[0]) - len(shown)
     colours = article_colours(plan.articles)
@@ -120,7 +123,8 @@ def _svg(
     for k in drawing_order(*boxes):
         faces = "".join(_face(flat[k], boxes[1][k], fills[k], number) for number in range(6))
         mark = ' class="first"' if k < len(shown) and shown[k] in marked else ""
-        parts.append(f"<g{mark}><title>{escaped_html(names[k])}</title>{faces}</g>")
+        pane = f' fill-opacity="{_LOOK["wall"]}"' if k >= len(boxes[0]) - n_walls else ""
+        parts.append(f"<g{mark}{pane}><title>{escaped_html(names[k])}</title>{faces}</g>")
     return (
         f'<svg viewBox="0 0 {_WIDTH:.0f} {height:.0f}" role="img" aria-label="{escaped_html(label)}" '
         f'stroke="#1b1815" stroke-width="1" stroke-linejoin="round">{"".join(parts)}</svg>'

@@ -35,12 +35,13 @@ def story_info(story: Story) -> dict[str, Any]:
     if outcome.culprit >= 0:
         first = {"box": outcome.culprit, "time": outcome.first_sign_s, "words": first_box_in_words(story)}
     low, high = framed_corners(story)
+    carrier = story.scene.carrier
     return {
         "boxes": _boxes(story),
         "first": first,
         "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
         "ramp": ramp(),
-        "carrier": {"pos": story.scene.carrier.pos, "boards": story.scene.carrier.boards.ravel()},
+        "carrier": {"pos": carrier.pos, "boards": carrier.boards.ravel(), "walls": len(carrier.walls)},
         "floorZ": story.scene.floor_z,
         "frame": {"low": low, "high": high},
         "drive": _drive(story),

@@ -14,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.show.pages.contact_forces import pushes
-from petmjx.show.pages.palette import Rgb
+from petmjx.show.pages.palette import Rgb, look
 from petmjx.show.pictures.camera import Camera
 from petmjx.show.pictures.colours import CARRIER, FIRST, GHOST, Colouring, round_up
 from petmjx.show.pictures.offscreen import Canvas
@@ -94,7 +94,8 @@ class Painter:
         scene = self.story.scene
         half_size, turned = scene.half_size[: poses.n_placed], rotations(poses.quat)
         centers, turns, half_sizes = scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
-        boards = list(zip(half_sizes, centers, turns, strict=True))
+        shapes = list(zip(half_sizes, centers, turns, strict=True))
+        boards, walls = shapes[: scene.carrier.n_boards], shapes[scene.carrier.n_boards :]
         self.canvas.begin(camera)
         self._floor()
         visible = _far_to_near(poses, camera)
@@ -112,6 +113,9 @@ class Painter:
             red, green, blue = (float(part) for part in colours[box])
             self.canvas.box(half_size[box], poses.pos[box], turned[box], (red, green, blue), alpha)
             self._edges(half_size[box], poses.pos[box], turned[box], EDGE, camera)
+        for wall in walls:
+            self.canvas.box(*wall, CARRIER, look()["wall"])
+            self._edges(*wall, EDGE, camera)
         if self.colours.colour is Colour.PLANNED:
             for box in _away(self.story, poses):
                 self._edges(half_size[box], scene.target[box], np.eye(3), GHOST, camera)

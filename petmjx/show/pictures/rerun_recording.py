@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,7 +31,8 @@ def write_recording(story: Story, colours: Colouring, path: Path) -> None:
         poses = poses_of_frame(story.history, frame)
         recording.set_time(TIMELINE, duration=poses.time_s)
         recording.log("pallet/boxes", _boxes(rr, story, colours, poses))
-        recording.log("pallet/carrier", _carrier(rr, story, poses))
+        for name, boards in _carrier(rr, story, poses):
+            recording.log(name, boards)
         if scale is not None:
             recording.log("pallet/forces", _forces(rr, story.history, poses, scale))
         for name, value in _curves(story, poses).items():
@@ -57,15 +59,23 @@ def _boxes(rr: Any, story: Story, colours: Colouring, poses: Poses) -> Any:
     )
 
 
-def _carrier(rr: Any, story: Story, poses: Poses) -> Any:
-    centers, _, half_sizes = story.scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
-    return rr.Boxes3D(
-        centers=centers,
-        half_sizes=half_sizes,
-        quaternions=_as_xyzw(np.tile(poses.carrier_quat, (len(centers), 1))),
-        colors=[CARRIER],
-        fill_mode="solid",
-    )
+def _carrier(rr: Any, story: Story, poses: Poses) -> Iterator[tuple[str, Any]]:
+    """The carrier's boards, and its walls as frames, which hide no box."""
+    carrier = story.scene.carrier
+    centers, _, half_sizes = carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
+    boards, walls = slice(carrier.n_boards), slice(carrier.n_boards, None)
+    for name, rows, fill_mode in (("carrier", boards, "solid"), ("walls", walls, "majorwireframe")):
+        if len(centers[rows]):
+            yield (
+                f"pallet/{name}",
+                rr.Boxes3D(
+                    centers=centers[rows],
+                    half_sizes=half_sizes[rows],
+                    quaternions=_as_xyzw(np.tile(poses.carrier_quat, (len(centers[rows]), 1))),
+                    colors=[CARRIER],
+                    fill_mode=fill_mode,
+                ),
+            )
 
 
 def _forces(rr: Any, history: History, poses: Poses, scale: float) -> Any:

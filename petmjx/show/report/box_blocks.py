@@ -151,6 +151,7 @@ def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] 
         "count": integer_column(np.array([len(world.names) for world in worlds])),
         "carrier": np.array([world.carrier.pos for world in worlds], dtype=np.float32),
         "n_boards": integer_column(np.array([len(world.carrier.boards) for world in worlds])),
+        "n_walls": integer_column(np.array([len(world.carrier.walls) for world in worlds])),
         "boards": np.concatenate([world.carrier.boards for world in worlds]).astype(np.float32),
         "items": np.frombuffer(json.dumps(items).encode(), dtype=np.uint8),
         "kind": integer_column(kind),

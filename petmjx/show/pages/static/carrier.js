@@ -1,13 +1,14 @@
-// The carrier of boxes: {pos: [x, y, z], boards: …}, with 6 numbers a board, its whole extents and its place seen from
-// `pos`. Lengths are metres.
+// The carrier of boxes: {pos: [x, y, z], boards: …, walls}, with 6 numbers a board, its whole extents and its place seen
+// from `pos`. The last `walls` boards are walls, through which one sees. Lengths are metres.
 
 import { add, turned } from "./vectors.js";
 
-// The boards when the carrier is at a pose: [{pos, quat, half}, …].
-export function boardsAt({ boards }, pos, quat) {
+// The boards when the carrier is at a pose: [{pos, quat, half, isWall}, …].
+export function boardsAt({ boards, walls }, pos, quat) {
   return Array.from({ length: boards.length / 6 }, (_, k) => {
     const [size, place] = [boards.slice(6 * k, 6 * k + 3), boards.slice(6 * k + 3, 6 * k + 6)];
-    return { pos: add(pos, turned(quat, place)), quat, half: Array.from(size, (each) => each / 2) };
+    const isWall = k >= boards.length / 6 - walls;
+    return { pos: add(pos, turned(quat, place)), quat, half: Array.from(size, (each) => each / 2), isWall };
   });
 }
 

@@ -35,7 +35,7 @@ export async function endedWorld(number, worldsPerBlock) {
     force: part("force", 1).map(Math.expm1),
     rest: part("rest", 1).map(Math.expm1),
     drop: part("drop", 1),
-    carrier: { pos: [...arrays.carrier.subarray(3 * at, 3 * at + 3)], boards },
+    carrier: { pos: [...arrays.carrier.subarray(3 * at, 3 * at + 3)], boards, walls: arrays.n_walls[at] },
   };
 }
 

@@ -85,7 +85,7 @@ class Viewer {
     this.arrows = [];
     this.marks = [];
     this.values = new Float32Array((n + this.boards.length) * BOX_STRIDE);
-    this.glass = new Float32Array(2 * n * BOX_STRIDE);
+    this.glass = new Float32Array((2 * n + this.boards.length) * BOX_STRIDE);
     const [low, high] = corners(carrier);
     this.frame(low, [high[0], high[1], 1]);
     this.resize();
@@ -157,7 +157,8 @@ class Viewer {
   pick(x, y) {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     const { from, along } = this.camera.ray((2 * x) / width - 1, 1 - (2 * y) / height);
-    let nearest = Math.min(...this.boards.map((board) => this.distanceTo(board, from, along)));
+    const boards = this.boards.filter(({ isWall }) => !isWall);
+    let nearest = Math.min(...boards.map((board) => this.distanceTo(board, from, along)));
     let picked = -1;
     for (let box = 0; box < this.n; box++) {
       const distance = this.distanceTo(this.box(box), from, along);
@@ -250,7 +251,10 @@ class Viewer {
     const glass = { values: this.glass, count: 0 };
     const into = this.opacity < 1 ? glass : solid;
     for (const box of this.farthestFirst()) this.write(into, this.box(box), this.colourOf(box), this.edgeOf(box, edge));
-    for (const board of this.boards) this.write(solid, board, [...LOOK.wood, 1], edge);
+    for (const board of this.boards) {
+      const [list, opacity] = board.isWall ? [glass, LOOK.wall] : [solid, 1];
+      this.write(list, board, [...LOOK.wood, opacity], edge);
+    }
     const marked = { values: new Float32Array(this.marks.length * BOX_STRIDE), count: 0 };
     for (const { box, colour } of this.marks) {
       const line = [...colour, MARK_WIDTH * this.density];
