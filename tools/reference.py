@@ -14,6 +14,7 @@ from petmjx.options.physics import Physics
 from petmjx.options.placing import Placing
 from petmjx.options.run_options import Confidence, RunOptions
 from petmjx.options.simulation import Quiet, Simulation, Thresholds
+from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
 RECORDS: tuple[tuple[str, str, type[CheckedRecord]], ...] = (
@@ -22,6 +23,7 @@ RECORDS: tuple[tuple[str, str, type[CheckedRecord]], ...] = (
     ("Thresholds", "thresholds.", Thresholds),
     ("Quiet and rest", "quiet.", Quiet),
     ("Placing", "placing.", Placing),
+    ("Walls", "walls.", Walls),
     ("Stretch wrap", "wrap.", Wrap),
     ("How sure it is", "", Confidence),
     ("How it runs", "", RunOptions),
