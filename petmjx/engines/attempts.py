@@ -158,7 +158,8 @@ FALLBACKS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "
 
 _FALLBACK_NOTES: Final = {
     Capability.SOFT: "worlds with soft boxes were simulated on {}",
-    Capability.SHEETS: "worlds with interlayer sheets were simulated on {}",
+    Capability.SHEETS: "worlds with interlayer sheets or pallets among their boxes were simulated on {}",
+    Capability.KINETIC_PAIRS: "worlds with kinetic friction by pairs of materials were simulated on {}",
     Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
     Capability.CG: "worlds were simulated on {}: only it has the solver cg",
 }
@@ -192,6 +193,7 @@ class Engines:
         needs = {
             Capability.SOFT: soft,
             Capability.SHEETS: bool(job.scene.pieces),
+            Capability.KINETIC_PAIRS: job.scene.pair_kinetic is not None,
             Capability.FLOAT64: doubles,
             Capability.CG: sim.solver is Solver.CG,
         }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Flag, Outcome
 from petmjx.options.simulation import Schedule, Simulation
-from petmjx.world.friction_pairs import filled_up, filled_up_landings
+from petmjx.world.friction_pairs import filled_up, filled_up_landings, filled_up_shares
 from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes, OpenScenes
 from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
@@ -164,6 +164,8 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError("the scene must have the world's carrier")
     if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
         raise ValueError("the scene must have the world's friction of pairs")
+    if not np.array_equal(filled_up_shares(before.pair_kinetic), filled_up_shares(after.pair_kinetic)):
+        raise ValueError("the scene must have the world's kinetic friction of pairs")
     if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
         raise ValueError("the scene must have the world's landings of pairs")
 

@@ -101,7 +101,9 @@ class Capability(enum.Flag):
     CG = enum.auto()
     """It has the solver ``cg``."""
     SHEETS = enum.auto()
-    """It has interlayer sheets."""
+    """It has interlayer sheets, and pallets among the boxes."""
+    KINETIC_PAIRS = enum.auto()
+    """It has kinetic friction by pairs of materials."""
     SOFT = enum.auto()
     """It has boxes that are flex bodies."""
     CHECKS = enum.auto()
@@ -111,12 +113,13 @@ class Capability(enum.Flag):
     ``KeptState``, which names the engine that made the state."""
 
 
-_PHYSICS: Final = Capability.FLOAT64 | Capability.CG | Capability.SHEETS
+_PAIRS: Final = Capability.SHEETS | Capability.KINETIC_PAIRS
+_PHYSICS: Final = Capability.FLOAT64 | Capability.CG | _PAIRS
 PHYSICS: Final[Mapping[str, Capability]] = {
     "mujoco": _PHYSICS | Capability.SOFT,
     "mjx-jax": Capability(0),
-    "mjx-warp": Capability.SHEETS,
-    "mjx-warp-cpu": Capability.SHEETS,
+    "mjx-warp": _PAIRS,
+    "mjx-warp-cpu": _PAIRS,
 }
 """Engine → what it can simulate, also in workers. An engine of another name is trusted with all but soft boxes."""
 

@@ -34,6 +34,7 @@ class Carrier(StrEnum):
     ROLLCONTAINER_4 = "rollcontainer-4"
     GITTERBOX = "gitterbox"
     CONTAINER_20FT = "container-20ft"
+    TRAILER = "trailer"
 
 
 CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
@@ -49,6 +50,7 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     ),
     Carrier.GITTERBOX: (1.2, 0.8),
     Carrier.CONTAINER_20FT: (5.867, 2.33),
+    Carrier.TRAILER: (13.6, 2.48),
 }
 """x–y extent of each carrier in metres. None: the plan's bounding box."""
 
@@ -66,10 +68,14 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     Carrier.CONTAINER_20FT: Walls(
         sides=tuple(Side), height_mm=2350.0, gap_mm=0.0, thickness_mm=50.0, mass_kg_m2=30.0, material=STEEL
     ),
+    Carrier.TRAILER: Walls(
+        sides=(Side.RIGHT,), height_mm=1600.0, gap_mm=0.0, thickness_mm=50.0, mass_kg_m2=30.0, material=WOOD
+    ),
 }
 """The walls of built-in carriers. Those of ``rollcontainer-grid`` are only there on sides that the user names.
 ``gitterbox`` is 1200 × 800 × 800 mm inside and some 85 kg (UIC 435-3), ``container-20ft`` 5867 × 2330 × 2350 mm (least
-inner sizes of 1CC, ISO 668) and some 2.2 t."""
+inner sizes of 1CC, ISO 668) and some 2.2 t. ``trailer`` has a headboard alone, of 1,600 mm (EN 12642), at the end to
+which braking throws a load, +x."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """Carriers that are BED-BPP's targets."""

@@ -5,17 +5,19 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Final
+from typing import Annotated, Final, Self
 
-from pydantic import Field, StrictFloat
+from pydantic import Field, StrictFloat, model_validator
 
-from petmjx.common.checked_records import CheckedRecord, within
+from petmjx.common.checked_records import CheckedRecord, complaint, within
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.options.physics import HIGHEST_RESTITUTION, LONGEST_LANDING_S, RESTITUTION, SHORTEST_LANDING_S
 
 WOOD: Final = "wood"
 STEEL: Final = "steel"
+TRAILER_FLOOR: Final = "trailer floor"
+RACK_BEAM: Final = "rack beam"
 
 _CTU: Final = {
     ("cardboard", "cardboard"): 0.5,
@@ -35,9 +37,41 @@ _GUIDELINES: Final = {("wood", "wood"): 0.5, ("film", "film"): 0.3, ("film", "st
 """European Best Practice Guidelines on Cargo Securing for Road Transport (European Commission), table of static
 friction: sawn timber against wood; shrink film against shrink film; shrink film against steel."""
 
-FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {**_CTU, **_GUIDELINES}
+_PALLETS: Final = {
+    (TRAILER_FLOOR, "wood"): (0.32, 0.26),
+    ("new wood", TRAILER_FLOOR): (0.35, 0.29),
+    ("hickory", TRAILER_FLOOR): (0.32, 0.21),
+    ("oak", TRAILER_FLOOR): (0.35, 0.25),
+    ("hdpe", TRAILER_FLOOR): (0.31, 0.20),
+    ("lldpe", TRAILER_FLOOR): (0.29, 0.24),
+}
+"""Static and kinetic friction of pallets on the wooden floor of a trailer (SAE 2001-01-2755 and 2002-01-3104): old and
+new wooden ones, of hickory, of oak, of two plastics."""
+
+_RACKS: Final = {(RACK_BEAM, "wood"): 0.37}
+"""Static friction of pallets on the beams of a rack: the least of 0.37 to 0.45, at loads of 0.55 to 13 kN (Sideris and
+others 2010, Earthquake Spectra)."""
+
+_ON_FLOORS: Final = {
+    ("cardboard", TRAILER_FLOOR): 0.5,
+    ("film", TRAILER_FLOOR): 0.3,
+    ("steel", TRAILER_FLOOR): 0.3,
+    ("plastic", TRAILER_FLOOR): 0.2,
+}
+"""Other goods on the wooden floor of a trailer: as on the wood of ``_CTU``."""
+
+FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
+    **_CTU,
+    **_GUIDELINES,
+    **_RACKS,
+    **_ON_FLOORS,
+    **{pair: static for pair, (static, _) in _PALLETS.items()},
+}
 """Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that slides the CTU
 Code takes 75 % of it: ``physics.kinetic_friction_share``."""
+
+KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
+"""Pair of materials in alphabetical order → coefficient of friction between them while they slide, if it is known."""
 
 RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     ("cardboard", "cardboard"): RESTITUTION,
@@ -56,6 +90,17 @@ class FrictionPair(CheckedRecord):
 
     between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
+    kinetic: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
+        None,
+        description="the coefficient while they slide, at most that at rest; left out: physics.kinetic_friction_share "
+        "of it",
+    )
+
+    @model_validator(mode="after")
+    def _slides_more_easily(self) -> Self:
+        if self.kinetic is not None and self.kinetic > self.friction:
+            raise complaint(f"must be ≤ friction, {self.friction:g}, got {self.kinetic:g}", "kinetic")
+        return self
 
     @property
     def key(self) -> tuple[str, str]:
@@ -105,6 +150,19 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
     return frictions[-1] if frictions else FRICTION_OF_PAIRS.get(pair)
+
+
+def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
+    """Friction of a pair of materials while they slide, as a share of that at rest; None: that of ``Physics``.
+
+    Args:
+        user_pairs: as for ``friction_between``.
+    """
+    pair = _pair(one, other)
+    user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
+    static = FRICTION_OF_PAIRS.get(pair) if user_pair is None else user_pair.friction
+    kinetic = KINETIC_OF_PAIRS.get(pair) if user_pair is None else user_pair.kinetic
+    return None if kinetic is None or not static else kinetic / static
 
 
 def _pair(one: str, other: str) -> tuple[str, str]:

@@ -159,7 +159,7 @@ class Simulation(CheckedRecord):
         description="what the boxes stand on: footprint: the plan's bounding box; euro-pallet: 1200×800 mm; "
         "rollcontainer: 800×700 mm (x × y); made of boards with gaps: epal-1 (EN 13698-1), gma-48x40, pet-eur "
         "(PET-Physics's), rollcontainer-grid, or your own, FILE.toml; with walls: rollcontainer-2, -3, -4, gitterbox, "
-        "container-20ft",
+        "container-20ft, trailer",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top")
     friction_pairs: tuple[FrictionPair, ...] = Field(

@@ -15,7 +15,7 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
 from petmjx.plans.input_conventions import InputConventions
-from petmjx.plans.plan_fields import KINDS, SHEET, SPARSE
+from petmjx.plans.plan_fields import KINDS, KINDS_IN_WORDS, PALLETS, SHEET, SPARSE
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -42,7 +42,8 @@ class Plan:
         stiffness_n_mm: (n,) force on the box's top per compression, as in a press, N/mm; NaN: the box is rigid; None:
             all boxes are rigid.
         strength_n: (n,) load that the box bears on its top, N; NaN where not given; None: given for no box.
-        kinds: n times "box" or "sheet" (an interlayer sheet); empty: all are boxes.
+        kinds: n times "box", "sheet" (an interlayer sheet) or the name of a pallet, such as "epal-1"; empty: all are
+            boxes.
     """
 
     plan_id: str
@@ -90,7 +91,7 @@ class Plan:
                     raise InputError(f"{name} must be from {known.low:g} to {known.high:g}")
         kinds = tuple(list_of(self.kinds, "kinds", str, "text"))
         if not set(kinds) <= {"", *KINDS}:
-            raise InputError(f"kinds must be {' or '.join(KINDS)} for each box")
+            raise InputError(f"kinds must be {KINDS_IN_WORDS} for each box")
         if kinds:
             fields["kinds"] = kinds
         groups = tuple(list_of(self.product_groups, "product_groups", str, "text"))
@@ -115,7 +116,7 @@ class Plan:
             raise InputError("mass_center_mm must be inside the boxes, less than half of size_mm from their middles")
         object.__setattr__(self, "product_groups", groups)
         object.__setattr__(self, "materials", materials)
-        object.__setattr__(self, "kinds", kinds if SHEET in kinds else ())
+        object.__setattr__(self, "kinds", kinds if set(kinds) - {"", KINDS[0]} else ())
 
     @classmethod
     def from_boxes(
@@ -167,6 +168,11 @@ class Plan:
     def sheets(self) -> NDArray[np.bool_]:
         """(n,) whether an item is an interlayer sheet."""
         return np.array([name == SHEET for name in self.kinds] or [False] * self.n_boxes, bool)
+
+    @property
+    def pallets(self) -> dict[int, str]:
+        """Which items are pallets: number of the item → kind."""
+        return {box: name for box, name in enumerate(self.kinds) if name in PALLETS}
 
     @property
     def turned(self) -> NDArray[np.bool_]:

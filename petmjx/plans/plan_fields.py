@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.text import count_text, is_text, printable_name, shortened_text
 from petmjx.common.units import FloatArray
+from petmjx.options.carriers import Carrier
 from petmjx.plans.file_formats import number_hint, other_encoding
 
 SMALLEST_MM: Final = 1.0
@@ -60,8 +61,11 @@ SPARSE: Final = {
 N/mm."""
 
 SHEET: Final = "sheet"
-KINDS: Final = ("box", SHEET)
+PALLETS: Final = (Carrier.EPAL_1.value, Carrier.GMA_48X40.value)
+"""Kinds of items that are pallets, which bear other boxes: carriers of the same names."""
+KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
+KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
 LONGEST_NAME: Final = 1000
 """Largest number of characters of a plan id, an item id, an article or a product group."""
 
@@ -180,7 +184,7 @@ def kind_fault(value: object) -> str | None:
     """The error text for the kind of an item; None if it is fine."""
     if value is None or value == "" or (isinstance(value, str) and value in KINDS):
         return None
-    return f"kind must be {' or '.join(KINDS)}, got {kind(value)}"
+    return f"kind must be {KINDS_IN_WORDS}, got {kind(value)}"
 
 
 def missing_fault(fields: Sequence[str]) -> str:

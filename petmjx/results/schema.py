@@ -175,7 +175,7 @@ _PLACEMENT_COLUMNS = (
     *_texts(plan_id="id of the packing plan", item_id="id of the item", article="article of the item"),
     *_texts(product_group="of the item; null where no item of the plan has one"),
     *_texts(material="what it is made of; null where the plan says it of no box"),
-    *_texts(kind="box or sheet; null where all are boxes"),
+    *_texts(kind="box, sheet, or the name of a pallet; null where all are boxes"),
     *_vector("size", "mm", "extent of the box as it stands", end="_mm"),
     *_vector("corner", "mm", "front-left-bottom corner", end="_mm"),
     *_vector("mass_center", "mm", "centre of mass from the middle; null where the plan gives none", end="_mm"),

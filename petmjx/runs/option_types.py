@@ -46,6 +46,7 @@ CarrierName = Literal[
     "rollcontainer-4",
     "gitterbox",
     "container-20ft",
+    "trailer",
 ]
 CheckName = Literal[
     "one-by-one",
@@ -190,6 +191,7 @@ class FrictionPairTable(TypedDict, total=False):
 
     between: tuple[str, str] | list[str]
     friction: float
+    kinetic: float | None
 
 
 class LandingPairTable(TypedDict, total=False):

@@ -16,7 +16,7 @@ import numpy as np
 from petmjx.common.text import printable_name
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.carriers import TOUCH_MM, Carrier, OwnCarrier, walls_of
-from petmjx.options.materials import STEEL, WOOD
+from petmjx.options.materials import STEEL, TRAILER_FLOOR, WOOD
 from petmjx.options.physics import Physics, Triple
 from petmjx.options.simulation import Simulation
 from petmjx.world.body_shapes import Body
@@ -142,6 +142,12 @@ def _container_20ft() -> Pallet:
     return Pallet(tuple(boards), (900.0,))
 
 
+def _trailer() -> Pallet:
+    """The floor of a semi-trailer, of wood on a frame: one slab here, 150 mm high, 6 t with its frame."""
+    boards: list[Board] = [((0, 0, 0), (13600.0, 2480.0, 150.0))]
+    return Pallet(tuple(boards), (6000.0,), materials=(TRAILER_FLOOR,))
+
+
 PALLETS: Final = {
     Carrier.EPAL_1: _epal_1,
     Carrier.GMA_48X40: _gma,
@@ -152,6 +158,7 @@ PALLETS: Final = {
     ),
     Carrier.GITTERBOX: _gitterbox,
     Carrier.CONTAINER_20FT: _container_20ft,
+    Carrier.TRAILER: _trailer,
 }
 
 

@@ -178,7 +178,7 @@ def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> Float
     return share / (1.0 - np.clip(left, -1.0, MOST_LEFT))
 
 
-def friction_share(slip_m_s: FloatArray, kinetic: float) -> FloatArray:
+def friction_share(slip_m_s: FloatArray, kinetic: FloatArray | float) -> FloatArray:
     """Friction of contacts at these slips, as a share of that at rest. ``kinetic``: the share of fast contacts."""
     return 1.0 - (1.0 - kinetic) * np.clip(slip_m_s / STICKS_M_S - 1.0, 0.0, 1.0)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.options.materials import check_pairs, friction_between, landing_between
+from petmjx.options.materials import check_pairs, friction_between, kinetic_share_between, landing_between
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.world.carrier_boards import carrier_surfaces
@@ -30,7 +30,8 @@ LARGER: Final = -1.0
 
 
 USUAL: Final = -1.0
-"""Entry instead of a restitution or a time of a landing: the value of the physics counts."""
+"""Entry instead of a restitution, a time of a landing, or a share of kinetic friction: the value of the physics
+counts."""
 
 
 def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
@@ -75,6 +76,14 @@ def filled_up(table: FloatArray | None) -> FloatArray:
     return filled
 
 
+def filled_up_shares(table: FloatArray | None) -> FloatArray:
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's shares of kinetic friction, padded with rows without entries."""
+    filled = np.full((MOST_SURFACES, MOST_SURFACES), USUAL)
+    if table is not None:
+        filled[: len(table), : len(table)] = table
+    return filled
+
+
 def filled_up_landings(table: FloatArray | None) -> FloatArray:
     """(``MOST_SURFACES``, ``MOST_SURFACES``, 2) a world's table of landings, padded with rows without entries."""
     filled = no_landings()
@@ -95,12 +104,14 @@ class Surfaces(NamedTuple):
         of_boards: (s,) surface of each board and wall of the carrier.
         friction: (k, k) coefficients between surfaces, or ``LARGER``.
         landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
+        kinetic: (k, k) friction while they slide, as a share of that at rest, or ``USUAL``; None: no pair has its own.
     """
 
     of_boxes: NDArray[np.intp]
     of_boards: NDArray[np.intp]
     friction: FloatArray
     landing: FloatArray
+    kinetic: FloatArray | None
 
 
 def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
@@ -128,16 +139,19 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
             f"{len(of_boxes) + len(of_boards)}"
         )
     table = no_pairs(1 + len(of_boxes) + len(of_boards))
-    landing = no_landings(len(table))
+    landing, kinetic = no_landings(len(table)), np.full(table.shape, USUAL)
     for row, one in enumerate(of_boxes, start=1):
         for column, other in enumerate(of_boxes, start=1):
             table[row, column] = _pair_friction(one, other, sim)
             landing[row, column] = _landing(one, other, sim)
+            kinetic[row, column] = _kinetic(one, other, sim)
         for column, (friction, material) in enumerate(of_boards, start=1 + len(of_boxes)):
             table[row, column] = table[column, row] = (
                 friction if friction is not None else _pair_friction(one, material, sim)
             )
             landing[row, column] = landing[column, row] = _landing(one, material, sim)
+            if friction is None:
+                kinetic[row, column] = kinetic[column, row] = _kinetic(one, material, sim)
     surface_of = {material: row for row, material in enumerate(of_boxes, start=1)}
     surface_of_board = {board: row for row, board in enumerate(of_boards, start=1 + len(of_boxes))}
     return Surfaces(
@@ -145,6 +159,7 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         np.array([surface_of_board[board] for board in boards]),
         table,
         landing,
+        kinetic if (kinetic != USUAL).any() else None,
     )
 
 
@@ -172,6 +187,12 @@ def _pair_friction(one: str, other: str, sim: Simulation) -> float:
     """The entry of a table for a pair of materials. Bodies of an unknown pair never touch (``check_pairs``)."""
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if friction is None else friction
+
+
+def _kinetic(one: str, other: str, sim: Simulation) -> float:
+    """The entry of a table of shares of kinetic friction for a pair of materials."""
+    share = kinetic_share_between(one, other, sim.friction_pairs) if one and other else None
+    return USUAL if share is None else share
 
 
 def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:

@@ -142,6 +142,16 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
     return box_of_geom
 
 
+def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]:
+    """(ngeom,) surfaces of geoms. ``bodies``: those of ``geom_bodies``."""
+    surface = np.zeros(len(bodies), np.intp)
+    if scene.surface is not None:
+        surface[bodies >= 0] = scene.surface[bodies[bodies >= 0]]
+    if scene.carrier.surface is not None:
+        surface[bodies == CARRIER] = scene.carrier.surface
+    return surface
+
+
 @dataclass(frozen=True)
 class _Partner:
     """The values of a geom that its declared pairs need."""

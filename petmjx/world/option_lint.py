@@ -18,6 +18,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
 from petmjx.world.carrier_boards import carrier_notes, has_walls, pallet
 from petmjx.world.friction_pairs import check_surfaces
+from petmjx.world.load_units import check_pallets
 from petmjx.world.scene import build_scene, carrier_of
 from petmjx.world.supports import bearing_of
 
@@ -50,13 +51,16 @@ def notes_about(
         driven: whether worlds are shaken.
 
     Raises:
-        InputError: as ``check_surfaces``; or soft boxes that MuJoCo cannot have.
+        InputError: as ``check_surfaces`` and ``check_pallets``; soft boxes that MuJoCo cannot have; or film around
+            pallets among the boxes.
     """
+    for plan in plans:
+        check_pallets(plan)
     return [
         *carrier_notes(sim),
         *check_surfaces(plans, sim),
         *_placing_notes(sim.placing, axes, errors),
-        *_wrap_notes(sim.wrap, axes, driven),
+        *_wrap_notes(sim.wrap, axes, driven, plans),
         *_gap_notes(sim, plans),
         *_wall_notes(sim, plans),
         *_stiffness_notes(sim, plans, errors),
@@ -83,9 +87,15 @@ def _default(name: str) -> object:
     return Placing.model_fields[name].default
 
 
-def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool) -> Iterator[str]:
+def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool, plans: Sequence[Plan]) -> Iterator[str]:
     changed_fields = [name for name in Wrap.model_fields if getattr(wrap, name) != Wrap.model_fields[name].default]
     holds = wrap.turns > 0 or "wrap_turns" in axes
+    unit = next((plan for plan in plans if plan.pallets), None)
+    if holds and unit is not None:
+        raise InputError(
+            f"plan {printable_name(unit.plan_id)}: wrap.turns: film holds boxes to the carrier, and this plan has "
+            "pallets among its boxes; leave film out"
+        )
     if holds and not driven:
         yield "wrap has no effect: there is no profile, and film acts only while a pallet is shaken"
     elif changed_fields and not holds:

@@ -27,6 +27,7 @@ from petmjx.world.body_shapes import Body, Pieces, Shapes
 from petmjx.world.carrier_boards import body_of, floor_z_m, has_walls, pallet, with_walls
 from petmjx.world.friction_pairs import find_surfaces
 from petmjx.world.history import CARRIER
+from petmjx.world.load_units import with_pallets
 from petmjx.world.rotation import rotated_vectors
 from petmjx.world.sheets import pieces_of
 
@@ -79,13 +80,16 @@ class Scene:
         pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or
             ``petmjx.world.friction_pairs.USUAL``;
             None: the values of the physics everywhere.
+        pair_kinetic: (k, k) friction between surfaces that slide, as a share of that at rest, or
+            ``petmjx.world.friction_pairs.USUAL``; None: the value of the physics everywhere.
         placing: how boxes come to their places.
         approach: (n, 2) horizontal directions in which they do so, of length 1. 0, or None for all: the direction
             follows from the neighbours.
         stiffness: (n,) force on a box's top per compression, N/m; inf: it is rigid. None: all are.
         soft: (n,) which boxes are flex bodies (petmjx/world/soft_boxes.py); None: none is.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).
-        pieces: pieces of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py).
+        pieces: pieces of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py), and
+            boards of pallets among the boxes (petmjx/world/load_units.py).
     """
 
     half_size: NDArray[np.float64]
@@ -102,6 +106,7 @@ class Scene:
     surface: NDArray[np.intp] | None = None
     pair_friction: NDArray[np.float64] | None = None
     pair_landing: NDArray[np.float64] | None = None
+    pair_kinetic: NDArray[np.float64] | None = None
     placing: Placing = EXACT
     approach: NDArray[np.float64] | None = None
     stiffness: NDArray[np.float64] | None = None
@@ -205,18 +210,23 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
     stiffness = _stiffness(plan) if sim.physics.has_own_friction else None
     carrier, surfaces = carrier_of(plan, sim), find_surfaces(plan, sim)
     boxes = _of_boxes(plan.size_mm, plan.corner_mm, plan.mass_kg.copy(), sim)
+    mass_center = None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm)
+    pallets, mass_center, inertia_box = with_pallets(plan, boxes["half_size"], mass_center)
+    sheets = pieces_of(plan.sheets, boxes["target"], boxes["half_size"], carrier) if plan.kinds else ()
     return Scene(
         **boxes,
         **_of_all(sim),
         carrier=carrier if surfaces is None else replace(carrier, surface=surfaces.of_boards),
-        mass_center=None if plan.mass_center_mm is None else mm_to_m(plan.mass_center_mm),
+        mass_center=mass_center,
+        inertia_box=inertia_box,
         surface=None if surfaces is None else surfaces.of_boxes,
         pair_friction=None if surfaces is None else surfaces.friction,
         pair_landing=None if surfaces is None else surfaces.landing,
+        pair_kinetic=None if surfaces is None else surfaces.kinetic,
         approach=_directions(plan),
         stiffness=stiffness,
         soft=np.isfinite(stiffness) & ~plan.sheets if sim.soft and stiffness is not None else None,
-        pieces=pieces_of(plan.sheets, boxes["target"], boxes["half_size"], carrier) if plan.kinds else (),
+        pieces=(*sheets, *pallets),
     )
 
 

@@ -424,7 +424,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
 
 def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """(t,) boxes to which the tops of a scene belong, and (t, 2) low and high corners of the tops: a box has one top, a
-    sheet one for each piece.
+    sheet one for each piece, a pallet one for each board of its deck.
 
     Args:
         low, high: (n, 3) corners of the boxes, m.
@@ -432,10 +432,12 @@ def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, Flo
     if not scene.pieces:
         return np.arange(scene.n_boxes), low[:, :2], high[:, :2]
     shapes = scene.shapes
-    of_boxes = shapes.body != CARRIER
+    of_boxes = np.flatnonzero(shapes.body != CARRIER)
     box = shapes.body[of_boxes]
-    middle = (scene.target[box] + shapes.pos[of_boxes] - scene.middle[box])[:, :2]
-    half = shapes.half_size[of_boxes, :2]
+    middle = scene.target[box] + shapes.pos[of_boxes] - scene.middle[box]
+    half = shapes.half_size[of_boxes]
+    on_top = (middle + half)[:, 2] >= high[box, 2] - TOUCH_M
+    box, middle, half = box[on_top], middle[on_top, :2], half[on_top, :2]
     return box, middle - half, middle + half
 
 

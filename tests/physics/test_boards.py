@@ -29,7 +29,7 @@ def test_a_pallet_is_as_large_as_it_says_and_of_one_piece(carrier: Carrier) -> N
     body = body_of(shape, PHYSICS["pallet"])
     np.testing.assert_allclose(body.low, [0, 0, -shape.height_mm / MM_PER_M], atol=1e-12)
     np.testing.assert_allclose(body.high, [*(CARRIER_EXTENT_M[carrier] or ()), 0.0], atol=1e-12)
-    other_kg = {"gma-48x40": 20.0, "pet-eur": 40.0, "container-20ft": 900.0}
+    other_kg = {"gma-48x40": 20.0, "pet-eur": 40.0, "container-20ft": 900.0, "trailer": 6000.0}
     assert body.mass == pytest.approx(other_kg.get(carrier, 25.0))
     center, half = body.pos + body.shape_pos, body.half_size
     inside = half[:, None] + half - np.abs(center[:, None] - center)

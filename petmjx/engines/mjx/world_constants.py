@@ -30,8 +30,8 @@ class Worlds(NamedTuple):
     ``inertia_box`` is as in ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
-    ``shape_surface``, ``pair_friction`` and ``pair_landing`` see petmjx/world/friction_pairs.py. For ``shape_give``,
-    m³/N, and ``sinks``, the expected descent of boxes, see petmjx/world/compliance.py.
+    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic`` see petmjx/world/friction_pairs.py. For
+    ``shape_give``, m³/N, and ``sinks``, the expected descent of boxes, see petmjx/world/compliance.py.
 
     Drives: ``driven``: a drive follows; ``held``: it holds the carrier fast. ``drive_yaw`` is (cos, sin).
     ``profile_steps`` counts the drive's samples; ``drive_steps`` counts the steps to the world's end, unless it rests
@@ -71,6 +71,7 @@ class Worlds(NamedTuple):
     shape_give: Float[Array, "world shape"]
     pair_friction: Float[Array, "world surface surface"]
     pair_landing: Float[Array, "world surface surface 2"]
+    pair_kinetic: Float[Array, "world surface surface"]
     floor_z: Float[Array, " world"]
     profile: Int[Array, " world"]
     drive_scale: Float[Array, " world"]

@@ -13,7 +13,7 @@ from petmjx.common.units import FloatArray
 from petmjx.options.simulation import Simulation
 from petmjx.world.contact_laws import FAST_M_S, lasts_steps, pull, stiffness_ratio
 from petmjx.world.friction_pairs import filled_up_landings
-from petmjx.world.history import CARRIER
+from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
@@ -114,21 +114,11 @@ class Landings:
         speeds = np.zeros(data.nefc)
         mujoco.mj_mulJacVec(live.model, data, speeds, live.with_velocities(left > 0, self.before))
         normal_z = np.asarray(contact.frame)[these, 2]
-        surface = self._surfaces(live.geom_bodies)[geoms]
+        surface = geom_surfaces(self._scene, live.geom_bodies)[geoms]
         of_pair = self._table[surface[:, 0], surface[:, 1]]
         acceleration = pull(closing, -speeds[row], depth, normal_z, of_pair, physics)
         acts = lands & np.isfinite(acceleration)
         data.efc_aref[row[acts]] = acceleration[acts]
-
-    def _surfaces(self, geom_bodies: NDArray[np.integer]) -> NDArray[np.intp]:
-        """(ngeom,) surfaces of geoms."""
-        surface = np.zeros(len(geom_bodies), np.intp)
-        if self._scene.surface is not None:
-            surface[geom_bodies >= 0] = self._scene.surface[geom_bodies[geom_bodies >= 0]]
-        boards = self._scene.carrier.surface
-        if boards is not None:
-            surface[geom_bodies == CARRIER] = boards
-        return surface
 
 
 def _is_slow(velocity: FloatArray) -> bool:

@@ -23,7 +23,7 @@ from petmjx.engines.verdict import Flag
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, free_begin, reach, way_steps
-from petmjx.world.mujoco_model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies
+from petmjx.world.mujoco_model import CARRIER_NAME, HeldCarrier, add_boxes, build_spec, geom_bodies, geom_surfaces
 from petmjx.world.release_places import Release, release_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
@@ -128,6 +128,9 @@ class LiveWorld:
         self.geom_bodies = geom_bodies(self.model, self.order)
         gives = self.scene.stiffness is not None and bool(np.isfinite(self.scene.stiffness).any())
         self._beds = Beds(self.scene, self._sim.physics, self.model, self.geom_bodies) if gives else None
+        if self.scene.pair_kinetic is not None:
+            surfaces = geom_surfaces(self.scene, self.geom_bodies)
+            self._slip = SlipLaw(self._sim.physics, self.scene.pair_kinetic, surfaces)
         self._look_into_data()
 
     def _look_into_data(self) -> None:

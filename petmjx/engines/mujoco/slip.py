@@ -23,6 +23,7 @@ from petmjx.world.contact_laws import (
     next_share,
     slack_m_s2,
 )
+from petmjx.world.friction_pairs import USUAL
 
 LOOK_STEPS = 5
 """Number of steps between two checks for motion. A pallet at rest takes them in one call of C, without the
@@ -35,12 +36,24 @@ then slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:
-    """The law of contacts that slide, for worlds with these physics."""
+    """The law of contacts that slide, for worlds with these physics.
 
-    def __init__(self, physics: Physics) -> None:
+    Args:
+        pair_kinetic: as of ``petmjx.world.scene.Scene``.
+        surfaces: (ngeom,) of the model's geoms, for ``pair_kinetic``.
+    """
+
+    def __init__(
+        self,
+        physics: Physics,
+        pair_kinetic: FloatArray | None = None,
+        surfaces: NDArray[np.intp] | None = None,
+    ) -> None:
         self._slack = slack_m_s2(physics)
         self._share = kinetic_share(physics)
-        self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._share < 1)
+        self._of_pairs, self._surfaces = pair_kinetic, surfaces
+        self._slows = self._share < 1 or pair_kinetic is not None
+        self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._slows)
         """Whether it changes anything."""
 
     def may_slide(self, velocity: FloatArray) -> bool:
@@ -59,9 +72,10 @@ class SlipLaw:
         if not self.acts or data.nefc == first:
             mujoco.mj_step2(model, data)
             return
-        if self._share < 1:
+        if self._slows:
             slip = data.efc_vel[first:].reshape(-1, 3)[:, 1:]
-            active, share = data.efc_id[first::3], friction_share(np.hypot(*slip.T), self._share)
+            active = data.efc_id[first::3]
+            share = friction_share(np.hypot(*slip.T), self._kinetic(data, active))
             data.contact.friction[active, :2] *= share[:, None]
             data.contact.mu[active] *= share
         aref = data.efc_aref[first:]
@@ -76,6 +90,13 @@ class SlipLaw:
         self._solve(model, data, first + 3 * slides, np.sqrt(reference[slides]))
         mujoco.mj_checkAcc(model, data)
         mujoco.mj_Euler(model, data)
+
+    def _kinetic(self, data: mujoco.MjData, active: NDArray[np.integer]) -> FloatArray | float:
+        """The share of contacts that slide fast; (k,) for these contacts where pairs have their own."""
+        if self._of_pairs is None or self._surfaces is None:
+            return self._share
+        of_pair: FloatArray = self._of_pairs[tuple(self._surfaces[np.asarray(data.contact.geom)[active]].T)]
+        return np.where(of_pair == USUAL, self._share, of_pair)
 
     def _solve(
         self, model: mujoco.MjModel, data: mujoco.MjData, normal: NDArray[np.integer], reference: FloatArray

@@ -95,6 +95,13 @@ def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> fl
 
 
 @wp.func
+def _kinetic_share(model: Model, worlds: Worlds, world: int, first: int, second: int) -> float:
+    """Friction between two geoms while they slide, as a share of that at rest."""
+    of_pair = worlds.pair_kinetic[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
+    return wp.where(of_pair >= 0.0, of_pair, model.kinetic_share)
+
+
+@wp.func
 def friction_share(kinetic: float, slip: float) -> float:
     """Share of the friction at rest that a contact has while it slides at this speed. Twin of
     petmjx/world/contact_laws.py."""
@@ -162,7 +169,7 @@ def make_constraint(
                 put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
         slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
-        mu = times(mu, friction_share(model.kinetic_share, slip))
+        mu = times(mu, friction_share(_kinetic_share(model, worlds, world, first, second), slip))
         excess = times(damping, slip) - model.slip_slack
         work.excess[block, contact] = wp.where(excess > 0.0, excess, -1.0)
         put_number(work.efc, block, contact, 27, fused(-kbi[1], velocity[0], pull))

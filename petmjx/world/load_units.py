@@ -1,0 +1,93 @@
+"""Load units: pallets among the boxes of a plan, with boxes on them.
+
+A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own, of the kind of a carrier.
+Its body has a shape for each board, so that it slides, tips and bears as that carrier does. Its mass is the item's,
+shared by volume.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
+from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
+from petmjx.options.carriers import Carrier
+from petmjx.plans.plan import Plan
+from petmjx.world.body_shapes import Body, Pieces
+from petmjx.world.carrier_boards import pallet
+
+SIZE_MM: Final = 1.0
+"""How far an item's sizes may be from those of its pallet, mm: the last digit of plans."""
+
+
+def check_pallets(plan: Plan) -> None:
+    """Check that items that are pallets have the sizes of their kinds.
+
+    Raises:
+        InputError: one line with the plan, the box and the sizes.
+    """
+    for box, kind in plan.pallets.items():
+        x, y, height = _extent_mm(kind)
+        size = plan.size_mm[box]
+        if not any(np.abs(size - extent).max() <= SIZE_MM for extent in ((x, y, height), (y, x, height))):
+            sizes = " × ".join(f"{side:g}" for side in size)
+            raise InputError(
+                f"plan {printable_name(plan.plan_id)}: box {box} of kind {kind} must be {x:g} × {y:g} × {height:g} mm, "
+                f"or turned by 90°, got {sizes}"
+            )
+
+
+def with_pallets(
+    plan: Plan, half_size: FloatArray, mass_center: FloatArray | None
+) -> tuple[tuple[Pieces, ...], FloatArray | None, FloatArray | None]:
+    """The pieces of a plan's pallets, (n, 3) centres of mass and (n, 3) inertia boxes of all boxes, as of ``Scene``.
+
+    Args:
+        half_size: (n, 3) half extents of the boxes, m. Boards are made smaller as much as the item is.
+        mass_center: (n, 3) centres of mass that the plan gives; None: in the middles.
+    """
+    if not plan.pallets:
+        return (), mass_center, None
+    centers = np.zeros_like(half_size) if mass_center is None else mass_center.copy()
+    inertia_box, pieces = half_size.copy(), []
+    for box, kind in plan.pallets.items():
+        extent = np.array(_extent_mm(kind))
+        boards = _boards(kind, half_size[box])
+        turned = abs(plan.size_mm[box, 0] - extent[0]) > SIZE_MM
+        if turned:
+            order = [1, 0, 2]
+            boards = replace(
+                boards,
+                pos=boards.pos[order],
+                half_size=boards.half_size[:, order],
+                shape_pos=boards.shape_pos[:, order],
+                inertia_box=boards.inertia_box[order],
+            )
+        centers[box], inertia_box[box] = boards.pos, boards.inertia_box
+        pieces.append(Pieces(box, boards.half_size, boards.pos + boards.shape_pos))
+    return tuple(pieces), centers, inertia_box
+
+
+def _extent_mm(kind: str) -> tuple[float, float, float]:
+    """Extents of a kind of pallet along x, y and z, mm."""
+    boards = pallet(Carrier(kind))
+    assert boards is not None
+    corner, size = (np.array(part, np.float64) for part in zip(*boards.boards, strict=True))
+    x, y, height = (corner + size).max(axis=0).tolist()
+    return x, y, height
+
+
+def _boards(kind: str, half_size: FloatArray) -> Body:
+    """The boards of a kind of pallet, not turned, seen from the middle, m; scaled to a pallet of this half size."""
+    boards = pallet(Carrier(kind))
+    assert boards is not None
+    corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*boards.boards, strict=True))
+    extent = np.array(_extent_mm(kind)) / MM_PER_M
+    sides = np.sort(2 * half_size[:2])[::-1] if extent[0] >= extent[1] else np.sort(2 * half_size[:2])
+    scale = np.append(sides, 2 * half_size[2]) / extent
+    middle = (corner + size / 2 - extent / 2) * scale
+    return Body.of_boards(middle, size / 2 * scale, np.array(boards.masses_kg), np.zeros((len(size), 3)))

@@ -1,0 +1,164 @@
+"""Loaded pallets among the boxes: they slide on a floor at their friction, tip as a whole, and bear one another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from support.plans import Box, make_plan
+
+import petmjx
+from petmjx.common.errors import InputError
+from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Outcome
+from petmjx.options.materials import friction_between, kinetic_share_between
+from petmjx.options.simulation import Check, Schedule, Simulation
+from petmjx.plans.plan import Plan
+from petmjx.runs.transport_limits import slide_m
+from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
+from petmjx.world.option_lint import notes_about
+from petmjx.world.scene import build_scene
+from petmjx.world.supports import bearing_of
+
+G = 9.81
+EPAL_MM = (1200.0, 800.0, 144.0)
+EPAL_KG = 25.0
+MARGIN = 0.03
+"""Exactness of thresholds: a load stays that much below, and goes that much above."""
+WAY = 0.03
+"""Exactness of the way that a load slides."""
+
+SHAKEN = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, early_stop=False)
+
+
+def unit(corner_mm: tuple[float, float, float], height_mm: float, kg: float) -> tuple[Box, Box]:
+    """A pallet with one block on it, as large as its deck."""
+    x, y, z = corner_mm
+    return (EPAL_MM, corner_mm, EPAL_KG), ((1200.0, 800.0, height_mm), (x, y, z + EPAL_MM[2]), kg)
+
+
+def as_plan(units: Sequence[tuple[Box, Box]], pallet_material: str = "wood") -> Plan:
+    """Units, one after the other."""
+    plan = make_plan("units", [box for pair in units for box in pair])
+    n = len(units)
+    return replace(plan, kinds=("epal-1", "box") * n, materials=(pallet_material, "cardboard") * n)
+
+
+def shaken(engine: Engine, plan: Plan, sim: Simulation, acceleration: np.ndarray) -> Outcome:
+    drive = Drive(Excitation("throw", ACCELERATION, acceleration), rest_s=1.0)
+    with jax.numpy_rank_promotion("allow"):  # MJX broadcasts as NumPy does
+        (outcome,) = engine.run([Job(build_scene(plan, sim), drive)], sim)
+    return outcome
+
+
+def level(level_g: float, axis: int, ramp: int = 150, hold: int = 150) -> np.ndarray:
+    """A level that grows, in steps, and is then held."""
+    rows = np.zeros((ramp + hold, 3))
+    rows[:, axis] = -level_g * G * np.append(np.linspace(0.0, 1.0, ramp), np.ones(hold))
+    return rows
+
+
+def engine_of(name: str) -> Engine:
+    from petmjx.engines.engine_choice import make_engine
+
+    return make_engine(name)
+
+
+def test_a_pallet_is_a_body_of_boards_that_bears_on_its_deck() -> None:
+    plan = as_plan([unit((0.0, 0.0, 0.0), 300.0, 200.0)])
+    scene = build_scene(plan, Simulation(carrier="trailer"))
+    carrier = build_scene(
+        make_plan(boxes=[((1200.0, 800.0, 100.0), (0.0, 0.0, 0.0), 1.0)]), Simulation(carrier="epal-1")
+    ).carrier
+    rows = scene.shapes.of(0)
+    assert len(rows) == len(carrier.half_size)
+    np.testing.assert_allclose(scene.shapes.half_size[rows], carrier.half_size, atol=1e-4)
+    np.testing.assert_allclose(scene.shapes.pos[rows], carrier.shape_pos, atol=1e-4)
+    np.testing.assert_allclose(scene.inertia_boxes[1], carrier.inertia_box, atol=1e-4)
+    bearing = bearing_of(scene)
+    on_deck = bearing.upper == 1
+    assert on_deck.sum() == 5  # boards of the deck
+    width = (bearing.high - bearing.low)[on_deck, 1].sum()
+    assert width == pytest.approx(2 * 0.1 + 3 * 0.145, abs=1e-3)
+    turned = replace(plan, size_mm=plan.size_mm[:, [1, 0, 2]])
+    across = build_scene(turned, Simulation(carrier="trailer"))
+    np.testing.assert_allclose(across.shapes.half_size[rows], carrier.half_size[:, [1, 0, 2]], atol=1e-4)
+
+
+@pytest.mark.parametrize("material", ["wood", "hdpe"])
+@pytest.mark.parametrize("name", ["mujoco", "mjx-warp-cpu"])
+def test_a_loaded_pallet_slides_on_a_trailers_floor_at_its_friction(name: str, material: str) -> None:
+    """It begins at the static friction, and goes as far as Newton says with the kinetic one."""
+    static = friction_between(material, "trailer floor", ())
+    share = kinetic_share_between(material, "trailer floor", ())
+    assert static is not None
+    assert share is not None
+    plan = as_plan([unit((2000.0, 800.0, 0.0), 400.0, 200.0)], material)
+    sim = SHAKEN.changed(
+        carrier="trailer", walls=[], friction_pairs=[{"between": ["cardboard", material], "friction": 0.6}]
+    )
+    engine = engine_of(name)
+    stays = shaken(engine, plan, sim, level((1.0 - MARGIN) * static, axis=0))
+    assert stays.boxes.max_sway_m.max() < 0.002
+    push = np.vstack([level(1.5 * static, axis=0), np.zeros((250, 3))])
+    slides = shaken(engine, plan, sim, push)
+    expected = slide_m(-push, static, G, sim.physics.timestep_s, kinetic=share)
+    assert expected > 0.1
+    np.testing.assert_allclose(slides.boxes.shift_m[:, 0], expected, rtol=WAY)
+    assert np.abs(slides.boxes.shift_m[0] - slides.boxes.shift_m[1]).max() < 0.002  # the load goes with it
+    whole = slide_m(-push, static, G, sim.physics.timestep_s)
+    assert abs(whole / expected - 1.0) > 5 * WAY  # with static friction alone it would be another way
+
+
+@pytest.mark.parametrize("name", ["mujoco", "mjx-warp-cpu"])
+def test_two_loaded_pallets_on_each_other_topple_as_one(name: str) -> None:
+    """At g·b/h, of the pile's common centre of mass."""
+    height, kg = 1000.0, 200.0
+    plan = as_plan([unit((3000.0, 800.0, z), height, kg) for z in (0.0, EPAL_MM[2] + height)])
+    sim = SHAKEN.changed(
+        carrier="trailer", walls=[], friction_pairs=[{"between": ["wood", "trailer floor"], "friction": 0.6}]
+    )
+    scene = build_scene(plan, sim)
+    places = scene.frames(scene.target, scene.start_quat)
+    centre_m = scene.mass @ places[:, 2] / scene.mass.sum()
+    threshold_g = scene.half_size[0, 1] / centre_m
+    assert threshold_g < 0.4
+    engine = engine_of(name)
+    below = shaken(engine, plan, sim, level((1.0 - MARGIN) * threshold_g, axis=1, ramp=250, hold=1250))
+    above = shaken(engine, plan, sim, level((1.0 + MARGIN) * threshold_g, axis=1, ramp=250, hold=1250))
+    assert below.boxes.max_tilt_deg.max() < 1.0
+    assert above.boxes.max_tilt_deg[0] > 20.0
+    assert above.boxes.max_tilt_deg[2] > 20.0
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (
+            {"size_mm": np.array([(1200.0, 800.0, 150.0), (1200.0, 800.0, 400.0)])},
+            "box 0 of kind epal-1 must be 1200 × 800 × 144 mm, or turned by 90°, got 1200 × 800 × 150",
+        ),
+        ({}, "wrap.turns: film holds boxes to the carrier, and this plan has pallets among its boxes; leave film out"),
+    ],
+)
+def test_what_pallets_cannot_be_is_said(change: dict[str, np.ndarray], line: str) -> None:
+    plan = replace(as_plan([unit((0.0, 0.0, 0.0), 400.0, 200.0)]), **change)
+    with pytest.raises(InputError, match=f"^plan units: {line}$"):
+        notes_about(Simulation(carrier="trailer", wrap={"turns": 0 if change else 3}), [plan])
+
+
+def test_a_pair_that_slides_better_at_rest_is_refused() -> None:
+    with pytest.raises(InputError, match=r"friction_pairs\[0\]\.kinetic must be ≤ friction, 0.3, got 0.4"):
+        Simulation(friction_pairs=[{"between": ["a", "b"], "friction": 0.3, "kinetic": 0.4}])
+
+
+def test_plans_with_pallets_are_written_and_read(tmp_path: Path) -> None:
+    plan = as_plan([unit((0.0, 0.0, 0.0), 400.0, 200.0)])
+    for name in ("plans.json", "plans.csv"):
+        petmjx.save_plans([plan], tmp_path / name)
+        (read,) = petmjx.load_plans(tmp_path / name).plans
+        assert read.kinds == plan.kinds
